@@ -3,6 +3,7 @@
 
 import hashlib
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -21,20 +22,38 @@ def _in_memory(_name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
-def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid: np.ndarray | None) -> str:
+class Rows(Protocol):
+    """An array that need not be in memory: `shape`, and rows as arrays."""
+
+    shape: tuple[int, ...]
+
+    def __getitem__(self, rows: slice, /) -> np.ndarray: ...
+
+
+def content_key(samples: Rows, lattice: Lattice, source_max: float, valid: Rows | None) -> str:
     """Return a hex digest of everything that determines a terrain's shape and its bounds.
 
-    valid: 1 where a sample is given and 0 in holes; None without holes. source_max: largest error of the source,
-    metres.
+    samples: float32 metres. valid: 1 where a sample is given and 0 in holes; None without holes. source_max: largest
+    error of the source, metres.
     """
     digest = hashlib.blake2b(digest_size=16)
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
-    for row in range(0, samples.shape[0], 256):
-        digest.update(np.ascontiguousarray(samples[row : row + 256]).data)
-    if valid is not None:
-        digest.update(np.ascontiguousarray(valid).data)
+    for values in (samples, *([] if valid is None else [valid])):
+        for row in range(0, values.shape[0], 256):
+            digest.update(np.ascontiguousarray(values[row : row + 256]).data)
     return digest.hexdigest()
+
+
+def no_heights(name: str) -> TerrainError:
+    """Return the error about a raster without any height."""
+    return TerrainError(f"{name} has only missing samples (no-data or not a number)", expected="at least one height")
+
+
+def no_ground(name: str) -> TerrainError:
+    """Return the error about a raster of which holes would leave nothing."""
+    what = f"{name} has no cell with four known samples, so nothing would be left of it"
+    return TerrainError(what, fix="import it without cutting holes")
 
 
 def build(
@@ -67,16 +86,13 @@ def build(
     height, width = samples.shape
     lattice = lattice_for(width, height, step_x, step_y, name)
     if missing == samples.size:
-        raise TerrainError(f"{name} has only missing samples (no-data or not a number)", expected="at least one height")
+        raise no_heights(name)
     valid = measured = None
     if missing and holes:
         valid = allocate("valid", samples.shape, np.dtype(np.uint8))
         np.isfinite(samples, out=valid.view(bool))
         if not holes_leave_ground(valid.view(bool)):
-            raise TerrainError(
-                f"{name} has no cell with four known samples, so nothing would be left of it",
-                fix="import it without cutting holes",
-            )
+            raise no_ground(name)
         measured = samples.copy()
     if missing:
         cleaning.fill_missing(samples, threads)

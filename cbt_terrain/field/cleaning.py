@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preparation of a raster's samples: heights in float32, and missing samples filled."""
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
@@ -10,6 +12,7 @@ from ..run import launch
 from ..run.buffers import flat
 
 COLUMN_BLOCK = 64
+FILLED_ROWS = 128  # rows whose missing samples are filled together
 # Differences of larger heights overflow float32; an undeclared no-data value is the usual cause.
 LARGEST_HEIGHT = 1e30
 
@@ -33,20 +36,62 @@ def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, 
 
 
 def fill_missing(samples: np.ndarray, threads: int) -> None:
-    """Replace every NaN in `samples` (float32, in place) by the nearest valid sample, counted in samples."""
-    height, width = samples.shape
-    nearest = wp.empty(height * width, dtype=wp.int32, device=launch.DEVICE)
-    h = flat(samples, wp.float32)
-    inputs = [h, width, height, COLUMN_BLOCK, nearest]
-    cost = 0.5 * COLUMN_BLOCK * height
-    blocks = -(-width // COLUMN_BLOCK)
+    """Replace every NaN in `samples` (float32, in place) by the nearest valid sample, counted in samples.
+
+    Of several as near the westernmost counts, of these the southernmost.
+    """
+    fill_rows(lambda: samples, lambda rows: np.isnan(samples[rows]), samples.shape, threads)
+
+
+def fill_rows(
+    opened: Callable[[], np.ndarray],
+    missing_in: Callable[[slice], np.ndarray],
+    shape: tuple[int, ...],
+    threads: int,
+) -> None:
+    """Replace the missing samples of a raster that need not be in memory, as `fill_missing`.
+
+    opened: maps the samples, of any type. missing_in: returns, for rows, which samples are missing. shape: of all.
+    """
+    height, width = shape
+    chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
+    above = np.full((len(chunks) + 1, width), -1, np.int32)  # nearest valid row from the end of each chunk on
+    for number, rows in reversed([*enumerate(chunks)]):
+        valid = ~missing_in(rows)
+        above[number] = np.where(valid.any(axis=0), rows.start + valid.argmax(axis=0), above[number + 1])
+    below = np.full(width, -1, np.int32)
+    for number, rows in enumerate(chunks):
+        missing = missing_in(rows)
+        if missing.any():
+            row, column = _nearest(missing, rows.start, below, above[number + 1], threads)
+            samples, (y, x) = opened(), np.nonzero(missing)
+            column = column[y, x]
+            samples[rows.start + y, x] = samples[row[y, column], column]
+        valid = ~missing[::-1]
+        below = np.where(valid.any(axis=0), rows.stop - 1 - valid.argmax(axis=0), below).astype(np.int32)
+
+
+def _nearest(
+    missing: np.ndarray, first: int, below: np.ndarray, above: np.ndarray, threads: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for rows from `first` on, the nearest valid row of each column, and the column of the nearest sample.
+
+    below, above: nearest valid rows outside these rows, -1 for none.
+    """
+    height, width = missing.shape
+    nearest, column = np.empty((2, height, width), np.int32)
+    rows, mask = flat(nearest, wp.int32), flat(missing.view(np.uint8), wp.uint8)
+    outer = [flat(np.ascontiguousarray(line), wp.int32) for line in (below, above)]
+    inputs = [mask, width, height, first, *outer, COLUMN_BLOCK, rows]
+    cost, blocks = 0.5 * COLUMN_BLOCK * height, -(-width // COLUMN_BLOCK)
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
     jobs = []
-    for first, end in launch.ranges(height, threads):
+    for begin, end in launch.ranges(height, threads):
         apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
         start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
-        jobs.append([h, width, first, end, nearest, apex, start])
-    launch.slices(fill_kernels.fill_rows, jobs, step="fill no-data")
+        jobs.append([mask, width, first, begin, end, rows, apex, start, flat(column, wp.int32)])
+    launch.slices(fill_kernels.nearest_columns, jobs, step="fill no-data")
+    return nearest, column
 
 
 def repeat_single_line(samples: np.ndarray) -> np.ndarray:

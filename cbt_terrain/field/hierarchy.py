@@ -91,6 +91,34 @@ def build_errors(
     samples: float32 [height, width] metres, holes filled. measured: the same with NaN where samples do not count,
     as in holes; None if all count.
     """
+    build_twists(samples if measured is None else measured, stored_at(lattice, lattice.cell_depth), errors, threads)
+    measure_triangles(samples, lattice, errors, threads, on_progress, measured)
+
+
+def build_twists(measured: np.ndarray, cells: Depth, errors: np.ndarray, threads: int) -> None:
+    """Fill the entries `cells` of `errors` (float32, zeroed) with a quarter of each cell's saturated twist, metres.
+
+    measured: float32 [height, width] metres, NaN where samples do not count.
+    """
+    out, (height, width) = flat(errors, wp.float32), measured.shape
+    inputs = [pack_samples(measured, None), cells, out]
+    launch.spread(kernels.twists, height - 1, inputs, step="error hierarchy", threads=threads, cost=0.4 * (width - 1))
+    saturate_cells(cells, 0.25, out, "error hierarchy", threads)
+
+
+def measure_triangles(
+    samples: np.ndarray,
+    lattice: Lattice,
+    errors: np.ndarray,
+    threads: int,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+    measured: np.ndarray | None = None,
+    coarsest: int = 1,
+) -> None:
+    """Fill `errors` above the raster's cells, whose entries are there; the coarsest depth is `coarsest`.
+
+    Further arguments: see `build_errors`.
+    """
     out = flat(errors, wp.float32)
     raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
 
@@ -98,10 +126,9 @@ def build_errors(
         """Launch a kernel over `count` items as the step "error hierarchy", with `errors` as its last argument."""
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
-    cells = stored_at(lattice, lattice.cell_depth)
-    spread(kernels.twists, lattice.cells_y, [counted, cells], 0.4 * lattice.cells_x)
-    saturate_cells(cells, 0.25, out, "error hierarchy", threads)
     for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
+        if depth < coarsest:
+            break
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
         if coarser.sides:

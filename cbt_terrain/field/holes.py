@@ -26,12 +26,14 @@ def holes_leave_ground(valid: np.ndarray) -> bool:
     return any((row[:-1] & row[1:]).any() for row in rows)
 
 
-def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int) -> None:
+def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int) -> np.ndarray:
     """Raise `errors` (float32 [lattice.node_count], metres) of diamonds on the border of a hole.
 
-    valid: uint8 [height, width], 0 where a sample is missing.
+    Return the kinds of cells (ground 1, hole 2) below each diamond, uint8 like `errors`. valid: uint8 [height, width],
+    0 where a sample is missing.
     """
-    kinds, out = flat(np.zeros(lattice.node_count, np.uint8), wp.uint8), flat(errors, wp.float32)
+    found = np.zeros(lattice.node_count, np.uint8)
+    kinds, out = flat(found, wp.uint8), flat(errors, wp.float32)
 
     cells = stored_at(lattice, lattice.cell_depth)
     inputs = [flat(valid, wp.uint8), lattice.width, cells, kinds]
@@ -39,6 +41,7 @@ def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, thre
     for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         inputs = [wp.float32(longest_edge(lattice, depth)), finer, coarser, kinds, out]
         launch.spread(kernels.raise_borders, count, inputs, step="holes", threads=threads)
+    return found
 
 
 def longest_edge(lattice: Lattice, depth: int) -> float:

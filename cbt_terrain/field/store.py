@@ -15,6 +15,7 @@
                                 bottoms.npy: their minima
     STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
     STORE/data-*/mask*_*.npy    uint8, masks of displacement layers (attributes/layered_detail.py), of a large raster
+    STORE/data-*/borders.npy    with tiles.jsonl and work.json: inputs and borders of tiles
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
@@ -284,17 +285,23 @@ def data_folder(raster: HeightRaster) -> Path | None:
 class Draft:
     """A version of a store while it is written; invisible until `publish`."""
 
-    def __init__(self, path: Path, name: str | None = None):
-        """Create the folder of a new version and lock it. name: of the folder, by default a new unpredictable one."""
+    def __init__(self, path: Path, name: str | None = None, may_exist: bool = False):
+        """Create the folder of a new version and lock it. name: of the folder, by default a new unpredictable one.
+
+        may_exist: whether the folder may be there, with arrays that were allocated before.
+        """
         self.path = path
         self._new_folders = missing_folders(path)
         self.folder = path / (name or new_data_name())
-        self._lock = partial_files.make_folder(self.folder, parents=True)
+        self._lock = partial_files.make_folder(self.folder, parents=True, may_exist=may_exist)
         self.published = False
         self._arrays: dict[str, np.ndarray] = {}
 
     def allocate(self, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray:
-        """Return a new zeroed array in the file NAME.npy, mapped for writing: see `allocate_array`."""
+        """Return a zeroed array in the file NAME.npy, or the one that is there, mapped for writing.
+
+        See `allocate_array`.
+        """
         self._arrays[name] = array = allocate_array(self.folder / f"{name}.npy", shape, dtype)
         return array
 
@@ -349,7 +356,7 @@ class Draft:
         with suppress(OSError, NotOursError):  # a folder with files of the user stays
             if previous is not None:
                 remove_arrays(previous)
-        remove_abandoned(self.path)
+        remove_abandoned(self.path, with_work=True)
 
     def _checked_text(self, content: dict) -> str:
         """Return the JSON of a new version. Raises TerrainError if reading it would fail."""
@@ -366,9 +373,12 @@ class Draft:
             ) from None
         return text
 
-    def discard_unless_published(self) -> None:
-        """Remove the draft's files if it was not published. An earlier store at its path is untouched."""
+    def discard_unless_published(self, with_work: bool = True) -> None:
+        """Remove the draft's files if it was not published. An earlier store at its path is untouched.
+
+        with_work: also if they can be completed later.
+        """
         if self.published:
             return
         os.close(self._lock)
-        discard(self.path, self.folder.name, self._new_folders)
+        discard(self.path, self.folder.name, self._new_folders, with_work)

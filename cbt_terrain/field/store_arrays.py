@@ -30,6 +30,7 @@ BLOCK_BYTES = 1 << 18
 ROWS = 256  # rows that are tested together
 # Blocks of each array that are checked when it is opened, evenly from the first to the last. They take 4 x 0.1 ms.
 SAMPLED = 4
+SUMMED = 256  # blocks of a file that is being written, after which its pages are released
 
 AGAIN = "import or shape the terrain again"
 
@@ -70,8 +71,13 @@ def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.
 
 def all_checksums(array: np.ndarray) -> bytes:
     """Return the checksums of an array as the bytes that follow its data in the file."""
-    threads = launch.default_threads()
-    return checksums(array, range(block_count(array.nbytes)), threads).astype("<u4").tobytes()
+    threads, count, found = launch.default_threads(), block_count(array.nbytes), []
+    mapped = getattr(array.base, "_mmap", None)
+    for first in range(0, count, SUMMED):
+        found.append(checksums(array, range(first, min(first + SUMMED, count)), threads).astype("<u4"))
+        if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):  # its pages count as memory of this process
+            mapped.madvise(mmap.MADV_DONTNEED)
+    return b"".join(sums.tobytes() for sums in found)
 
 
 def write_array(file: Path, array: np.ndarray) -> None:
@@ -83,12 +89,15 @@ def write_array(file: Path, array: np.ndarray) -> None:
 
 
 def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
-    """Return a zeroed array in a new file, mapped for writing; `append_checksums` completes the file.
+    """Return a zeroed array in a new file, or the array in the file that is there, mapped for writing.
+
+    `append_checksums` completes the file.
 
     Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without space
     would kill the process later.
     """
-    file.write_bytes(header(shape, dtype))
+    if not os.path.lexists(file):
+        file.write_bytes(header(shape, dtype))
     if not np.prod(shape):
         return np.empty(shape, dtype)
     nbytes = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)

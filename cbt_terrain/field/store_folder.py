@@ -5,6 +5,7 @@ import functools
 import json
 import os
 import re
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,10 +19,13 @@ JSON_NAME = "store.json"
 # More than any store needs: coordinate systems and warnings are texts of some thousand characters.
 MAX_JSON_BYTES = 1 << 22
 DATA_PREFIX = "data-"
+WORK_NAME = "work.json"  # in a folder of arrays that is made by tile, and can be completed later (tiling/tile_work.py)
+WORK_SECONDS = 7 * 86_400.0  # since anything was written in such a folder; then it is abandoned
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
 # All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
-    r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json"
+    r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|borders|missing|kinds)\.npy"
+    r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json|work\.json|tiles(-[0-9a-f]{32})?\.jsonl"
     r"|(effect_[a-z_]+|masks|mask_maxima)_[0-9a-f]{16}\.npy"
     r"|layer_[a-z][a-z0-9_]{0,40}\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
@@ -123,12 +127,13 @@ def missing_folders(path: Path) -> list[Path]:
     return [folder for folder in (path, *path.parents) if not folder.exists()]
 
 
-def discard(path: Path, folder: str, new_folders: list[Path]) -> None:
+def discard(path: Path, folder: str, new_folders: list[Path], with_work: bool = True) -> None:
     """Remove the folder of arrays of an unfinished version, and the folders that were created for it.
 
-    A published version stays, even if a later step has failed.
+    A published version stays, even if a later step has failed. with_work: whether a version that can be completed later
+    is removed, too.
     """
-    if named_folder(path) == path / folder:
+    if named_folder(path) == path / folder or not with_work and os.path.lexists(path / folder / WORK_NAME):
         return
     for name in (folder, scratch_name(folder)):
         with suppress(OSError, NotOursError):
@@ -170,16 +175,25 @@ def scratch_name(folder: str) -> str:
     return f"{DATA_PREFIX}{token[:8]}{token[:7:-1]}"
 
 
-def remove_abandoned(path: Path) -> None:
-    """Remove the folders of arrays that neither a living process nor store.json uses."""
+def remove_abandoned(path: Path, with_work: bool = False) -> None:
+    """Remove the folders of arrays that neither a living process nor store.json uses.
+
+    with_work: also those that could be completed; otherwise they are kept for WORK_SECONDS.
+    """
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
         return  # a damaged store does not name the folder that it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
         with suppress(OSError):
-            if is_array_folder(folder):
+            if is_array_folder(folder) and (with_work or not _can_be_continued(folder)):
                 token = folder.name.removeprefix(DATA_PREFIX)
                 is_needed = functools.partial(_is_current, path, folder)
                 partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)
+
+
+def _can_be_continued(folder: Path) -> bool:
+    """Return whether a folder holds work that can be completed."""
+    newest = max(entry.lstat().st_mtime for entry in (folder, *folder.iterdir()))
+    return os.path.lexists(folder / WORK_NAME) and time.time() - newest < WORK_SECONDS
 
 
 def take_away(path: Path) -> None:
@@ -194,7 +208,7 @@ def take_away(path: Path) -> None:
         if arrays is not None:
             remove_arrays(arrays)
     with suppress(OSError):
-        remove_abandoned(path)
+        remove_abandoned(path, with_work=True)
 
 
 def remove_tiles(folder: Path) -> None:

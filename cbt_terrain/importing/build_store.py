@@ -6,32 +6,32 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import cleaning, codes, store, store_folder
+from ..field import codes, store, store_folder
 from ..field.build import build
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
-from ..field.lattice import lattice_for
+from ..field.lattice import Lattice, lattice_for
 from .archives import is_archive, unpacked
-from .drafts import common_report_entries, open_draft
+from .drafts import common_report_entries
 from .height_range import fit_heights
+from .height_reader import HeightReader, scaling_of
 from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
 from .rounding import half_step, rounding_warnings
 from .sidecars import sidecars
 from .source_list import file_stat, files_of, names_several
 from .sources import check_file, check_named, open_source
-from .store_job import Tell
+from .store_job import READING, Tell
 from .thinning import LOADED, loaded_entries, loaded_steps, thinned
+from .tile_import import MEASURING, Crew, TileSource, build_by_tile, is_tiled, open_work
 
-READING = "Reading"  # message while files from outside are read
-BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the file's header has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
@@ -43,6 +43,7 @@ def run_import(
     path: str | os.PathLike,
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
     folder: str | None = None,
+    crew: Crew | None = None,
 ) -> dict:
     """Import one file in this process and return the report; the store at `path` changes at the very end or not at all.
 
@@ -50,6 +51,7 @@ def run_import(
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
+        crew: processes that read and measure a large raster; None for this process.
 
     Raises TerrainError.
     """
@@ -59,7 +61,7 @@ def run_import(
     if is_archive(source):
         check_file(source)
     with unpacked(source, path / store_folder.scratch_name(folder)) as file:
-        return import_raster(settings, file, path, folder, on_progress)
+        return import_raster(settings, file, path, folder, on_progress, crew=crew)
 
 
 def import_raster(
@@ -69,6 +71,7 @@ def import_raster(
     folder: str,
     on_progress: Callable[[float, str], None],
     open_raster: Callable[[ImportSettings], Raster] = open_source,
+    crew: Crew | None = None,
 ) -> dict:
     """Import the raster of the settings in this process, and return the report; see `run_import`.
 
@@ -90,14 +93,34 @@ def import_raster(
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
-        settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
+        settings, notes = fit_heights(settings, raster, place.step_x * (width - 1))
         raster.warnings += notes
-        with open_draft(path, folder, lattice, doubt=DOUBT) as draft:
-            field, check = _build(settings, raster, place, draft, (height, width), on_progress)
-            field = field.with_raster(provenance=_provenance(given, raster, place))
+        reader, crew = HeightReader(raster, settings), crew or Crew()
+        with open_work(path, folder, lattice, digest, is_tiled(raster, lattice), doubt=DOUBT) as (draft, work):
+            begin = 0.0
+            if raster.original is not None:  # resampling mixes marks of missing samples with heights
+                begin = 0.1
+                for share, rows in raster.original.blocks():
+                    reader.check.add(rows)
+                    on_progress(begin * share, READING)
+
+            def tell(share: float, message: str) -> None:
+                on_progress(begin + (1.0 - begin) * share, message)
+
+            if is_tiled(raster, lattice):
+                source = TileSource(raster, settings, place)
+                field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
+            else:
+                field = _build(reader, place, draft, lattice, tell)
+            field = field.with_raster(
+                origin=np.array([*place.middle, 0.0]),
+                crs=place.crs,
+                place=place.place,
+                provenance=_provenance(given, raster, place),
+            )
             report = _import_report(field, raster, place)
             if settings.source not in LANDS:
-                report["warnings"] += _value_warnings(raster, settings, place, report, check)
+                report["warnings"] += _value_warnings(raster, settings, place, report, reader.check)
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             raster.finish(draft.folder)
@@ -108,41 +131,29 @@ def import_raster(
 
 
 def _build(
-    settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress: Tell
-) -> tuple[HeightField, ValueCheck]:
-    """Build the height field of a raster in the arrays of a draft.
+    reader: HeightReader, place: Georeference, draft: store.Draft, lattice: Lattice, on_progress: Tell
+) -> HeightField:
+    """Build the height field of a raster in one piece, in the arrays of a draft.
 
-    Return it, and the check of its values for marks of missing data. place: georeference. shape: rows and columns
-    of the terrain, row 0 south. on_progress: gets 0 to 1 and a message.
+    place: georeference. on_progress: gets 0 to 1 and a message.
     """
-    steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
+    raster, settings = reader.raster, reader.settings
+    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
+    shape = lattice.height, lattice.width
     heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
-    check, begin = ValueCheck(np.dtype(raster.stored)), 0.0
-    if raster.original is not None:  # resampling mixes marks of missing samples with heights
-        begin = 0.1
-        for share, rows in _blocks(raster.original):
-            check.add(rows)
-            on_progress(begin * share, READING)
-    missing, source_max = _read_heights(
-        raster, settings, place, heights, check, lambda f: on_progress(begin + (0.5 - begin) * f, READING)
-    )
+    _read_heights(reader, place, heights, lambda f: on_progress(0.5 * f, READING))
     field = build(
         heights,
         place.step_x,
         place.step_y,
-        missing=missing,
+        missing=reader.missing,
         holes=settings.holes,
-        source_max=source_max,
+        source_max=_source_max(reader),
         name=settings.name,
         allocate=draft.allocate,
-        on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
+        on_progress=lambda f: on_progress(0.5 + 0.49 * f, MEASURING),
     )
-    return field.with_raster(
-        **({} if steps is None else _encode_samples(field, draft, steps)),
-        origin=np.array([*place.middle, 0.0]),
-        crs=place.crs,
-        place=place.place,
-    ), check
+    return field if steps is None else field.with_raster(**_encode_samples(field, draft, steps))
 
 
 def _provenance(settings: ImportSettings, raster: Raster, place: Georeference) -> dict:
@@ -245,12 +256,6 @@ def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
     return (raster.height, raster.width) if georeference.transposed else (raster.width, raster.height)
 
 
-def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
-    """Return the scale and the offset, metres, from a source's values to heights."""
-    scale = 1.0 if settings.height_scale is None else settings.height_scale
-    return raster.scale * scale, raster.offset * scale + settings.height_offset
-
-
 def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:
     """Store the samples as uint16 codes if these decode to bit-identical heights.
 
@@ -266,51 +271,25 @@ def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) 
     return {}
 
 
-def _blocks(raster: Raster) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the rows of a raster in blocks, each with the fraction of rows read including this block."""
-    rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
-    for first in range(0, raster.height, rows_at_once):
-        rows = raster.read(first, min(rows_at_once, raster.height - first))
-        yield (first + len(rows)) / raster.height, rows
-
-
-def _read_heights(
-    raster: Raster,
-    settings: ImportSettings,
-    place: Georeference,
-    heights: np.ndarray,
-    check: ValueCheck,
-    on_progress: Callable[[float], None],
-) -> tuple[int, float]:
-    """Fill `heights` (row 0 south) from the raster.
-
-    Return the number of missing samples and the largest rounding error of the others, metres. `check` gets all values
-    of a raster that was not resampled.
-    """
-    scale, offset = _scaling(raster, settings)
-    first, missing, largest, converted = 0, 0, 0.0, 0.0
+def _read_heights(reader: HeightReader, place: Georeference, heights: np.ndarray, on_progress: Callable) -> None:
+    """Fill `heights` (row 0 south) from a raster."""
+    first = 0
     in_file_order = place.in_file_order(heights)
-    for share, rows in _blocks(raster):
-        if raster.original is None:
-            check.add(rows)
-        if scale != 1.0 or offset != 0.0:
-            with np.errstate(over="ignore", invalid="ignore"):
-                rows = rows.astype(np.float64) * scale + offset
-        if raster.width == 1 or raster.height == 1:
-            rows = cleaning.repeat_single_line(rows)
-        exact = rows
-        rows, absent = cleaning.clean_rows(exact, settings.name)
-        missing += absent
-        if absent < rows.size:
-            largest = max(largest, float(np.nanmax(np.abs(rows))))
-            if not np.can_cast(exact.dtype, np.float32):
-                converted = max(converted, float(np.nanmax(np.abs(exact - rows))))
+    for share, values in reader.raster.blocks():
+        rows = reader.heights(values)
         in_file_order[first : first + len(rows)] = rows
         first += len(rows)
         on_progress(share)
-    moved = raster.moved * abs(scale)
-    source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted + moved
-    return missing, source_max
+
+
+def _source_max(reader: HeightReader) -> float:
+    """Return the largest distance, metres, by which rounding and resampling have moved the heights that were read."""
+    raster, settings = reader.raster, reader.settings
+    if settings.source in LANDS:
+        return 0.0
+    scaling = scaling_of(raster, settings)
+    step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
+    return step + reader.converted + raster.moved * abs(scaling[0])
 
 
 def _value_warnings(
@@ -324,12 +303,6 @@ def _value_warnings(
         return found
     is_sized = settings.extent is not None or raster.is_sized
     return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
-
-
-def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
-    """Return half a step of the stored values in metres. largest: metres, the largest height that was read."""
-    scaling = _scaling(raster, settings)
-    return half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), largest)
 
 
 def _import_report(field: HeightField, raster: Raster, place: Georeference) -> dict:

@@ -20,6 +20,8 @@ def open_draft(
     layers: int = 0,
     elsewhere: str = "choose another folder",
     doubt: str = "",
+    is_begun: bool = False,
+    keeps_work: bool = False,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
 
@@ -30,17 +32,21 @@ def open_draft(
         layers: number of layers that will be written.
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
+        is_begun: whether the folder is there, with all arrays.
+        keeps_work: whether a block that fails leaves what can be completed later; a full disk is made free.
     """
     draft = None
     try:
-        _check_room(path, lattice, layers, elsewhere + doubt)
-        draft = store.Draft(path, folder)
+        if not is_begun:
+            _check_room(path, lattice, layers, elsewhere + doubt)
+        draft = store.Draft(path, folder, is_begun)
         yield draft
     except OSError as reason:
+        keeps_work = False
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
-            draft.discard_unless_published()
+            draft.discard_unless_published(with_work=not keeps_work)
 
 
 def store_bytes(lattice: Lattice, layers: int) -> int:

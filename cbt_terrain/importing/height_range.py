@@ -2,7 +2,6 @@
 """Heights of images whose values have no unit: the lowest and the highest value become two heights in metres."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,16 +23,10 @@ def is_image(source: str, raster: Raster) -> bool:
     return not (raster.is_sized or raster.has_unit or raster.original is not None) and raster.scale == 1.0
 
 
-def fit_heights(
-    settings: ImportSettings, raster: Raster, width_m: float, blocks: Callable[[Raster], Iterator]
-) -> tuple[ImportSettings, list[str]]:
+def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tuple[ImportSettings, list[str]]:
     """Return settings with the scale and offset that give a raster its lowest and highest height, and warnings.
 
-    Args:
-        width_m: metres from west to east.
-        blocks: blocks(raster) yields the share that was read, and rows of values.
-
-    Raises TerrainError.
+    width_m: metres from west to east. Raises TerrainError.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None
@@ -44,7 +37,7 @@ def fit_heights(
     high = high if high is not None else low + RELIEF * width_m
     if not low < high:
         raise TerrainError(f"The lowest height, {low:g} m, is not below {high:g} m", fix="give both heights")
-    ends = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in blocks(raster) if np.isfinite(rows).any()]
+    ends = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in raster.blocks() if np.isfinite(rows).any()]
     if not ends:
         return settings, []  # the import reports that there is no height
     first, last = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))

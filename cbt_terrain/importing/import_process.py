@@ -11,11 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..field import store_folder
-from .build_store import READING, finished_import, run_import
+from .build_store import finished_import, run_import
 from .guard import VARIABLES, guard_import
 from .raster import ImportSettings
 from .source_list import files_of, names_several
-from .store_job import CHECK_FILE, JobProgress, StoreJob, Tell, serve, wait_for
+from .store_job import CHECK_FILE, READING, JobProgress, StoreJob, Tell, serve, wait_for
 
 MOSAIC = "cbt_terrain.mosaic.import_child"  # the child's module for several files
 

@@ -3,7 +3,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from .rounding import SourceRounding
 from .source_formats import BAND, suffixes_with
 
 ISLAND = "island"
+BLOCK_SAMPLES = 1 << 20  # read at a time, about
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 ENCODINGS = ("", "terrarium", "mapbox", "plain")  # coded_heights.py
 ORDER, RESOLUTION, NEWEST = "order", "resolution", "newest"
@@ -187,6 +188,8 @@ class Raster:
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
         details: further entries of the report.
+        inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
+            None if that is the whole raster.
         finish: writes further files into the store's new folder; raises TerrainError if a source has changed.
         close: closes the files.
     """
@@ -214,11 +217,23 @@ class Raster:
     full_size: tuple[int, int] | None = None
     moved: float = 0.0
     details: dict = field(default_factory=dict)
+    inputs: Callable[[int, int, int, int], str] | None = None
     finish: Callable[[Path], None] = lambda _folder: None
     close: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
         self.roundings = self.roundings or (SourceRounding(self.stored),)
+
+    @property
+    def rows_at_once(self) -> int:
+        """Return the number of rows to read together."""
+        return self.block_rows * max(1, BLOCK_SAMPLES // (self.width * self.block_rows))
+
+    def blocks(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Yield the rows in blocks, each with the fraction of rows read including this block."""
+        for first in range(0, self.height, self.rows_at_once):
+            rows = self.read(first, min(self.rows_at_once, self.height - first))
+            yield (first + len(rows)) / self.height, rows
 
 
 def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:

@@ -33,6 +33,7 @@ POLL_SECONDS = 0.02
 PROGRESS_SECONDS = 0.05
 MAX_LINE_BYTES, MAX_ERROR_CHARS = 1 << 26, 4_000
 FREE_MEMORY = "free some memory and try again"
+READING = "Reading"  # message of a child while it reads files from outside
 CHECK_FILE = f"check that the file is whole, or {FREE_MEMORY}"
 
 Tell = Callable[..., None]  # of a fraction and a message; a child's also of a preview

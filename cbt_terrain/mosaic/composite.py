@@ -5,6 +5,7 @@ A sample is interpolated in the lattice of its sources. Where several lattices h
 rank decides. Samples in the cell between two tiles without a common lattice are interpolated between their borders.
 """
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from .windows import NO_DATA, UNCOVERED, GridPiece, LatticeWindow, pieces_of
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
 MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
+METHOD = 1  # increased when the same files give other values
 EDGE = 3  # source samples around those that a piece is interpolated from
 
 
@@ -109,6 +111,24 @@ class Composite:
             moved = max(moved, self._fill(piece, part))
         return values, moved
 
+    def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
+        """Return a hex digest of everything that determines the values of a window: see `read`."""
+        column, row = self.grid.column + column, self.grid.row + row
+        meets = self._meets(column, row, columns, rows)
+        parts: list = [METHOD, self.grid[:5], column, row, columns, rows, self.stored, self.scale, self.offset]
+        parts += [self._settings.band, str(self._settings.no_data), self._settings.encoding]
+        for lattice in self.lattices:
+            if meets[lattice.tiles].any():
+                parts.append((lattice.crs, lattice.origin, lattice.steps, lattice.off_grid, lattice.period))
+                parts += [lattice.rectangles.mean(axis=0).tolist()] if lattice.period else []
+        parts += [self.tiles[rank] for rank in np.flatnonzero(meets)]  # in the order of their priority
+        return hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
+
+    def _meets(self, column: int, row: int, columns: int, rows: int) -> np.ndarray:
+        """Return which tiles may have a part in a window of the grid, given by its numbers: bool [tiles]."""
+        meets = (self.near[:, 0] < column + columns) & (self.near[:, 2] >= column)
+        return meets & (self.near[:, 1] < row + rows) & (self.near[:, 3] >= row)
+
     def rounded(self) -> tuple:
         """Return the different roundings of the files, in units of a value."""
         return tuple(
@@ -128,8 +148,7 @@ class Composite:
         """Fill the values of a piece, and return the largest difference made by positions."""
         self.on_piece()
         column, row = piece.column, piece.row
-        meets = (self.near[:, 0] < column + piece.columns) & (self.near[:, 2] >= column)
-        meets &= (self.near[:, 1] < row + piece.rows) & (self.near[:, 3] >= row)
+        meets = self._meets(column, row, piece.columns, piece.rows)
         if not meets.any():
             return 0.0
         found = []

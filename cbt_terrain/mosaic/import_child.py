@@ -8,12 +8,13 @@ from pathlib import Path
 from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..importing.archives import UnpackedFiles, unpacking
-from ..importing.build_store import READING, finished_import, import_raster
+from ..importing.build_store import finished_import, import_raster
 from ..importing.guard import guard_import
 from ..importing.raster import ImportSettings, Raster
 from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
-from ..importing.store_job import Tell, serve
+from ..importing.store_job import READING, Tell, serve
+from ..importing.tile_import import Crew
 from .mosaic_source import mosaic_raster, open_composite
 from .report import IMPORT_ENTRIES, describe_mosaic
 
@@ -44,7 +45,11 @@ def unpacked_sources(settings: ImportSettings, folder: Path) -> Iterator[Unpacke
 
 
 def run_mosaic_import(
-    settings: ImportSettings, path: Path, on_progress: Tell = lambda *_: None, folder: str | None = None
+    settings: ImportSettings,
+    path: Path,
+    on_progress: Tell = lambda *_: None,
+    folder: str | None = None,
+    crew: Crew | None = None,
 ) -> dict:
     """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
     store_folder.check_target(path)
@@ -74,7 +79,7 @@ def run_mosaic_import(
         return raster
 
     with unpacked_sources(settings, path / store_folder.scratch_name(folder)) as files:
-        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic)
+        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic, crew)
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

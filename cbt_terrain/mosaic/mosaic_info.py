@@ -9,11 +9,10 @@ from typing import Any
 from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..importing.archives import UnpackedFiles
-from ..importing.build_store import READING
 from ..importing.guard import guard_import
 from ..importing.raster import ImportSettings
 from ..importing.source_list import files_of, has_archives
-from ..importing.store_job import Tell, ask, serve
+from ..importing.store_job import READING, Tell, ask, serve
 from ..run import child
 from .import_child import SCANNED, paths_of, unpacked_sources
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite

@@ -81,6 +81,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
         details={"bounds_against": f"the mosaic as resampled to {grid.crs}, bilinear"} if composite.resamples else {},
         sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
+        inputs=composite.inputs_of,
         close=composite.close,
     )
 

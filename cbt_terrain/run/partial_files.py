@@ -129,15 +129,15 @@ def _machine() -> str:
     return hashlib.blake2b(known.encode(), digest_size=4).hexdigest()
 
 
-def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
+def make_folder(folder: Path, mode: int = 0o777, parents: bool = False, may_exist: bool = False) -> int:
     """Create a folder and return its lock, an open file; the folder counts as in use until it is closed.
 
-    parents: also create the folders above it; the last of them may then be no link. Raises OSError, among others
-    FileExistsError, and NotOursError.
+    parents: also create the folders above it; the last of them may then be no link. may_exist: the folder may be there,
+    in use by no process. Raises OSError, among others FileExistsError, and NotOursError.
     """
     for attempt in range(ATTEMPTS):
         try:
-            lock = _make_locked(folder, mode, parents, attempt > 0)
+            lock = _make_locked(folder, mode, parents, may_exist or attempt > 0)
         except FileNotFoundError:
             if attempt == ATTEMPTS - 1:
                 raise
@@ -176,6 +176,16 @@ def remove_abandoned(parent: Path) -> None:
         return
     for folder in found:
         remove_if_abandoned(folder, folder.name.removeprefix(PREFIX))
+
+
+def is_in_use(folder: Path) -> bool:
+    """Return whether a living process has locked a folder. Raises OSError."""
+    lock = _open_lock(folder)
+    try:
+        return lock is not None and _try_lock(lock) is False
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def remove_if_abandoned(

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that fill each missing (NaN) sample with the nearest valid one, by exact Euclidean distance in samples.
+"""Kernels that find for each missing sample the nearest valid one, by exact Euclidean distance in samples.
 
 Two passes after Felzenszwalb and Huttenlocher (2012), "Distance transforms of sampled functions": the nearest valid row
-in each column, then in each row the lower envelope of the parabolas of these distances.
+in each column, then in each row the lower envelope of the parabolas of these distances. They work on a few rows of the
+raster, and know of all others only the nearest valid row of each column below and above.
 """
 
 import warp as wp
@@ -11,59 +12,68 @@ import warp as wp
 @wp.kernel
 def nearest_in_columns(
     offset: int,
-    h: wp.array(dtype=wp.float32),
+    missing: wp.array(dtype=wp.uint8),
     width: int,
     height: int,
+    first: int,
+    below: wp.array(dtype=wp.int32),
+    above: wp.array(dtype=wp.int32),
     block: int,
     nearest: wp.array(dtype=wp.int32),
 ):
     """Write the row of the nearest valid sample in the same column, -1 if the column has none.
 
-    The thread works on block `offset + tid` of `block` columns. h: heights, NaN if missing.
+    The thread works on block `offset + tid` of `block` columns. missing: 1 at missing samples of `height` rows from row
+    `first` on. below, above: nearest valid rows outside these rows, -1 for none.
     """
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, width)
     for y in range(height):
         for x in range(x0, x1):
             at = y * width + x
-            row = wp.int32(-1)
-            if not wp.isnan(h[at]):
-                row = y
-            elif y > 0:
-                row = nearest[at - width]
+            row = first + y
+            if missing[at] > wp.uint8(0):
+                row = below[x]
+                if y > 0:
+                    row = nearest[at - width]
             nearest[at] = row
-    for i in range(height - 1):
-        y = height - 2 - i
+    for i in range(height):
+        y = height - 1 - i
         for x in range(x0, x1):
             at = y * width + x
-            above = nearest[at + width]
+            beyond = above[x]
+            if i > 0:
+                beyond = nearest[at + width]
             row = nearest[at]
-            if row != y and above > y and (row < 0 or above - y < y - row):
-                nearest[at] = above
+            here = first + y
+            if row != here and beyond > here and (row < 0 or beyond - here < here - row):
+                nearest[at] = beyond
 
 
 @wp.kernel
-def fill_rows(
-    h: wp.array(dtype=wp.float32),
+def nearest_columns(
+    missing: wp.array(dtype=wp.uint8),
     width: int,
-    first_row: int,
-    end_row: int,
+    first: int,
+    begin: int,
+    end: int,
     nearest: wp.array(dtype=wp.int32),
     apex: wp.array(dtype=wp.int32),
     start: wp.array(dtype=wp.float64),
+    column: wp.array(dtype=wp.int32),
 ):
-    """Fill rows first_row .. end_row in place; `apex` [width] and `start` [width] are this thread's scratch.
+    """Write the column of the nearest valid sample to each missing one of rows `begin` .. `end` after row `first`.
 
-    nearest: from `nearest_in_columns`. The parabolas of a row's lower envelope have their apex in the columns `apex`,
-    and each is the lowest from `start` on. Only missing samples are written and only valid ones are copied, so threads
-    do not disturb each other.
+    nearest: from `nearest_in_columns`, which has the sample's row at that column. The parabolas of a row's lower
+    envelope have their apex in the columns `apex`, and each is the lowest from `start` on; both [width] are this
+    thread's scratch.
     """
-    for y in range(first_row, end_row):
+    for y in range(begin, end):
         count = wp.int32(0)
         for x in range(width):
             row = nearest[y * width + x]
             if row >= 0:
-                distance = wp.float64(row - y)
+                distance = wp.float64(row - first - y)
                 sum_squares = distance * distance + wp.float64(x) * wp.float64(x)
                 from_x = wp.float64(-1.0e300)
                 searching = wp.int32(1)
@@ -71,7 +81,7 @@ def fill_rows(
                     searching = wp.int32(0)
                     if count > 0:
                         last_x = apex[count - 1]
-                        last_distance = wp.float64(nearest[y * width + last_x] - y)
+                        last_distance = wp.float64(nearest[y * width + last_x] - first - y)
                         last_sum_squares = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
                         from_x = (sum_squares - last_sum_squares) / (wp.float64(2.0) * wp.float64(x - last_x))
                         if from_x <= start[count - 1]:
@@ -83,9 +93,7 @@ def fill_rows(
                 count = count + 1
         k = wp.int32(0)
         for x in range(width):
-            at = y * width + x
-            if wp.isnan(h[at]):
+            if missing[y * width + x] > wp.uint8(0):
                 while k + 1 < count and start[k + 1] < wp.float64(x):
                     k = k + 1
-                source = apex[k]
-                h[at] = h[nearest[y * width + source] * width + source]
+                column[y * width + x] = apex[k]

@@ -257,7 +257,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path):
 
 
 def test_blocks_of_rows_make_no_difference(tmp_path, monkeypatch):
-    from adaptive_terrain.cbt_terrain.importing import build_store as importing
+    from adaptive_terrain.cbt_terrain.importing import raster as importing
 
     heights = hills(65, 61)
     source = write_raster(tmp_path / "a.tif", heights, blockysize=7)

@@ -117,7 +117,7 @@ def test_a_store_does_not_depend_on_the_windows_that_are_read(three, tmp_path, m
     digests = set()
     for rows in (1, 37, 128):
         monkeypatch.setattr(mosaic_source, "BLOCK_ROWS", rows)
-        monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.build_store.BLOCK_SAMPLES", 1)
+        monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 1)
         run_mosaic_import(settings_of(files, step=20.0), tmp_path / str(rows))
         digests.add(open_store(tmp_path / str(rows)).raster.digest)
     assert len(digests) == 1

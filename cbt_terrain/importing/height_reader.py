@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values of a raster as heights in metres, with the figures that a report needs."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..field import cleaning
+from .plausibility import ValueCheck
+from .raster import ImportSettings, Raster
+
+
+@dataclass
+class HeightReader:
+    """Conversion of values to heights.
+
+    Attributes:
+        check: gets all values of a raster that was not resampled.
+        missing: number of missing samples so far.
+        largest: largest absolute height, metres.
+        converted: largest rounding error of float32, metres.
+    """
+
+    raster: Raster
+    settings: ImportSettings
+    check: ValueCheck = field(init=False)
+    missing: int = 0
+    largest: float = 0.0
+    converted: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.check = ValueCheck(np.dtype(self.raster.stored))
+
+    def heights(self, values: np.ndarray) -> np.ndarray:
+        """Return values as heights, float32 metres with NaN where missing. Raises TerrainError."""
+        scale, offset = scaling_of(self.raster, self.settings)
+        if self.raster.original is None:
+            self.check.add(values)
+        if scale != 1.0 or offset != 0.0:
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = values.astype(np.float64) * scale + offset
+        if self.raster.width == 1 or self.raster.height == 1:
+            values = cleaning.repeat_single_line(values)
+        heights, absent = cleaning.clean_rows(values, self.settings.name)
+        self.missing += absent
+        if absent < heights.size:
+            self.largest = max(self.largest, float(np.nanmax(np.abs(heights))))
+            if not np.can_cast(values.dtype, np.float32):
+                self.converted = max(self.converted, float(np.nanmax(np.abs(values - heights))))
+        return heights
+
+    def figures(self) -> dict:
+        """Return the figures so far as JSON, for `add`."""
+        check = self.check
+        return {
+            "largest": self.largest,
+            "converted": self.converted,
+            "moved": self.raster.moved,
+            "marks": list(check.marks.items()),
+            "values": [check.low, check.high],
+        }
+
+    def add(self, figures: dict, missing: int) -> None:
+        """Add the figures of another reader of the same raster."""
+        self.missing += missing
+        self.largest = max(self.largest, figures["largest"])
+        self.converted = max(self.converted, figures["converted"])
+        self.raster.moved = max(self.raster.moved, figures["moved"])
+        for value, count in figures["marks"]:
+            self.check.marks[value] = self.check.marks.get(value, 0) + count
+        low, high = figures["values"]
+        self.check.low, self.check.high = min(self.check.low, low), max(self.check.high, high)
+
+
+def scaling_of(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
+    """Return the scale and the offset, metres, from a source's values to heights."""
+    scale = 1.0 if settings.height_scale is None else settings.height_scale
+    return raster.scale * scale, raster.offset * scale + settings.height_offset

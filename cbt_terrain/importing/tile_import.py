@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import of a large raster by tile, in several processes; the result has the bytes of an import in one piece.
+
+Steps: the samples are read in units (tiles of a mosaic, rows of any other raster), missing ones are filled, the tiles
+are measured, and their borders are joined. A unit or a tile that was finished before is not made again: after a killed
+import, and if only a part of the sources has changed.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..field import codes, store_folder
+from ..field.build import content_key, no_ground, no_heights
+from ..field.georeference import Georeference
+from ..field.heightfield import HeightField, HeightRaster
+from ..field.holes import holes_leave_ground
+from ..field.lattice import Lattice
+from ..field.store import Draft
+from ..run import launch, partial_files
+from ..tiling import tile_steps
+from ..tiling.tile_grid import TILE_BITS, TileBox, TileGrid
+from ..tiling.tile_work import MEASURED, READ, NotNumberedError, StoredHeights, TileWork, work_in
+from .drafts import open_draft
+from .height_reader import HeightReader, scaling_of
+from .raster import ImportSettings, Raster
+from .store_job import READING
+
+TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
+MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
+MEASURING = "Measuring errors"
+CHECKED_ROWS = 256
+READ_SHARE, FILLED_SHARE, MEASURED_SHARE = 0.2, 0.25, 0.85  # of the progress at the end of a step
+
+
+class TileTask(NamedTuple):
+    """A part of an import that a process makes: a unit to read or a tile to measure.
+
+    Attributes:
+        step: READ or MEASURED.
+        inputs: digest of the sources of a unit.
+        limits: low, high and number of missing samples of the terrain, to measure.
+        before: last record of the tile.
+    """
+
+    step: str
+    number: int
+    inputs: str = ""
+    limits: Sequence[float] = ()
+    before: dict | None = None
+
+
+class TileSource(NamedTuple):
+    """What an import by tile reads."""
+
+    raster: Raster
+    settings: ImportSettings
+    place: Georeference
+
+
+def is_tiled(raster: Raster, lattice: Lattice) -> bool:
+    """Return whether a raster is imported by tile."""
+    return lattice.width * lattice.height > TILED_SAMPLES and min(raster.width, raster.height) > 1
+
+
+def perform(work: TileWork, source: TileSource, task: TileTask, threads: int) -> bool:
+    """Do one task and write its record. Return False if its heights have to be stored as floats.
+
+    Raises TerrainError.
+    """
+    if task.step == MEASURED:
+        low, high, missing = task.limits
+        tile_steps.measure(work, task.number, tile_steps.TerrainLimits(low, high, int(missing)), threads, task.before)
+        return True
+    raster, settings, place = source
+    raster.moved = 0.0
+    reader = HeightReader(raster, settings)
+    limits: list[float] = []
+    for box, values in _pieces(work.grid, source, task.number):
+        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
+        place.in_file_order(heights)[:] = reader.heights(values)
+        try:
+            limits += work.write_heights(box.x0, box.y0, heights)
+        except NotNumberedError:
+            return False
+    ends = [min(limits), max(limits)] if limits else None
+    work.note(READ, task.number, inputs=task.inputs, missing=reader.missing, limits=ends, figures=reader.figures())
+    return True
+
+
+def unit_count(grid: TileGrid, source: TileSource) -> int:
+    """Return the number of units in which the samples are read."""
+    if source.raster.format == MOSAIC:
+        return len(grid)
+    return -(-source.raster.height // _unit_rows(grid, source.raster))
+
+
+def _unit_rows(grid: TileGrid, raster: Raster) -> int:
+    """Return the rows of a unit. A resampled raster has one: values depend on the rows that are read together."""
+    at_once = raster.rows_at_once
+    return raster.height if raster.original is not None else -(-grid.side // at_once) * at_once
+
+
+def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
+    """Yield the boxes of a unit, each with its values in the order of the file."""
+    raster, place = source.raster, source.place
+    if raster.format == MOSAIC:
+        box = grid.owned(grid.box(number))
+        row, rows, column, columns = _in_file(grid.lattice, place, box)
+        assert raster.window is not None
+        yield box, raster.window(row, rows, column, columns)
+        return
+    count, at_once = _unit_rows(grid, raster), raster.rows_at_once
+    for first in range(number * count, min((number + 1) * count, raster.height), at_once):
+        rows = min(at_once, raster.height - first)
+        yield _in_terrain(grid.lattice, place, first, rows), raster.read(first, rows)
+
+
+def _in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, int, int, int]:
+    """Return the first row, rows, first column and columns in the file of a box of the terrain."""
+    x = lattice.cells_x - box.x1 if place.first_column_east else box.x0
+    y = box.y0 if place.first_row_south else lattice.cells_y - box.y1
+    across, up = box.x1 - box.x0 + 1, box.y1 - box.y0 + 1
+    return (x, across, y, up) if place.transposed else (y, up, x, across)
+
+
+def _in_terrain(lattice: Lattice, place: Georeference, first: int, rows: int) -> TileBox:
+    """Return the box in the terrain of `rows` rows of the file from row `first` on."""
+    backwards = place.first_column_east if place.transposed else not place.first_row_south
+    last = lattice.cells_x if place.transposed else lattice.cells_y
+    low, high = (last - first - rows + 1, last - first) if backwards else (first, first + rows - 1)
+    return TileBox(low, 0, high, lattice.cells_y) if place.transposed else TileBox(0, low, lattice.cells_x, high)
+
+
+class Crew:
+    """Processes that do tasks; here the calling process alone."""
+
+    def run(
+        self, work: TileWork, source: TileSource, tasks: Sequence[TileTask], on_progress: Callable[[float], None]
+    ) -> bool:
+        """Do tasks. Return False if heights have to be stored as floats. Raises TerrainError."""
+        for number, task in enumerate(tasks):
+            if not perform(work, source, task, launch.default_threads()):
+                return False
+            on_progress((number + 1) / len(tasks))
+        return True
+
+
+@contextmanager
+def open_work(
+    path: Path, folder: str, lattice: Lattice, digest: str, by_tile: bool, doubt: str
+) -> Iterator[tuple[Draft, TileWork | None]]:
+    """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
+
+    by_tile: whether work is continued, and left by a block that fails. Others: see `open_draft`.
+    """
+    work = _continued(path, folder, digest) if by_tile else None
+    if by_tile and path.exists():
+        store_folder.remove_abandoned(path, with_work=work is None)
+    with open_draft(path, folder, lattice, doubt=doubt, is_begun=work is not None, keeps_work=by_tile) as draft:
+        yield draft, work
+
+
+def _continued(path: Path, folder: str, digest: str) -> TileWork | None:
+    """Return the work that a killed import with this digest has left in a store, moved to `folder`; None for none."""
+    for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
+        with suppress(OSError):
+            if not store_folder.is_array_folder(found) or found == store_folder.named_folder(path):
+                continue
+            work = None if partial_files.is_in_use(found) else work_in(found)
+            if work is not None and work.digest == digest:
+                os.rename(found, path / folder)
+                return work_in(path / folder)
+    return None
+
+
+def build_by_tile(
+    work: TileWork | None,
+    draft: Draft,
+    source: TileSource,
+    lattice: Lattice,
+    digest: str,
+    reader: HeightReader,
+    source_max: Callable[[HeightReader], float],
+    crew: Crew,
+    on_progress: Callable[[float, str], None],
+) -> HeightField:
+    """Build the height field of a raster in the arrays of a draft. Raises TerrainError.
+
+    Args:
+        work: an earlier attempt to continue, None for none.
+        digest: of all settings and sources.
+        reader: gets the figures of all samples.
+        source_max: returns the rounding error of the heights of a reader, metres.
+        crew: does the tasks.
+    """
+    if work is None:
+        work = _new_work(draft, source, lattice, digest)
+    else:
+        work.attach(draft)
+    source.raster.finish(draft.folder)  # the crew reads the catalogue of a mosaic there
+    while not _read_units(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
+        work.start_again(draft)
+    for record in work.records(READ).values():
+        reader.add(record["figures"], record["missing"])
+    limits = tile_steps.limits_of(work)
+    _check_ground(work, limits, source.settings.name)
+    if limits.missing:
+        on_progress(READ_SHARE, MEASURING)
+        tile_steps.fill(work, launch.default_threads())
+    span = MEASURED_SHARE - FILLED_SHARE
+    _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
+    return _completed(work, draft, limits, source_max(reader), on_progress)
+
+
+def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles."""
+    raster, settings, _ = source
+    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
+    work = TileWork(draft.folder, TileGrid(lattice, TILE_BITS), steps, settings.holes, digest)
+    folder = store_folder.named_folder(draft.path)
+    before = None if folder is None else work_in(folder)
+    if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
+        work.copy(before)
+    work.attach(draft)
+    work.make_sparse("missing")
+    work.describe()
+    return work
+
+
+def _read_units(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:
+    """Read the units that have changed. Return False if heights have to be stored as floats."""
+    before, tasks = work.records(READ), []
+    for number in range(unit_count(work.grid, source)):
+        inputs = _inputs(work, source, number)
+        if number not in before or before[number]["inputs"] != inputs:
+            tasks.append(TileTask(READ, number, inputs))
+    return crew.run(work, source, tasks, on_progress)
+
+
+def _inputs(work: TileWork, source: TileSource, number: int) -> str:
+    """Return a digest of all that determines the samples of a unit."""
+    if source.raster.inputs is None:
+        return work.digest
+    window = _in_file(work.grid.lattice, source.place, work.grid.owned(work.grid.box(number)))
+    return source.raster.inputs(*window)
+
+
+def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -> None:
+    """Raise TerrainError for a raster of which nothing would be left."""
+    lattice = work.grid.lattice
+    if limits.missing == lattice.width * lattice.height:
+        raise no_heights(name)
+    if limits.missing and work.holes:
+        rows = range(0, lattice.cells_y, CHECKED_ROWS)
+        if not any(holes_leave_ground(work.open("missing")[row : row + CHECKED_ROWS + 1] == 0) for row in rows):
+            raise no_ground(name)
+
+
+def _measure_tiles(
+    work: TileWork,
+    source: TileSource,
+    limits: tile_steps.TerrainLimits,
+    crew: Crew,
+    on_progress: Callable[[float], None],
+) -> None:
+    """Measure all tiles that have changed."""
+    before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
+    tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in range(len(work.grid))]
+    crew.run(work, source, tasks, on_progress)
+
+
+def _completed(
+    work: TileWork,
+    draft: Draft,
+    limits: tile_steps.TerrainLimits,
+    source_max: float,
+    on_progress: Callable[[float, str], None],
+) -> HeightField:
+    """Join the tiles, and return the height field."""
+    lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
+    joined = tile_steps.join(
+        work, limits, launch.default_threads(), lambda share: on_progress(MEASURED_SHARE + span * share, MEASURING)
+    )
+    valid = None
+    if limits.missing and work.holes:
+        valid = draft.allocate("valid", (lattice.height, lattice.width), np.dtype(np.uint8))
+        for row in range(0, lattice.height, CHECKED_ROWS):
+            valid[row : row + CHECKED_ROWS] = work.open("missing")[row : row + CHECKED_ROWS] ^ 1
+    work.remove("missing")
+    work.keep_records()
+    key = content_key(StoredHeights(work), lattice, source_max, valid)
+    on_progress(0.99, MEASURING)
+    base, step = limits.scale
+    return HeightField(
+        HeightRaster(work.open("samples"), lattice, key, steps=work.steps, filled=limits.missing, valid=valid),
+        error=work.open("error"),
+        exponents=joined.exponents,
+        ranges=work.open("ranges"),
+        range_base=base,
+        range_step=step,
+        min_height=limits.low,
+        max_height=limits.high,
+        steepest_x=joined.climbs[0] / lattice.step_x,
+        steepest_y=joined.climbs[1] / lattice.step_y,
+        source_max=source_max,
+    )

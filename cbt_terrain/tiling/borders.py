@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Diamonds that depend on several tiles: their values follow from their children, from fine to coarse.
+
+Values are codes. The entries of a coarser group's table are entries of a finer one's (codes.py), so the code of a
+maximum of errors is the code of the maximum of their codes' metres.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from ..field import codes
+from ..field.lattice import Lattice
+from .measure_tile import LargeError
+from .tile_grid import LatticeVertices, TileGrid, cell_entries, entries_of, exist, halved
+
+GROUND_AND_HOLE = 3
+Opened = Callable[[], np.ndarray]  # maps an array anew: its pages count as memory of this process until it is closed
+
+
+def pass_depths(grid: TileGrid) -> Iterator[tuple[int, bool]]:
+    """Yield the depths that depend on several tiles, the deepest first: their level, and whether they are centres."""
+    return ((level, is_centre) for level in range(grid.lattice.levels) for is_centre in (False, True))
+
+
+def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[LatticeVertices]:
+    """Yield the vertices of one depth that depend on several tiles; some may come twice.
+
+    They are in parts, one for each line between tiles.
+    """
+    half = 1 << level
+    ends = [min(cells + 4 * half, span) + 1 for cells, span in zip(_cells(grid), grid.lattice.span, strict=True)]
+    along = [np.arange(0, end, half) for end in ends]
+    if 2 * half > grid.side or (is_centre and 2 * half == grid.side):
+        lines: list = [(along[0], along[1])]
+    else:
+        near = np.array([-half, 0, half])
+        lines = [(near[near + x >= 0] + x, along[1]) for x in range(0, ends[0], grid.side)]
+        lines += [(along[0], near[near + y >= 0] + y) for y in range(0, ends[1], grid.side)]
+    for x, y in lines:
+        x, y = (values.ravel() for values in np.meshgrid(x, y))
+        odd_x, odd_y = x >> level & 1, y >> level & 1
+        chosen = (odd_x & odd_y) == 1 if is_centre else (odd_x ^ odd_y) == 1
+        vertices = LatticeVertices(x[chosen], y[chosen], level)
+        vertices = vertices.chosen(exist(grid.lattice, vertices))
+        if len(vertices.x):
+            yield vertices
+
+
+def _cells(grid: TileGrid) -> tuple[int, int]:
+    return grid.lattice.cells_x, grid.lattice.cells_y
+
+
+def children_of(
+    lattice: Lattice, vertices: LatticeVertices, is_centre: bool
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield, for each of the up to four children, the entries, and whether a vertex has that child."""
+    x, y, level = vertices
+    half = 1 << level
+    if is_centre:
+        for dx, dy in ((-half, 0), (half, 0), (0, -half), (0, half)):
+            child = LatticeVertices(x + dx, y + dy, level)
+            yield entries_of(lattice, child), exist(lattice, child)
+    else:
+        for right, up in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
+            if level == 0:
+                i, j = x + right, y + up
+                columns, rows = lattice.extent(lattice.cell_depth)
+                yield cell_entries(lattice, i, j), (i >= 0) & (j >= 0) & (i < columns) & (j < rows)
+            else:
+                quarter = half // 2
+                child = LatticeVertices(x + quarter * (2 * right + 1), y + quarter * (2 * up + 1), level - 1)
+                yield entries_of(lattice, child), exist(lattice, child)
+
+
+def raise_kinds(grid: TileGrid, opened: Opened) -> list[tuple[int, bool]]:
+    """Unite the kinds of cells below the shared vertices, and return the depths with both: see `pass_depths`.
+
+    opened: maps the kinds, uint8 like the errors.
+    """
+    both: dict[tuple[int, bool], None] = {}
+    for level, is_centre in pass_depths(grid):
+        for vertices in shared_vertices(grid, level, is_centre):
+            kinds = opened()
+            at = entries_of(grid.lattice, vertices)
+            found = kinds[at]
+            for child, there in children_of(grid.lattice, vertices, is_centre):
+                if level or is_centre:
+                    found[there] |= kinds[child[there]]
+            kinds[at] = found
+            if (found == GROUND_AND_HOLE).any():
+                both[level, is_centre] = None
+    return list(both)
+
+
+def raise_errors(
+    grid: TileGrid, opened: Opened, table: np.ndarray, kinds: Opened | None, longest: Callable[[int, bool], float]
+) -> None:
+    """Raise the errors of the shared vertices to the largest of their children's.
+
+    Args:
+        opened: maps the codes of the raster.
+        table: metres of the codes of each group, float32 [groups + 1, 256].
+        kinds: maps the kinds of cells (`raise_kinds`); None without holes.
+        longest: longest(level, is_centre) returns the longest edge of such diamonds, metres.
+    """
+    for level, is_centre in pass_depths(grid):
+        below = level if is_centre else level - 1
+        values, finer = table[level // 2], table[below // 2 if below >= 0 else -1]
+        for vertices in shared_vertices(grid, level, is_centre):
+            error = opened()
+            at = entries_of(grid.lattice, vertices)
+            metres = values[error[at]]
+            for child, there in children_of(grid.lattice, vertices, is_centre):
+                metres[there] = np.maximum(metres[there], finer[error[child[there]]])
+            if kinds is not None:
+                both = kinds()[at] == GROUND_AND_HOLE
+                metres[both] = np.maximum(metres[both], np.float32(longest(level, is_centre)))
+            error[at] = np.searchsorted(values, metres, side="left")
+
+
+def unite_ranges(grid: TileGrid, opened: Opened) -> None:
+    """Give the shared vertices above the finest ones the union of their children's ranges.
+
+    grid: of the whole raster's samples. opened: maps the ranges of the raster.
+    """
+    half = TileGrid(halved(grid.lattice), grid.bits - 1)
+    flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
+    for level, is_centre in pass_depths(half):
+        if not level and not is_centre:
+            continue  # they are complete in each tile
+        for vertices in shared_vertices(half, level, is_centre):
+            ranges = opened()
+            found = np.zeros((len(vertices.x), 2), np.uint16)
+            for child, there in children_of(half.lattice, vertices, is_centre):
+                found[there] = np.maximum(found[there], ranges[child[there]] ^ flip)
+            ranges[entries_of(half.lattice, vertices)] = found ^ flip
+
+
+def near_vertices(grid: TileGrid, number: int) -> tuple[np.ndarray, LatticeVertices]:
+    """Return which of `TileGrid.near_border` a tile has, bool [n], and these, in samples of the raster."""
+    near, box = grid.near_border, grid.box(number)
+    there = exist(grid.local(box), near)
+    x, y, level = near.chosen(there)
+    return there, LatticeVertices(x + box.x0, y + box.y0, level)
+
+
+def join_borders(
+    grid: TileGrid,
+    rows: Sequence[tuple[int, Callable[[], np.ndarray]]],
+    opened: Opened,
+    tables: Callable[[int], np.ndarray],
+    unite: np.ufunc = np.maximum,
+) -> None:
+    """Write the values of vertices near the borders of tiles; `unite` decides about those of several tiles.
+
+    Args:
+        rows: numbers of tiles, and functions that return their values, uint8 as `TileErrors.border`.
+        opened: maps the array of the raster.
+        tables: tables(number) returns the table of 256 by group with which a tile's values are translated.
+    """
+    for is_first in (True, False):
+        for number, values in rows:
+            there, vertices = near_vertices(grid, number)
+            whole, at = opened(), entries_of(grid.lattice, vertices)
+            if is_first:
+                whole[at] = 0
+            else:
+                found = tables(number)[np.asarray(vertices.level) // 2, values()[there]]
+                whole[at] = unite(whole[at], found)
+
+
+def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, opened: Opened) -> None:
+    """Write the errors of diamonds of cells as large as a tile, each the largest over all tiles."""
+    for level in range(grid.bits - 1, grid.lattice.levels):
+        parts = [*shared_vertices(grid, level, True)]
+        parts += [*shared_vertices(grid, level, False)] if level >= grid.bits else []
+        error = opened()
+        if level >= grid.bits:
+            for vertices in parts:
+                error[entries_of(grid.lattice, vertices)] = 0
+        chosen = [item for item in found if item.level == level]
+        if chosen:
+            x, y = (np.array([item[axis] for item in chosen], np.int64) for axis in (0, 1))
+            metres = np.array([item.error for item in chosen], np.float32)
+            at = entries_of(grid.lattice, LatticeVertices(x, y, level))
+            values = np.searchsorted(table[level // 2], metres, side="left").astype(np.uint8)
+            order = np.argsort(values, kind="stable")  # the last of several for one entry remains
+            at, values = at[order], values[order]
+            error[at] = np.maximum(error[at], values)
+
+
+def tables_between(before: Sequence[int], wanted: Sequence[int]) -> np.ndarray:
+    """Return the codes under other exponents, none smaller, of all codes: uint8 [groups, 256].
+
+    The entries of the new tables are entries of the old ones, so rounding twice is rounding once.
+    """
+    pairs = zip(codes.tables(before), codes.tables(wanted), strict=True)
+    return np.array([np.searchsorted(new, old, side="left") for old, new in pairs], np.uint8)

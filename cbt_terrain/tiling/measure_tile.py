@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors and ranges of one tile, from its samples and those around it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field.layout import Depth
+from ...kernels.field.ranges import finest_ranges
+from ...kernels.field.window_errors import Corner, window_errors
+from ..field import codes, hierarchy
+from ..field.holes import refine_borders
+from ..field.lattice import PAGE
+from ..run import launch
+from ..run.buffers import flat
+from .tile_grid import TileBox, TileGrid, entries_of, exist, pages_of, rows_of
+
+Height = Callable[[int, int], float]
+RANGE_MARGIN = 8  # samples around a tile that its ranges cover
+
+
+class LargeError(NamedTuple):
+    """Error of a diamond of cells as large as a tile or larger, over one tile: its vertex, its level and metres."""
+
+    x: int
+    y: int
+    level: int
+    error: float
+
+
+class LargeTriangles(NamedTuple):
+    """Triangles, which meet a tile, of a diamond of cells as large as a tile or larger: see LargeError."""
+
+    x: int
+    y: int
+    level: int
+    corners: list[Corner]
+
+
+class TileErrors(NamedTuple):
+    """Errors of a tile.
+
+    Attributes:
+        codes: uint8, in the layout of the tile's lattice, under the tile's own exponents.
+        border: uint8, codes of `TileGrid.near_border`.
+        kinds: uint8, kinds of cells (holes.py) below these vertices; None without holes.
+        largest: largest error of each group and of the cells, metres.
+    """
+
+    codes: np.ndarray
+    border: np.ndarray
+    kinds: np.ndarray | None
+    largest: list[float]
+
+
+@dataclass(frozen=True)
+class TileSamples:
+    """The samples of a tile and around it.
+
+    Attributes:
+        window: of the arrays: the tile with a margin of `margin_of`.
+        samples: float32 [rows, columns] metres, filled.
+        valid: uint8, 0 at filled samples that are cut out; None without any.
+    """
+
+    grid: TileGrid
+    box: TileBox
+    window: TileBox
+    samples: np.ndarray
+    valid: np.ndarray | None
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Return the samples, NaN where they do not count."""
+        if self.valid is None:
+            return self.samples
+        return np.where(self.valid == 0, np.float32(np.nan), self.samples)
+
+    def inner(self, values: np.ndarray, margin: int = 0) -> np.ndarray:
+        """Return the part of an array of the window for the tile and `margin` samples around it, contiguous."""
+        around = self.grid.window(self.box, margin)
+        x, y = self.window.x0, self.window.y0
+        return np.ascontiguousarray(values[around.y0 - y : around.y1 - y + 1, around.x0 - x : around.x1 - x + 1])
+
+
+def margin_of(low: float, high: float) -> int:
+    """Return the samples around a tile on which its errors depend. low, high: limits of the raster's heights, metres.
+
+    A twist reaches until a quarter for each sample has made it 0, the smallest float32 being 2^-149.
+    """
+    reach = (codes.exponent_of(high - low) + 150) // 2 + 1
+    return max(PAGE, -(-reach // 8) * 8)
+
+
+def measure_errors(tile: TileSamples, threads: int) -> TileErrors:
+    """Return the errors of a tile. Those of cells as large as a tile and larger are `large_errors`."""
+    grid = tile.grid
+    local, measured = grid.local(tile.box), tile.measured
+    errors = np.zeros(local.node_count, np.float32)
+    _fill_cells(errors, tile, measured, threads)
+    inner, counted = tile.inner(tile.samples), tile.inner(measured)
+    coarsest = 1 if grid.holds_roots else 2
+    hierarchy.measure_triangles(inner, local, errors, threads, measured=counted, coarsest=coarsest)
+    kinds = None if tile.valid is None else refine_borders(tile.inner(tile.valid), local, errors, threads)
+    stored = np.zeros(local.node_count, np.uint8)
+    largest = [float(errors[part].max()) for part in codes.parts(local, len(errors))]
+    table = codes.tables(codes.nested(local, list(map(codes.exponent_of, largest))))
+    codes.encode_with_table(local, errors, table, stored, threads)
+    near = grid.near_border
+    there = exist(local, near)
+    at = entries_of(local, near.chosen(there))
+
+    def near_values(values: np.ndarray) -> np.ndarray:
+        """Return the values of the vertices near the border, 0 for those that do not exist."""
+        found = np.zeros(len(near.x), np.uint8)
+        found[there] = values[at]
+        return found
+
+    return TileErrors(stored, near_values(stored), None if kinds is None else near_values(kinds), largest)
+
+
+def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, threads: int) -> None:
+    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice."""
+    local, box, window = tile.grid.local(tile.box), tile.box, tile.window
+    base, pages = local.layout()
+    cells = _rows_depth(measured.shape[1] - 1, measured.shape[0] - 1)
+    image = np.zeros(cells.pages * -(-cells.rows // PAGE) * PAGE * PAGE, np.float32)
+    hierarchy.build_twists(measured, cells, image, threads)
+    rows = rows_of(image, cells.pages)
+    rows = rows[box.y0 - window.y0 : box.y1 - window.y0, box.x0 - window.x0 : box.x1 - window.x0]
+    target = rows_of(np.zeros(int(base[-1] - base[-2]), np.float32), int(pages[-1]))
+    target[: rows.shape[0], : rows.shape[1]] = rows
+    # A raster's last tile has a column or row of cells beyond its border, which saturation reaches.
+    last = local.extent(local.cell_depth)
+    for axis, count in enumerate(last):
+        end = rows.shape[1 - axis]
+        if end < count:
+            line = np.moveaxis(target, 1 - axis, 0)
+            line[end] = 0.25 * line[end - 1]
+    errors[base[-2] :] = pages_of(target)
+
+
+def _rows_depth(columns: int, rows: int) -> Depth:
+    """Return the layout of an image of `columns` x `rows` cells."""
+    depth = Depth()
+    depth.columns, depth.rows, depth.sides, depth.base = columns, rows, 0, 0
+    depth.pages, depth.first, depth.step = -(-columns // PAGE), 0, 1
+    return depth
+
+
+def measure_ranges(tile: TileSamples, scale: tuple[float, float], threads: int) -> np.ndarray:
+    """Return the ranges of a tile, uint16 [n, 2] in the layout of its lattice.
+
+    They cover samples up to RANGE_MARGIN around it. scale: base and step of the ranges of the raster, metres.
+    """
+    grid, box = tile.grid, tile.box
+    local = grid.local(box)
+    ranges = np.zeros((local.range_count, 2), np.uint16)
+    if local.range_depth == 0:
+        return ranges
+    around, wide = grid.window(box, RANGE_MARGIN), tile.inner(tile.samples, RANGE_MARGIN)
+    finest = hierarchy.ranges_at(local, local.range_depth)
+    west, south = (box.x0 - around.x0) // 2, (box.y0 - around.y0) // 2
+    shifted = _rows_depth(finest.columns + west, finest.rows + south)
+    shifted.pages = (finest.columns + west) // PAGE + 1
+    image = np.zeros((shifted.pages * ((finest.rows + south) // PAGE + 1) * PAGE * PAGE, 2), np.uint16)
+    inputs = [
+        codes.pack_samples(wide, None),
+        wp.float64(scale[0]),
+        wp.float64(scale[1]),
+        shifted,
+        flat(image, wp.uint16),
+    ]
+    launch.spread(
+        finest_ranges, shifted.rows + 1, inputs, step="height ranges", threads=threads, cost=6.0 * shifted.columns
+    )
+    rows = rows_of(image, shifted.pages)[south : south + finest.rows + 1, west : west + finest.columns + 1]
+    base, pages = local.range_layout()
+    target = rows_of(ranges[: base[1]], int(pages[0]))
+    target[: rows.shape[0], : rows.shape[1]] = rows[: target.shape[0], : target.shape[1]]
+    ranges[: base[1]] = pages_of(target)
+    hierarchy.unite_ranges(local, ranges, threads)
+    return ranges
+
+
+def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeTriangles]:
+    """Return the diamonds that meet a tile and are of cells as large as a tile or larger, with their triangles.
+
+    height: height(x, y) returns the height of any vertex of the lattice, metres: that of the nearest sample.
+    """
+    lattice, found = grid.lattice, []
+    for level in range(grid.bits - 1, lattice.levels):
+        half = 1 << level
+        is_root = level == lattice.levels - 1
+        for x, y in _squares(grid, box, 2 * half):  # their diamonds have their vertex in the middle
+            corners = _centre_corners(x, y, 2 * half, is_root, height)
+            found.append(LargeTriangles((2 * x + 1) * half, (2 * y + 1) * half, level, corners))
+        for x, y in _squares(grid, box, half) if level >= grid.bits else []:  # a corner of each of two sides' diamonds
+            for dx in (0, 1):
+                dy = dx if (x + y) & 1 else 1 - dx
+                corner = _side_corner(x + dx, y + dy, 1 - 2 * dx, 1 - 2 * dy, half, height)
+                found.append(LargeTriangles((x + dx) * half, (y + dy) * half, level, [corner]))
+    return found
+
+
+def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -> list[LargeError]:
+    """Return the errors of large diamonds over a tile."""
+    counted, errors = tile.inner(tile.measured), []
+    for x, y, level, corners in found:
+        largest = np.zeros(len(counted), np.float64)
+        cost = 0.1 * counted.shape[1]
+        for corner in corners:
+            inputs = [codes.pack_samples(counted, None), tile.box.x0, tile.box.y0, corner, flat(largest, wp.float64)]
+            launch.spread(window_errors, len(counted), inputs, step="error hierarchy", threads=threads, cost=cost)
+        errors.append(LargeError(x, y, level, _rounded_up(float(largest.max()))))
+    return errors
+
+
+def _squares(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
+    """Return the cells of `side` samples that meet a tile.
+
+    Samples on the raster's border also count for the padding beyond it.
+    """
+    found = []
+    for first, last, cells, span in zip(
+        box[:2], box[2:], (grid.lattice.cells_x, grid.lattice.cells_y), grid.lattice.span, strict=True
+    ):
+        beyond = [last // side] if last == cells < span and last % side == 0 else []
+        found.append([first // side, *beyond])
+    return [(x, y) for y in found[1] for x in found[0]]
+
+
+def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) -> list[Corner]:
+    """Return the two triangles of the diamond in the middle of cell (x, y) of `side` samples, as `centre_errors`."""
+    corners = []
+    is_northeast = is_root or (x + y) & 1 == 1
+    for k in range(2):
+        right = 1 - 2 * k
+        up = right if is_northeast else -right
+        i, j = (x + k) * side, (y + (0 if up > 0 else 1)) * side
+        z = height(i, j)
+        slope_x = float(right) * (height(i + right * side, j) - z) / float(side)
+        slope_y = float(up) * (height(i, j + up * side) - z) / float(side)
+        corners.append(_corner(i, j, right, up, side, z, slope_x, slope_y))
+    return corners
+
+
+def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height) -> Corner:
+    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), as `side_errors`."""
+    is_flat = x & 1
+    dx, dy = is_flat * half, (1 - is_flat) * half
+    i, j = x * half, y * half
+    begin, end = height(i - dx, j - dy), height(i + dx, j + dy)
+    middle = 0.5 * (begin + end)
+    slope = (end - begin) / (2.0 * float(half))
+    across = up if is_flat else right
+    rise = float(across) * (height(i + across * dy, j + across * dx) - middle) / float(half)
+    return _corner(i, j, right, up, half, middle, *((slope, rise) if is_flat else (rise, slope)))
+
+
+def _corner(x: int, y: int, right: int, up: int, legs: int, plane: float, slope_x: float, slope_y: float) -> Corner:
+    """Return a right triangle for the kernel."""
+    corner = Corner()
+    corner.x, corner.y, corner.right, corner.up, corner.legs = x, y, right, up, legs
+    corner.plane, corner.slope_x, corner.slope_y = plane, slope_x, slope_y
+    return corner
+
+
+def _rounded_up(value: float) -> float:
+    """Return the smallest float32 that is not below a number."""
+    rounded = np.float32(value)
+    return float(rounded if float(rounded) >= value else np.nextafter(rounded, np.float32(math.inf)))

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles of a raster, and the vertices that they share.
+
+A tile is a square of 2**bits cells, aligned with the lattice, with its own small lattice of the same diamonds. A vertex
+of level j is a multiple of 2**j samples: a middle of a side of cells of 2**(j + 1) samples (x / 2**j + y / 2**j odd) or
+of such a cell (both odd).
+
+Diamonds of a tile that touch its border depend on the tiles around it. Of cells of 2**(j + 1) samples these are the
+cells and sides at the border: their vertices are on the border or 2**j samples from it (`near_border`). All others are
+final in the tile. Diamonds of cells as large as a tile and larger depend on many tiles.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ..field.lattice import PAGE, Lattice
+
+TILE_BITS = 11
+
+
+class TileBox(NamedTuple):
+    """First and last samples of a tile along x and y; a neighbour shares the last ones."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+
+class LatticeVertices(NamedTuple):
+    """LatticeVertices of a lattice, int64 [n], in samples, and their levels, int64 [n] or one for all."""
+
+    x: np.ndarray
+    y: np.ndarray
+    level: np.ndarray | int
+
+    def chosen(self, which: np.ndarray) -> "LatticeVertices":
+        """Return the vertices for which `which` is true."""
+        level = self.level if isinstance(self.level, int) else self.level[which]
+        return LatticeVertices(self.x[which], self.y[which], level)
+
+
+@dataclass(frozen=True)
+class TileGrid:
+    """The tiles of a raster with 2**bits cells a side, row by row from the south-west."""
+
+    lattice: Lattice
+    bits: int = TILE_BITS
+
+    @property
+    def side(self) -> int:
+        """Return the cells along a side of a tile."""
+        return 1 << self.bits
+
+    @property
+    def levels(self) -> int:
+        """Return the levels of the root squares of a tile's lattice."""
+        return min(self.bits, self.lattice.levels)
+
+    @property
+    def holds_roots(self) -> bool:
+        """Return whether a tile holds whole root squares, so that no diamond is larger."""
+        return self.lattice.levels <= self.bits
+
+    @property
+    def columns(self) -> int:
+        """Return the number of tiles from west to east."""
+        return -(-self.lattice.cells_x >> self.bits)
+
+    @property
+    def rows(self) -> int:
+        """Return the number of tiles from south to north."""
+        return -(-self.lattice.cells_y >> self.bits)
+
+    def __len__(self) -> int:
+        return self.columns * self.rows
+
+    def box(self, number: int) -> TileBox:
+        """Return the samples of a tile."""
+        row, column = divmod(number, self.columns)
+        x0, y0 = column << self.bits, row << self.bits
+        return TileBox(x0, y0, min(x0 + self.side, self.lattice.cells_x), min(y0 + self.side, self.lattice.cells_y))
+
+    def window(self, box: TileBox, margin: int) -> TileBox:
+        """Return a tile with `margin` samples more on each side, as far as the raster reaches."""
+        x1, y1 = min(box.x1 + margin, self.lattice.cells_x), min(box.y1 + margin, self.lattice.cells_y)
+        return TileBox(max(box.x0 - margin, 0), max(box.y0 - margin, 0), x1, y1)
+
+    def owned(self, box: TileBox) -> TileBox:
+        """Return the samples of a tile without those that the eastern and the northern neighbour have too."""
+        east, north = box.x1 < self.lattice.cells_x, box.y1 < self.lattice.cells_y
+        return TileBox(box.x0, box.y0, box.x1 - east, box.y1 - north)
+
+    def local(self, box: TileBox) -> Lattice:
+        """Return the lattice of a tile; the last ones of the raster include the padding that has entries."""
+        lattice = self.lattice
+        cells, span = (lattice.cells_x, lattice.cells_y), lattice.span
+        columns, rows = (
+            min(-(-(last - first) >> self.levels) + (last == count), (end - first) >> self.levels)
+            for first, last, count, end in zip(box[:2], box[2:], cells, span, strict=True)
+        )
+        size = box.x1 - box.x0, box.y1 - box.y0
+        return Lattice(columns, rows, self.levels, lattice.step_x, lattice.step_y, *size)
+
+    @cached_property
+    def near_border(self) -> LatticeVertices:
+        """Return the vertices of a tile, from its first sample, that depend on its neighbours."""
+        found = []
+        for level in range(self.levels):
+            half = 1 << level
+            along = np.arange(0, self.side + half + 1, half)
+            across = np.unique([0, half, self.side - half, self.side, self.side + half])
+            x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
+            chosen = np.unique((y * (4 * self.side) + x)[((x >> level) | (y >> level)) & 1 == 1])
+            found.append((chosen % (4 * self.side), chosen // (4 * self.side), np.full(len(chosen), level)))
+        return LatticeVertices(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _pairs(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of all pairs of two lists."""
+    x, y = np.meshgrid(x, y)
+    return x.ravel(), y.ravel()
+
+
+def halved(lattice: Lattice) -> Lattice:
+    """Return the lattice of every other sample, in whose layout ranges of heights are stored."""
+    cells = (lattice.cells_x + 1) // 2, (lattice.cells_y + 1) // 2
+    return Lattice(lattice.columns, lattice.rows, lattice.levels - 1, cells_x=cells[0], cells_y=cells[1])
+
+
+def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
+    """Return whether the lattice has an entry for each vertex, bool [n]."""
+    counts = np.array(
+        [
+            (*lattice.extent(2 * (lattice.levels - level) - 1), *lattice.extent(2 * (lattice.levels - level)))
+            for level in range(lattice.levels)
+        ]
+    ).reshape(-1, 4)[vertices.level]
+    x, y = vertices.x >> vertices.level, vertices.y >> vertices.level
+    centre = (x & y & 1) == 1
+    inside = np.where(
+        centre, (x >> 1 < counts[..., 0]) & (y >> 1 < counts[..., 1]), (x <= counts[..., 2]) & (y <= counts[..., 3])
+    )
+    return inside & (vertices.x >= 0) & (vertices.y >= 0)
+
+
+def entries_of(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
+    """Return the entries of vertices in the lattice's arrays, int64 [n]."""
+    base, pages = lattice.layout()
+    group = vertices.level // 2
+    return base[group] + tile_index(vertices.x >> 2 * group, vertices.y >> 2 * group, pages[group])
+
+
+def cell_entries(lattice: Lattice, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the entries of the raster's cells (x, y), int64 [n]."""
+    base, pages = lattice.layout()
+    return base[-2] + tile_index(x, y, pages[-1])
+
+
+def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndarray:
+    """Return the entries of vertices in an image with `pages` a row, as in kernels/field/layout.py."""
+    page = (y >> 5) * np.int64(pages) + (x >> 5)
+    return page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3)
+
+
+def rows_of(image: np.ndarray, pages: int) -> np.ndarray:
+    """Return an image of pages, [n, ...], as rows of vertices."""
+    rest = image.shape[1:]
+    image = image.reshape(-1, pages, 8, 8, 4, 4, *rest)
+    return image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages, *rest)
+
+
+def pages_of(rows: np.ndarray) -> np.ndarray:
+    """Return rows of vertices, [height, width, ...], as an image of pages, [n, ...]."""
+    (height, width), rest = rows.shape[:2], rows.shape[2:]
+    high, wide = -(-height // PAGE), -(-width // PAGE)
+    full = np.zeros((high * PAGE, wide * PAGE, *rest), rows.dtype)
+    full[:height, :width] = rows
+    full = full.reshape(high, 8, 4, wide, 8, 4, *rest)
+    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)
+
+
+@dataclass(frozen=True)
+class OwnedArea:
+    """The area, in the image of a group of the raster's lattice, that one tile writes.
+
+    Attributes:
+        group: of the tile's lattice; the cells are the last.
+        entries: of the image, in the array of the raster.
+        pages: pages in a row of the image.
+        x, y: first vertex of the area.
+        width, height: vertices; those beyond the image's last page are not there.
+    """
+
+    group: int
+    entries: slice
+    pages: int
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def is_paged(self) -> bool:
+        """Return whether the area consists of whole pages."""
+        return not (self.x | self.y | self.width | self.height) % PAGE
+
+    def paged(self, whole: np.ndarray) -> np.ndarray:
+        """Return the pages of the area as a view [rows, columns, PAGE * PAGE, ...] of the array of the raster."""
+        image = whole[self.entries].reshape(-1, self.pages, PAGE * PAGE, *whole.shape[1:])
+        y, x = self.y // PAGE, self.x // PAGE
+        return image[y : y + self.height // PAGE, x : x + self.width // PAGE]
+
+    def positions(self) -> np.ndarray:
+        """Return the entries of the vertices in the array of the raster, int64 [rows, columns]."""
+        y = np.arange(self.y, self.y + self.height)[:, None]
+        x = np.arange(self.x, self.x + self.width)
+        return self.entries.start + tile_index(x, y, self.pages)
+
+
+def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterator[OwnedArea]:
+    """Yield the areas of the groups that a tile writes, those of its eastern and northern neighbours left out."""
+    base, pages = grid.lattice.layout()
+    groups = grid.local(box).groups
+    for group in range(groups + with_cells):
+        shift, number = (2 * group, group) if group < groups else (0, len(pages) - 1)
+        entries, wide = slice(int(base[number]), int(base[number + 1])), int(pages[number])
+        x, y, count = box.x0 >> shift, box.y0 >> shift, -(-grid.side >> shift)
+        width = wide * PAGE - x if box.x1 == grid.lattice.cells_x else count
+        height = (entries.stop - entries.start) // (wide * PAGE) - y if box.y1 == grid.lattice.cells_y else count
+        yield OwnedArea(group, entries, wide, x, y, width, height)
+
+
+def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> None:
+    """Write the entries of a tile's lattice into the array of the raster.
+
+    grid: tiles of the lattice of `whole`. values: in the layout of `grid.local(box)`.
+    """
+    local = grid.local(box)
+    base, pages = local.layout()
+    for area in owned_areas(grid, box, len(values) == local.node_count):
+        source, wide = values[base[area.group] : base[area.group + 1]], int(pages[area.group])
+        if area.is_paged:
+            target = area.paged(whole)
+            high, across = target.shape[:2]
+            target[:] = source.reshape(-1, wide, *target.shape[2:])[:high, :across]
+        else:
+            rows = rows_of(source, wide)[: area.height, : area.width]
+            whole[area.positions()[: rows.shape[0], : rows.shape[1]]] = rows
+
+
+def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarray) -> None:
+    """Replace the codes of a tile in the array of the raster: uint8 tables [groups of the tile and cells, 256]."""
+    for area in owned_areas(grid, box):
+        table = tables[area.group].tobytes()
+        target, at = (area.paged(whole), None) if area.is_paged else (whole, area.positions())
+        values = target if at is None else target[at]
+        values = np.frombuffer(values.tobytes().translate(table), np.uint8).reshape(values.shape)
+        target[... if at is None else at] = values

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The steps of a store that is made by tile, after its samples are there: fill, measure each tile, join the borders."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import gt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..field import cleaning, codes, hierarchy
+from ..field.holes import longest_edge
+from ..field.lattice import Lattice
+from . import borders
+from .measure_tile import (
+    LargeError,
+    TileSamples,
+    large_errors,
+    large_triangles,
+    margin_of,
+    measure_errors,
+    measure_ranges,
+)
+from .tile_grid import TileGrid, halved, put, translate
+from .tile_work import MEASURED, READ, TileWork
+
+
+class TerrainLimits(NamedTuple):
+    """Limits of all heights of a work, and the number of its missing samples."""
+
+    low: float
+    high: float
+    missing: int
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Return base and step of the ranges, metres."""
+        return hierarchy.range_scale(self.low, self.high)
+
+
+def limits_of(work: TileWork) -> TerrainLimits:
+    """Return the limits of all heights that were read; NaN if all samples are missing."""
+    records = work.records(READ).values()
+    known = [record["limits"] for record in records if record["limits"]]
+    low = min((low for low, _ in known), default=np.nan)
+    high = max((high for _, high in known), default=np.nan)
+    return TerrainLimits(low, high, sum(record["missing"] for record in records))
+
+
+def fill(work: TileWork, threads: int) -> None:
+    """Fill all missing samples with the nearest valid one."""
+    lattice = work.grid.lattice
+    cleaning.fill_rows(
+        lambda: work.open("samples"),
+        lambda rows: work.open("missing")[rows] > 0,
+        (lattice.height, lattice.width),
+        threads,
+    )
+
+
+def measure(
+    work: TileWork, number: int, limits: TerrainLimits, threads: int, before: dict | None, exponents: Sequence[int] = ()
+) -> bool:
+    """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
+
+    Args:
+        before: its last record, None for none.
+        exponents: largest ones that its stored codes may have; () for any.
+    """
+    grid, box = work.grid, work.grid.box(number)
+    window = grid.window(box, margin_of(limits.low, limits.high))
+    raw = work.raw("samples", window)
+    valid = work.raw("missing", window) ^ 1 if work.holes and limits.missing else None
+    content = _digest((window, work.steps), raw, *([] if valid is None else [valid]))
+    heights: dict[tuple[int, int], float] = {}
+
+    def height(x: int, y: int) -> float:
+        """Return the height at a vertex, and keep it."""
+        if (x, y) not in heights:
+            heights[x, y] = work.height(x, y)
+        return heights[x, y]
+
+    triangles = [] if grid.holds_roots else large_triangles(grid, box, height)
+    state: dict[str, Any] = {
+        name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
+    }
+    around, ranges = _digest((content, sorted(heights.items()))), _digest((content, limits.scale))
+    is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
+    is_measured = state["errors"] == content and not is_rounded
+    if is_measured and state["ranges"] == ranges and state["above"][0] == around:
+        return False
+    if before is not None:
+        work.note(MEASURED, number)  # it is not measured while its arrays are written
+    tile = TileSamples(grid, box, window, work.decoded(raw), valid)
+    if not is_measured:
+        found = measure_errors(tile, threads)
+        put(grid, box, found.codes, work.open("error"))
+        near = work.open("borders")[number]
+        near[0], near[1] = found.border, 0 if found.kinds is None else found.kinds
+        state |= {"errors": content, "largest": found.largest, "climbs": hierarchy.climbs(tile.inner(tile.samples))}
+        state["exponents"] = tile_exponents(work, number, found.largest)
+    if state["ranges"] != ranges and grid.lattice.range_depth:
+        half = TileGrid(halved(grid.lattice), grid.bits - 1)
+        put(half, half.box(number), measure_ranges(tile, limits.scale, threads), work.open("ranges"))
+    if state["above"] is None or state["above"][0] != around:
+        state["above"] = [around, large_errors(tile, triangles, threads)]
+    work.note(MEASURED, number, **state | {"ranges": ranges})
+    return not is_measured
+
+
+def tile_exponents(work: TileWork, number: int, largest: Sequence[float]) -> list[int]:
+    """Return the exponents of the codes that a tile was measured with. largest: its largest errors, metres."""
+    return codes.nested(work.grid.local(work.grid.box(number)), list(map(codes.exponent_of, largest)))
+
+
+def _digest(values: object, *arrays: np.ndarray) -> str:
+    """Return a hex digest of plain values and arrays."""
+    digest = hashlib.blake2b(repr(values).encode(), digest_size=16)
+    for array in arrays:
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
+class JoinedErrors(NamedTuple):
+    """Results of a whole terrain: exponents, and the largest differences of neighbours along x and y, metres."""
+
+    exponents: list[int]
+    climbs: tuple[float, float]
+
+
+def join(work: TileWork, limits: TerrainLimits, threads: int, on_progress: Callable[[float], None]) -> JoinedErrors:
+    """Complete the errors and ranges of a terrain whose tiles are all measured."""
+    grid, lattice = work.grid, work.grid.lattice
+    records = work.records(MEASURED)
+    large = [LargeError(*item) for record in records.values() for item in record["above"][1]]
+    kinds = None
+    largest = _largest(work, records, large)
+    if work.holes and limits.missing:
+        work.make_sparse("kinds")
+        kinds = partial(work.open, "kinds")
+        for level, is_centre in _join_kinds(work, kinds):
+            largest[level // 2] = max(largest[level // 2], _longest(lattice, level, is_centre))
+    exponents = codes.nested(lattice, list(map(codes.exponent_of, _nested(largest))))
+    for number, record in sorted(records.items()):
+        on_progress(0.5 * number / len(grid))
+        groups = len(record["exponents"]) - 1
+        wanted = [*exponents[:groups], exponents[-1]]
+        if any(map(gt, record["exponents"], wanted)):  # a larger error is gone: rounded codes cannot be refined
+            measure(work, number, limits, threads, record, wanted)
+            record = work.records(MEASURED)[number]
+        if record["exponents"] != wanted:
+            work.note(MEASURED, number)
+            tables = borders.tables_between(record["exponents"], wanted)
+            translate(grid, grid.box(number), work.open("error"), tables)
+            values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
+            work.note(MEASURED, number, **values | {"exponents": wanted})
+    border_codes = [(number, partial(work.border, number, 0)) for number in records]
+
+    def tables_of(number: int) -> np.ndarray:
+        """Return the tables from the codes that a tile was measured with to those of the terrain."""
+        exact = tile_exponents(work, number, records[number]["largest"])
+        return borders.tables_between(exact, [*exponents[: len(exact) - 1], exponents[-1]])
+
+    error = partial(work.open, "error")
+    borders.join_borders(grid, border_codes, error, tables_of)
+    table = codes.tables(exponents)
+    borders.write_large(grid, large, table, error)
+    on_progress(0.7)
+    borders.raise_errors(grid, error, table, kinds, partial(_longest, lattice))
+    on_progress(0.9)
+    if lattice.range_depth:
+        borders.unite_ranges(grid, partial(work.open, "ranges"))
+    if kinds is not None:
+        work.remove("kinds")
+    climbs = [record["climbs"] for record in records.values()]
+    return JoinedErrors(exponents, (max(x for x, _ in climbs), max(y for _, y in climbs)))
+
+
+def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeError]) -> list[float]:
+    """Return the largest error, metres, of each group of the terrain and of its cells."""
+    found = [0.0] * (work.grid.lattice.groups + 1)
+    for record in records.values():
+        *groups, cells = record["largest"]
+        found[-1] = max(found[-1], cells)
+        for group, error in enumerate(groups):
+            found[group] = max(found[group], error)
+    for item in large:
+        found[item.level // 2] = max(found[item.level // 2], item.error)
+    return found
+
+
+def _nested(largest: Sequence[float]) -> list[float]:
+    """Return the largest errors of all groups after each parent was raised to its children's; the cells are last."""
+    *groups, cells = largest
+    *nested, _ = (max([cells, *groups[: number + 1]]) for number in range(len(groups) + 1))
+    return [*nested, cells]
+
+
+def _longest(lattice: Lattice, level: int, is_centre: bool) -> float:
+    """Return the longest edge of a diamond with a vertex of this level, float32 metres."""
+    return float(np.float32(longest_edge(lattice, 2 * (lattice.levels - level) - is_centre)))
+
+
+def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]:
+    """Unite the kinds of cells near the tiles' borders; return the level, and whether centres, of those with both."""
+    rows = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
+    same = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
+    borders.join_borders(work.grid, rows, kinds, lambda _number: same, np.bitwise_or)
+    return borders.raise_kinds(work.grid, kinds)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The arrays of a store while they are made by tile, by several processes and in several attempts.
+
+    work.json             the terrain, its digest and its tiles
+    samples.npy, error.npy, ranges.npy    as in a store (store.py)
+    missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed at the end
+    borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
+    tiles-*.jsonl         records of finished parts, a line each; each process writes its own file
+    tiles.jsonl           all records of a store
+
+A part is finished when its record is written, so a killed process loses one part. Every array is mapped anew for each
+part, because its pages count as memory of the process.
+"""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from ..errors import TerrainError
+from ..field import codes, store_folder
+from ..field.lattice import lattice_for
+from ..field.store import Draft
+from ..field.store_arrays import PAGE_BYTES, file_bytes, header
+from ..run import owned_files, partial_files
+from ..run.named_file import read_regular
+from .tile_grid import TileBox, TileGrid
+
+VERSION = 1
+STORED = ("samples", "error", "ranges", "borders")
+RECORDS_NAME, PREFIX = "tiles.jsonl", "tiles-"
+MAX_RECORDS = 1 << 30  # bytes
+READ, MEASURED = "read", "measured"  # kinds of records
+
+
+class NotNumberedError(Exception):
+    """A height is no number of the source's steps, so all heights have to be stored as floats."""
+
+
+@dataclass
+class TileWork:
+    """A folder of arrays while a store is made by tile.
+
+    Attributes:
+        digest: of all settings and sources.
+        steps: of the stored samples; None for float32.
+        holes: whether missing samples are cut out.
+    """
+
+    folder: Path
+    grid: TileGrid
+    steps: codes.Steps | None
+    holes: bool
+    digest: str
+    _log: Path | None = field(default=None, init=False)
+
+    def arrays(self) -> dict[str, tuple[tuple, DTypeLike]]:
+        """Return shapes and types of the arrays by name."""
+        lattice = self.grid.lattice
+        shape = lattice.height, lattice.width
+        return {
+            "samples": (shape, np.float32 if self.steps is None else np.uint16),
+            "error": ((lattice.node_count,), np.uint8),
+            "ranges": ((lattice.range_count, 2), np.uint16),
+            "borders": ((len(self.grid), 2, len(self.grid.near_border.x)), np.uint8),
+            "missing": (shape, np.uint8),
+            "kinds": ((lattice.node_count,), np.uint8),
+        }
+
+    def attach(self, draft: Draft) -> None:
+        """Allocate those arrays of a store that are not there yet, as arrays of the draft in the same folder."""
+        for name in STORED:
+            draft.allocate(name, *self.arrays()[name])
+
+    def describe(self) -> None:
+        """Describe the terrain in a file. From now on the work can be continued."""
+        lattice = self.grid.lattice
+        content = {
+            "version": VERSION,
+            "digest": self.digest,
+            "bits": self.grid.bits,
+            "holes": self.holes,
+            "steps": self.steps and [self.steps.first, self.steps.scale, self.steps.offset],
+            "lattice": [lattice.width, lattice.height, lattice.step_x, lattice.step_y],
+        }
+        self._write(store_folder.WORK_NAME, json.dumps(content))
+
+    def start_again(self, draft: Draft) -> None:
+        """Forget everything, and store heights as floats."""
+        for file in [self.folder / store_folder.WORK_NAME, *self.folder.glob(f"{PREFIX[:-1]}*.jsonl")]:
+            owned_files.remove_file(file)
+        draft.remove("samples")
+        self.steps, self._log = None, None
+        self.attach(draft)
+        self.make_sparse("missing")
+        self.describe()
+
+    def copy(self, before: "TileWork") -> None:
+        """Copy the arrays and records of an earlier version with the same tiles, but no record of a unit with gaps.
+
+        A store does not mark filled samples.
+        """
+        for name in STORED:
+            shutil.copyfile(before.folder / f"{name}.npy", self.folder / f"{name}.npy")
+        records = [record for record in before.records(READ).values() if not record["missing"]]
+        self._write(RECORDS_NAME, _lines([*records, *before.records(MEASURED).values()]))
+
+    def _write(self, name: str, text: str) -> None:
+        """Write a file that appears when it is complete."""
+        partial = self.folder / f"{PREFIX}{partial_files.new_token()}.jsonl"
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, self.folder / name)
+
+    def make_sparse(self, name: str) -> None:
+        """Make a file of zeros that takes room only where something else is written."""
+        shape, dtype = self.arrays()[name]
+        with (self.folder / f"{name}.npy").open("wb") as file:
+            file.write(header(shape, dtype))
+            file.truncate(file_bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize))
+
+    def remove(self, name: str) -> None:
+        """Remove the file of an array."""
+        owned_files.remove_file(self.folder / f"{name}.npy")
+
+    def open(self, name: str) -> np.ndarray:
+        """Map an array for reading and writing."""
+        shape, dtype = self.arrays()[name]
+        if not all(shape):
+            return np.zeros(shape, dtype)
+        return np.memmap(self.folder / f"{name}.npy", dtype, "r+", PAGE_BYTES, shape).view(np.ndarray)
+
+    def raw(self, name: str, box: TileBox) -> np.ndarray:
+        """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""
+        return self.open(name)[box.y0 : box.y1 + 1, box.x0 : box.x1 + 1].copy()
+
+    def border(self, number: int, kind: int) -> np.ndarray:
+        """Return the codes (0) or kinds of cells (1) near the border of a tile, uint8 as `TileGrid.near_border`."""
+        return self.open("borders")[number, kind].copy()
+
+    def decoded(self, samples: np.ndarray) -> np.ndarray:
+        """Return heights, float32 metres, of stored samples."""
+        return samples if self.steps is None else self.steps.heights(samples)
+
+    def height(self, x: int, y: int) -> float:
+        """Return the height at a vertex of the lattice: beyond the border that of the nearest sample."""
+        x, y = min(x, self.grid.lattice.cells_x), min(y, self.grid.lattice.cells_y)
+        return float(self.decoded(self.open("samples")[y : y + 1, x : x + 1])[0, 0])
+
+    def write_heights(self, x: int, y: int, heights: np.ndarray) -> list[float]:
+        """Store heights, float32 [rows, columns] with NaN where missing, from sample (x, y) on.
+
+        Return the lowest and the highest, or [] without any. Raises NotNumberedError.
+        """
+        missing = np.isnan(heights)
+        has_gaps = bool(missing.any())
+        known = heights[~missing] if has_gaps else heights
+        if has_gaps:
+            heights = np.where(missing, known[0] if known.size else np.float32(0.0), heights)
+        stored = heights
+        if self.steps is not None:
+            stored = np.zeros(heights.shape, np.uint16)
+            if known.size and not codes.number(heights, self.steps, stored):
+                raise NotNumberedError
+        area = slice(y, y + heights.shape[0]), slice(x, x + heights.shape[1])
+        self.open("samples")[area] = stored
+        mask = self.open("missing")
+        if has_gaps or mask[area].any():  # of an earlier attempt
+            mask[area] = missing
+        return [float(known.min()), float(known.max())] if known.size else []
+
+    def note(self, kind: str, number: int, **values: Any) -> None:
+        """Write the record of a finished part."""
+        if self._log is None:
+            self._log = self.folder / f"{PREFIX}{partial_files.new_token()}.jsonl"
+        line = json.dumps({"kind": kind, "number": number, "at": time.time_ns(), **values}) + "\n"
+        with self._log.open("a", encoding="utf-8") as file:
+            file.write(line)
+
+    def records(self, kind: str) -> dict[int, dict]:
+        """Return the last record of each part by its number."""
+        found: dict[int, dict] = {}
+        for record in sorted(self._all_records(), key=lambda record: record["at"]):
+            if record["kind"] == kind:
+                found[record["number"]] = record
+        return found
+
+    def _all_records(self) -> Iterator[dict]:
+        for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
+            for line in read_regular(file, MAX_RECORDS, links=False).splitlines():
+                try:
+                    record = json.loads(line)
+                except ValueError:
+                    continue  # its process was killed while it wrote
+                if isinstance(record, dict) and isinstance(record.get("at"), int) and "kind" in record:
+                    yield record
+
+    def keep_records(self) -> None:
+        """Replace all files of records by one."""
+        files = [*self.folder.glob(f"{PREFIX}*.jsonl")]
+        self._write(RECORDS_NAME, _lines([*self.records(READ).values(), *self.records(MEASURED).values()]))
+        for file in files:
+            owned_files.remove_file(file)
+        self._log = None
+
+
+def _lines(records: list[dict]) -> str:
+    return "".join(f"{json.dumps(record)}\n" for record in records)
+
+
+def work_in(folder: Path) -> TileWork | None:
+    """Return the work in a folder of arrays; None if there is none that can be used."""
+    try:
+        content = json.loads(read_regular(folder / store_folder.WORK_NAME, 1 << 16, links=False))
+        width, height, step_x, step_y = content["lattice"]
+        lattice = lattice_for(int(width), int(height), float(step_x), float(step_y))
+        steps = codes.Steps(*content["steps"]) if content["steps"] else None
+        work = TileWork(folder, TileGrid(lattice, content["bits"]), steps, content["holes"], content["digest"])
+        is_whole = all(_has_size(folder / f"{name}.npy", *work.arrays()[name]) for name in STORED)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError, TerrainError):
+        return None
+    return work if is_whole and content["version"] == VERSION else None
+
+
+def _has_size(file: Path, shape: tuple, dtype: DTypeLike) -> bool:
+    """Return whether a file has the size of an array."""
+    size = file_bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize)
+    return owned_files.is_real_file(file) and os.lstat(file).st_size == size
+
+
+class StoredHeights:
+    """All heights of a work, read by rows."""
+
+    def __init__(self, work: TileWork) -> None:
+        self._work = work
+        self.shape: tuple[int, ...] = work.grid.lattice.height, work.grid.lattice.width
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return self._work.decoded(self._work.open("samples")[rows].copy())

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error of a triangle that is larger than a window of the raster, over that window.
+
+The plane of the triangle is evaluated with the same operations as in `hierarchy.py`, so the largest result of all
+windows is the result for the whole raster, bit by bit.
+"""
+
+import warp as wp
+
+from ..unchecked import item_at
+from .codes import Samples
+
+
+@wp.struct
+class Corner:
+    """A right triangle with the corner (x, y), in samples, and legs of `legs` samples.
+
+    The legs run east (`right` 1) or west (-1), and north (`up` 1) or south (-1). The plane has the height `plane` at
+    the corner, and slopes in metres a sample.
+    """
+
+    x: wp.int32
+    y: wp.int32
+    right: wp.int32
+    up: wp.int32
+    legs: wp.int32
+    plane: wp.float64
+    slope_x: wp.float64
+    slope_y: wp.float64
+
+
+@wp.kernel
+def window_errors(
+    offset: int, measured: Samples, west: int, south: int, corner: Corner, largest: wp.array(dtype=wp.float64)
+):
+    """Raise `largest` of row `offset + tid` to the largest distance, metres, of the surface from a triangle's plane.
+
+    measured: a window of the raster, NaN where samples do not count. (west, south): its first sample.
+    """
+    row = offset + wp.tid()
+    c = corner
+    h = measured.floats
+    width = measured.columns
+    start = row * width
+    j = c.up * (south + row - c.y)
+    found = largest[row]
+    if j >= 0 and j < c.legs:
+        first = wp.min(c.right, 0) * (c.legs - j)
+        plane = c.plane + c.slope_x * wp.float64(first) + c.slope_y * wp.float64(c.up * j)
+        begin = wp.max(c.x + first, west)
+        end = wp.min(c.x + first + c.legs + 1 - j, west + width)
+        skipped = begin - (c.x + first)
+        for k in range(end - begin):
+            height = wp.float64(item_at(h, start + begin - west + k))
+            distance = wp.abs(height - (plane + c.slope_x * wp.float64(skipped + k)))
+            found = wp.where(distance > found, distance, found)
+    # The longest edge runs from (x, y + up * legs) along (right, -up); cell i of it is between its rows i and i + 1.
+    i = c.legs - c.up * (south + row - c.y)
+    if c.up > 0:
+        i = i - 1
+    x = c.x + c.right * i
+    cell = wp.min(x, x + c.right)
+    if i >= 0 and i < c.legs and cell >= west and cell + 1 < west + width and row + 1 < measured.rows:
+        top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
+        across = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
+        at = start + x - west
+        if c.up > 0:
+            at = at + width
+        aside = at + c.right
+        below = at - c.up * width
+        far = below + c.right
+        e0 = wp.float64(h[at]) - (top + across * wp.float64(i))
+        e1 = wp.float64(h[far]) - (top + across * wp.float64(i + 1))
+        twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[aside]) - wp.float64(h[below])
+        if wp.abs(e1 - e0) < wp.abs(twist):
+            rest = twist - (e1 - e0)
+            found = wp.max(found, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+    largest[row] = found

@@ -79,7 +79,7 @@ class MeshGround:
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
         # The lattice of the finest mesh: as many bits a side as `depth_limit` in field/depths.py allows.
-        self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
+        self.bits = PLANE_BITS - lattice.side_bits - lattice.levels
         g = self.packed = kernels.Reference()
         g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")

@@ -55,7 +55,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     b = ray_kernels.HeightBlocks()
     b.levels, b.low_z, b.high_z = len(base) - 1, *ends
     b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
-    b.base, b.width = shared(base, wp.int32), shared(width, wp.int32)
+    b.base, b.width = shared(base, wp.int64), shared(width, wp.int32)
     b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
     return b
 

@@ -29,7 +29,7 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
     occluder = every_crossing(places.field, places.vertical_scale)
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
     tops, first, wide = cached(field.cache.results, ("tops", reduce), lambda: find_tops(field, reduce))
-    occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int64), flat(wide, wp.int32)
     occluder.levels = len(wide)
     return occluder
 
@@ -51,8 +51,8 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
 def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
 
-    Also the first index of each level and the number of blocks in its rows, int32 [levels], 0 below FINEST. Those of a
-    large raster are cached in its store.
+    Also the first index of each level, int64 [levels], and the blocks in its rows, int32 [levels], 0 below FINEST.
+    Those of a large raster are cached in its store.
     """
     lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
     rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))

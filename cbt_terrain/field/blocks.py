@@ -78,9 +78,9 @@ def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray
 
 
 def level_offsets(shapes: list[tuple[int, int]], below: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the offset and the width of each level of a flat pyramid, int32 [below + levels].
+    """Return the offset and the width of each level of a flat pyramid, int64 and int32 [below + levels].
 
     The first `below` entries are for levels without blocks. Rays skip empty space with them.
     """
-    first = np.cumsum([0] * (below + 1) + [rows * columns for rows, columns in shapes[:-1]], dtype=np.int32)
+    first = np.cumsum([0] * (below + 1) + [rows * columns for rows, columns in shapes[:-1]], dtype=np.int64)
     return first, np.array([0] * below + [columns for _, columns in shapes], np.int32)

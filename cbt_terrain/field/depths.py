@@ -3,14 +3,14 @@
 
 import math
 
-from ...kernels.refine import curve
 from .detail import EDGES_A_WAVE
 from .detail_bounds import radius_at
 from .heightfield import PLANE_BITS, HeightField
 
-# Depth of the tree, root squares included: 8 MB of address space; with displacement half a gigabyte. The system commits
-# only pages that are used.
-MAX_TREE_DEPTH, MAX_DETAIL_DEPTH = 34, curve.DEEPEST
+# Depth of the tree, root squares included, and with displacement.
+PLAIN_DEPTH, DETAIL_DEPTH = 34, 40
+# Rasters with fewer entries keep these depths, and so their meshes; for larger ones plane coordinates are the limit.
+MANY_ENTRIES = 2**31
 # Default bisections below the raster's cells: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
 
@@ -18,9 +18,10 @@ DEPTH_BELOW_CELLS = 8
 def depth_limit(field: HeightField) -> int:
     """Return the deepest bisection of a root square that float32 plane coordinates and the tree can represent."""
     lattice = field.lattice
-    side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
-    tree_depth = MAX_DETAIL_DEPTH if field.detail else MAX_TREE_DEPTH
-    return max(1, min(2 * (PLANE_BITS - side_bits), tree_depth - lattice.square_bits))
+    limit = 2 * (PLANE_BITS - lattice.side_bits)
+    if lattice.node_count < MANY_ENTRIES:
+        limit = min(limit, (DETAIL_DEPTH if field.detail else PLAIN_DEPTH) - lattice.square_bits)
+    return max(1, limit)
 
 
 def usual_depth(field: HeightField) -> int:

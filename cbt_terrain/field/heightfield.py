@@ -188,7 +188,7 @@ class HeightField:
     def finest_edge(self) -> float:
         """Return the shortest edge, metres, that float32 plane coordinates of the mesh can hold."""
         lattice = self.lattice
-        bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
+        bits = PLANE_BITS - lattice.side_bits - lattice.levels
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
 
     @cached_property

@@ -25,8 +25,8 @@ import numpy as np
 
 from ..errors import TerrainError
 
-# Indices of Warp's arrays and coordinates of the lattice are int32; coordinates have at least 5 bits more than samples.
-MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
+# Coordinates of the lattice are int32, and so are sums of two: cells along a side of the squares are 2^29 at most.
+SIDE_BITS = 29
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
 MAX_MESHLET = 4
 # Vertices along the side of a page of the arrays of diamonds.
@@ -91,6 +91,11 @@ class Lattice:
         return (self.squares - 1).bit_length()
 
     @property
+    def side_bits(self) -> int:
+        """Return the bits that number the root squares of a row or a column, whichever has more."""
+        return (max(self.columns, self.rows) - 1).bit_length()
+
+    @property
     def cell_depth(self) -> int:
         """Return the depth, inside a square, of the diamonds whose longest edge is the diagonal of a raster cell."""
         return 2 * self.levels + 1
@@ -144,9 +149,9 @@ class Lattice:
         return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
 
     @property
-    def can_be_numbered(self) -> bool:
-        """Return whether 31 bits can hold all indices."""
-        return max(self.span) < MAX_SIDE and self.node_count < MAX_ENTRIES
+    def is_addressable(self) -> bool:
+        """Return whether coordinates of the lattice can number the samples of a row and of a column."""
+        return self.side_bits + self.levels <= SIDE_BITS
 
     @property
     def cell_base(self) -> int:
@@ -182,10 +187,10 @@ def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> La
 def lattice_for(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0, name: str = "The raster") -> Lattice:
     """Call `fit`. Raises TerrainError for a raster that is too large. name: of the raster, in the error."""
     lattice = fit(width, height, step_x, step_y)
-    if not lattice.can_be_numbered:
+    if not lattice.is_addressable:
         raise TerrainError(
-            f"{name} has {width} x {height} samples, more than an index of 31 bits can number",
-            expected="about 31,000 x 31,000 at most",
+            f"{name} has {width} x {height} samples",
+            expected=f"at most 2^{SIDE_BITS} in a row or a column",
             fix="cut it into tiles or reduce it first",
         )
     return lattice

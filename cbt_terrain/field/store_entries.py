@@ -15,8 +15,8 @@ _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
 # Arguments of `fit` for a raster's lattice.
 LATTICE = ("width", "height", "step_x", "step_y")
 JsonValue = Any  # of any type: these functions check it
-# More cells than an import allows; avoids overflow in the arithmetic of sizes.
-MAX_CELLS = 2**31
+# Samples of the largest raster (`Lattice.is_addressable`).
+MAX_SAMPLES = 2**60
 
 
 def is_data_name(name: str) -> bool:
@@ -30,8 +30,8 @@ def _is_number(value: JsonValue, low: float = -1e300, high: float = 1e300) -> bo
 
 
 def _is_count(value: JsonValue, low: int) -> bool:
-    """Return whether a JSON value is a whole number from `low` to MAX_CELLS."""
-    return type(value) is int and low <= value <= MAX_CELLS
+    """Return whether a JSON value is a whole number from `low` to MAX_SAMPLES."""
+    return type(value) is int and low <= value <= MAX_SAMPLES
 
 
 def _is_extent(cells: int, step: JsonValue) -> bool:
@@ -40,14 +40,14 @@ def _is_extent(cells: int, step: JsonValue) -> bool:
 
 
 def _is_lattice(value: JsonValue) -> bool:
-    """Return whether a value has the sizes and steps of a raster whose entries 31 bits can number."""
+    """Return whether a value has the sizes and steps of a raster that a lattice can address."""
     if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
         return False
     width, height = value["width"], value["height"]
-    if not (_is_count(width, 2) and _is_count(height, 2) and width * height < MAX_CELLS):
+    if not (_is_count(width, 2) and _is_count(height, 2)):
         return False
     known = _is_extent(width - 1, value["step_x"]) and _is_extent(height - 1, value["step_y"])
-    return known and fit(**value).can_be_numbered
+    return known and fit(**value).is_addressable
 
 
 def _is_provenance(value: JsonValue) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import degree_lengths
-from ..field.lattice import fit
+from ..field.lattice import SIDE_BITS, fit
 from ..importing.file_grid import unit_of
 from ..importing.raster import ImportSettings
 from ..view.linear import length
@@ -213,18 +213,18 @@ def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
 
 def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float, middle: np.ndarray) -> None:
     """Refuse a grid with more samples than a store can hold, and name the step that fits."""
-    if min(width, height) < 2 or fit(width, height).can_be_numbered:
+    if min(width, height) < 2 or fit(width, height).is_addressable:
         return
     low, high = 1.0, float(max(width, height))
     while high > 1.01 * low:
         factor = math.sqrt(low * high)
         size = max(math.ceil(width / factor), 2), max(math.ceil(height / factor), 2)
-        low, high = (low, factor) if fit(*size).can_be_numbered else (factor, high)
+        low, high = (low, factor) if fit(*size).is_addressable else (factor, high)
     step = max(a * b for a, b in zip((step_x, step_y), _unit_lengths(crs, middle), strict=True)) * high
     shown_step = float(f"{step:.2g}")
     shown_step = shown_step if shown_step >= step else float(f"{step * 1.05:.2g}")
     raise TerrainError(
-        f"The mosaic would have {width:,} x {height:,} samples, more than an index of 31 bits can number",
-        expected="about 31,000 x 31,000 at most",
+        f"The mosaic would have {width:,} x {height:,} samples",
+        expected=f"at most 2^{SIDE_BITS} in a row or a column",
         fix=f"give a coarser step (--step {shown_step:g}), or fewer files",
     )

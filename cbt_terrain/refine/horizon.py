@@ -100,7 +100,7 @@ def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlock
     blocks = HorizonBlocks()
     blocks.min_height, blocks.first, blocks.wide = (
         flat(min_height, wp.float32),
-        flat(first, wp.int32),
+        flat(first, wp.int64),
         flat(wide, wp.int32),
     )
     return blocks

@@ -23,11 +23,18 @@ _NUMPY = {
 }
 
 
+# Shapes of Warp's arrays are int32.
+MAX_ITEMS = 2**31 - 1
+
+
 def shared(array: np.ndarray, dtype: Any) -> wp.array:
     """Return a Warp array over the memory of a numpy array of the same layout.
 
-    dtype: of Warp, as wp.vec3f for [n, 3].
+    dtype: of Warp, as wp.vec3f for [n, 3]. The length that Warp sees is MAX_ITEMS at most: kernels read longer arrays
+    without it (kernels/unchecked.py).
     """
+    if len(array) > MAX_ITEMS:
+        array = array[:MAX_ITEMS]
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 

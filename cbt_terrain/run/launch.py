@@ -25,6 +25,8 @@ from .buffers import shared
 DEVICE = "cpu"
 # Fewer items are faster on one thread: a second one needs about 0.3 ms of work.
 SLICE_ITEMS = 20_000
+# Items of one launch: `wp.tid()` is int32.
+MAX_LAUNCH = 1 << 30
 
 _pool: ThreadPoolExecutor | None = None
 _starting = locks.SharedLock()
@@ -168,14 +170,16 @@ def spread(
     """Launch `kernel` over `count` items, in equal ranges for `threads`; None: `default_threads`.
 
     The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is the cost of an item relative
-    to a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: see `slices`.
+    to a lookup and a few operations (about 15 ns); small jobs stay on one thread. More than MAX_LAUNCH items need an
+    int64 offset. `recorded`: see `slices`.
     """
     if count <= 0:
         return
     stopping.check()
     with timed(step):
         _load(kernel)
-        pieces = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
+        at_once = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
+        pieces = max(at_once, -(-count // MAX_LAUNCH))
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
             """Return the launch over the items `lo` to `hi`."""
@@ -184,7 +188,9 @@ def spread(
                 return _command(recorded, kernel, slot, hi - lo, values).launch
             return lambda: wp.launch(kernel, hi - lo, inputs=values, device=DEVICE)
 
-        together([job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))])
+        jobs = [job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))]
+        for first in range(0, pieces, at_once):
+            together(jobs[first : first + at_once])
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:

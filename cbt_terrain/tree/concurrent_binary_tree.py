@@ -39,7 +39,7 @@ class LeafPart(NamedTuple):
 
 
 class ConcurrentBinaryTree:
-    """A binary tree of at most `max_depth` (6 .. 40) levels below its root. It begins as its root.
+    """A binary tree of at most `max_depth` (6 .. 48) levels below its root. It begins as its root.
 
     | group | methods | cost |
     | --- | --- | --- |
@@ -57,7 +57,7 @@ class ConcurrentBinaryTree:
     """
 
     def __init__(self, max_depth: int, threads: int | None = 1) -> None:
-        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 40."""
+        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 48."""
         if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
             raise TerrainError(
                 f"The tree's depth is {max_depth!r}", expected=f"a whole number, {MIN_DEPTH} .. {MAX_DEPTH}"

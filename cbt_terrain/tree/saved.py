@@ -8,7 +8,8 @@ import numpy as np
 
 from ..errors import TerrainError
 
-MIN_DEPTH, MAX_DEPTH = 6, 40
+# The deepest one has words on eight levels (kernels/tree/bitfield.py).
+MIN_DEPTH, MAX_DEPTH = 6, 48
 
 _HEADER = struct.Struct("<4sHHQ")  # magic, version, max_depth, leaves
 _MAGIC, _VERSION = b"ACBT", 2

@@ -11,8 +11,9 @@ finds the same maximum: a fault in one of the two shows in the other.
 
 import warp as wp
 
-from ..field.codes import Samples, corners_of, sample_at
+from ..field.codes import Samples, corners_of, sample_at, sample_index
 from ..field.detail import PackedLayers
+from ..unchecked import put
 from .cubic import cubic_at
 from .detail import detail_height
 
@@ -161,7 +162,7 @@ def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 @wp.func
 def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
     """Return the height of the reference surface at sample (i, j), metres, with displacement and vertical scale."""
-    h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
+    h = sample_at(ground.samples, sample_index(ground.samples, i, j))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
     return z * ground.scale + ground.offset
 
@@ -260,6 +261,6 @@ def differences(
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
                     d = plane_at(f, wp.float64(i), wp.float64(j)) - reference_sample(ground, i, j)
-                    difference[j * ground.samples.columns + i] = toward_zero(d)
+                    put(difference, sample_index(ground.samples, i, j), toward_zero(d))
                     largest = wp.max(largest, wp.abs(d))
         worst[t] = largest

@@ -3,8 +3,10 @@
 
 import warp as wp
 
+from ..field.codes import sample_index
 from ..field.detail import detail_at
 from ..mesh.displace import on_sample
+from ..unchecked import put
 from .facets import DeliveredMesh, MeasuredFacet, Reference, facet_of, owns, sample_box
 
 DEGREES = wp.constant(wp.float64(57.29577951308232))
@@ -62,6 +64,6 @@ def angles(
                         truth = truth - wp.vec3d(d[1], d[2], wp.float64(0.0)) * ground.scale
                     bits = wp.int64(ground.bits)
                     shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)
-                    at = j * ground.samples.columns + i
-                    facet_deg[at] = angle_deg(facet, truth)
-                    shading_deg[at] = angle_deg(shading, truth)
+                    at = sample_index(ground.samples, i, j)
+                    put(facet_deg, at, angle_deg(facet, truth))
+                    put(shading_deg, at, angle_deg(shading, truth))

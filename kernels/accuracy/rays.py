@@ -14,6 +14,7 @@ import warp as wp
 
 from ..field.codes import corners_of
 from ..query.rays import within
+from ..unchecked import item_at
 from .cubic import heights_about
 from .facets import Reference, reference_in_cell
 
@@ -31,7 +32,7 @@ class HeightBlocks:
     low_z: wp.float64  # of the whole surface, metres
     high_z: wp.float64
     tolerance: wp.float64  # metres: a surface that is less than this beyond a ray does not hide
-    base: wp.array(dtype=wp.int32)
+    base: wp.array(dtype=wp.int64)
     width: wp.array(dtype=wp.int32)
     low: wp.array(dtype=wp.float32)
     high: wp.array(dtype=wp.float32)
@@ -256,9 +257,9 @@ def first_crossing(
         elif level == 0:
             hit, side = in_one_cell(ground, ray, i, j, t, out, side)
         else:
-            n = blocks.base[level] + (y0 >> bits) * blocks.width[level] + (x0 >> bits)
-            low = wp.float64(blocks.low[n]) * ground.scale + ground.offset
-            high = wp.float64(blocks.high[n]) * ground.scale + ground.offset
+            n = blocks.base[level] + wp.int64(y0 >> bits) * wp.int64(blocks.width[level]) + wp.int64(x0 >> bits)
+            low = wp.float64(item_at(blocks.low, n)) * ground.scale + ground.offset
+            high = wp.float64(item_at(blocks.high, n)) * ground.scale + ground.offset
             on_side = side_of_span(ray, t, out, low, high)
             clear = on_side != zero
             hit = wp.where(side * on_side < zero, t, NOWHERE)

@@ -7,7 +7,9 @@ before and after. Its error is the distance of their projections.
 
 import warp as wp
 
+from ..field.codes import sample_index
 from ..refine.local_view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
+from ..unchecked import put
 from .edges import empty_stretch, next_stretch, num_points, point_of_stretch
 from .facets import (
     DeliveredMesh,
@@ -169,7 +171,7 @@ def visibility(
         seen = OUTSIDE
         if in_frame(eye, camera):
             seen = wp.where(is_hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
-        state[j * ground.samples.columns + i] = seen
+        put(state, sample_index(ground.samples, i, j), seen)
 
 
 @wp.kernel

@@ -14,12 +14,14 @@ from ..unchecked import put
 
 
 @wp.kernel
-def cover_sides(offset: int, cells: Depth, curvatures: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)):
+def cover_sides(
+    offset: wp.int64, cells: Depth, curvatures: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)
+):
     """Raise the error of cell `offset + tid` to half the largest curvature of itself and its sides.
 
     So the error also bounds triangles that meet on the cell's sides.
     """
-    p = diamond(cells, offset + wp.tid())
+    p = diamond(cells, offset + wp.int64(wp.tid()))
     at = entry(cells, p[0], p[1])
     largest = curvatures[at]
     for k in range(4):
@@ -32,7 +34,7 @@ def cover_sides(offset: int, cells: Depth, curvatures: wp.array(dtype=wp.float32
 
 @wp.kernel
 def add_errors(
-    offset: int,
+    offset: wp.int64,
     finer: Depth,
     coarser: Depth,
     whole: Depth,
@@ -49,7 +51,7 @@ def add_errors(
     and `group` is that of the depth. off: largest distance of the two surfaces, metres; it becomes the largest of the
     children. An error is the sum, and at least the children's.
     """
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         at = entry(coarser, p[0], p[1])
         plain = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))

@@ -254,10 +254,10 @@ def patch_errors(
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
         at = entry(cells, x, y)
-        off[at] = apart
+        put(off, at, apart)
         exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
-        errors[at] = wp.min(exact, curvature)
-        curvatures[at] = curvature
+        put(errors, at, wp.min(exact, curvature))
+        put(curvatures, at, curvature)
         a = b
         b = c
         c = d

@@ -28,7 +28,7 @@ class Occluder:
     step_y: wp.float64
     scale: wp.float64
     tops: wp.array(dtype=wp.float32)  # maxima of blocks, minima for a negative scale
-    first: wp.array(dtype=wp.int32)  # [levels]: first block of each level
+    first: wp.array(dtype=wp.int64)  # [levels]: first block of each level
     wide: wp.array(dtype=wp.int32)  # [levels]: blocks in a row
     levels: wp.int32  # 0 for no blocks; every crossing is visited then
     highest: wp.float64  # after scaling
@@ -103,7 +103,8 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
                           {y0, dy, 1.0 / dy, rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
     const long long strides[2] = {1, columns};
     const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
-    const int *const first = g.first.data, *const wide = g.wide.data, levels = g.levels;
+    const wp::int64 *const first = g.first.data;
+    const int *const wide = g.wide.data, levels = g.levels;
     const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;
     double best = lowest;
     auto height = [&](long long k) __attribute__((always_inline)) {
@@ -140,7 +141,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
         const int d = to[0] > to[1];
         const double out = to[d];
         if (l) {
-            const double top = scale * tops[first[l] + block[1] * wide[l] + block[0]] - below;
+            const double top = scale * tops[first[l] + (wp::int64)block[1] * wide[l] + block[0]] - below;
             // For a negative horizon the far end of the path through the block counts.
             if (top > best * (best < 0.0 ? out : way)) {
                 l = l > FINEST ? l - 1 : 0;

@@ -10,7 +10,7 @@ two levels. Boundary: heights are extrapolated linearly, h(-1) = 2 h(0) - h(1), 
 import warp as wp
 
 from ..field.codes import Samples, sample_at
-from ..unchecked import item_at
+from ..unchecked import item_at, put
 
 # Height in metres; d/dx, d/dy; d2/dx2, d2/dxdy, d2/dy2: x to the east, y to the north, per metre.
 Jet = wp.types.vector(length=6, dtype=wp.float64)
@@ -109,7 +109,7 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
         inner = middle and x > 0 and x < ground.columns[below] - 1
         h = filtered_row(ground, below, x, y - 1, inner) + filtered_row(ground, below, x, y + 1, inner)
         h += wp.float64(2.0) * filtered_row(ground, below, x, y, inner)
-        out[to + wp.int64(column)] = wp.float32(h * wp.float64(0.0625))
+        put(out, to + wp.int64(column), wp.float32(h * wp.float64(0.0625)))
 
 
 # The jet at u, v of the cell of sample (x + 1, y + 1), from the samples x .. x + 3 of the rows y .. y + 3. Heights are

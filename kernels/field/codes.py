@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..unchecked import item_at, prefetch
+from ..unchecked import item_at, prefetch, put
 
 
 @wp.struct
@@ -32,6 +32,12 @@ def sample_at(s: Samples, i: wp.int64) -> wp.float32:
 
 
 @wp.func
+def sample_index(s: Samples, i: wp.int32, j: wp.int32) -> wp.int64:
+    """Return the index of the sample in column i of row j."""
+    return wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
+
+
+@wp.func
 def height_at(s: Samples, i: wp.int64) -> wp.float64:
     """Return sample i, metres, as float64."""
     return wp.float64(sample_at(s, i))
@@ -40,7 +46,7 @@ def height_at(s: Samples, i: wp.int64) -> wp.float64:
 @wp.func
 def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
     """Return the heights, metres, at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
-    south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
+    south = sample_index(s, i, j)
     north = south + wp.int64(s.columns)
     one = wp.int64(1)
     return wp.vec4d(height_at(s, south), height_at(s, south + one), height_at(s, north), height_at(s, north + one))
@@ -114,6 +120,6 @@ def encode_errors(
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):
         i = begin + wp.int64(k)
-        error = errors[i]
+        error = item_at(errors, i)
         if error > wp.float32(0.0):
-            codes[i] = code_of(table, group, error)
+            put(codes, i, code_of(table, group, error))

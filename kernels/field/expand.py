@@ -12,14 +12,14 @@ from .layout import Depth, child, diamond, entry, holds
 
 @wp.kernel
 def raise_codes(
-    offset: int,
+    offset: wp.int64,
     finer: Depth,
     coarser: Depth,
     translated: wp.array(dtype=wp.uint8),
     codes: wp.array(dtype=wp.uint8),
 ):
     """Set the code of diamond `offset + tid` of depth `coarser` to the largest of its children, translated."""
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         largest = wp.uint8(0)
         for k in range(4):
@@ -31,8 +31,8 @@ def raise_codes(
 
 @wp.kernel
 def raise_cells(
-    offset: int,
-    first: int,
+    offset: wp.int64,
+    first: wp.int64,
     old_cells: Depth,
     old: wp.array(dtype=wp.uint8),
     cells: Depth,
@@ -43,7 +43,7 @@ def raise_cells(
 
     The thread works on cell `first + offset + tid`. old_cells: layout of the array `old`.
     """
-    p = diamond(cells, first + offset + wp.tid())
+    p = diamond(cells, first + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))
     for k in range(4):
         step = 2 * (k & 1) - 1

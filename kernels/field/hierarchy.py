@@ -8,8 +8,8 @@ distances are exact, and a flat or planar map has an error of exactly zero.
 
 import warp as wp
 
-from ..unchecked import item_at
-from .codes import Samples
+from ..unchecked import item_at, put
+from .codes import Samples, sample_index
 from .layout import Depth, child, diamond, entry, holds
 
 
@@ -24,7 +24,7 @@ def round_up(value: wp.float64):
 
 @wp.func
 def row_error(
-    h: wp.array(dtype=wp.float32), first: int, count: int, plane: wp.float64, slope: wp.float64
+    h: wp.array(dtype=wp.float32), first: wp.int64, count: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
     """Return the largest distance, metres, of `count` samples in a row from a plane.
 
@@ -32,7 +32,7 @@ def row_error(
     """
     largest = wp.float64(0.0)
     for i in range(count):
-        distance = wp.abs(wp.float64(item_at(h, first + i)) - (plane + slope * wp.float64(i)))
+        distance = wp.abs(wp.float64(item_at(h, first + wp.int64(i))) - (plane + slope * wp.float64(i)))
         largest = wp.where(distance > largest, distance, largest)
     return largest
 
@@ -40,7 +40,8 @@ def row_error(
 @wp.func
 def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
     """Return the height of vertex (x, y), in samples, metres; beyond the border that of the nearest sample."""
-    return wp.float64(raster.floats[wp.min(y, raster.rows - 1) * raster.columns + wp.min(x, raster.columns - 1)])
+    at = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
+    return wp.float64(item_at(raster.floats, at))
 
 
 @wp.func
@@ -52,7 +53,7 @@ def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, s
     inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
     if inside > 0 and y < raster.rows:
-        largest = row_error(raster.floats, y * raster.columns + x, inside, plane, slope)
+        largest = row_error(raster.floats, sample_index(raster, x, y), inside, plane, slope)
     return largest
 
 
@@ -67,28 +68,32 @@ def diagonal_inside(
     the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
     """
     h = raster.floats
-    width = raster.columns
+    to_side = wp.int64(right)  # to the next sample in a row, and in a column
+    to_row = wp.int64(up) * wp.int64(raster.columns)
     first = wp.int32(0)
     end = cells
     if right > 0:
-        end = wp.min(end, width - 1 - x)
+        end = wp.min(end, raster.columns - 1 - x)
     else:
-        first = wp.max(first, x - (width - 1))
+        first = wp.max(first, x - (raster.columns - 1))
     if up > 0:
         end = wp.min(end, raster.rows - 1 - y)
     else:
         first = wp.max(first, y - (raster.rows - 1))
     largest = wp.float64(0.0)
     if first < end:
-        at = (y + up * first) * width + x + right * first
-        e0 = wp.float64(h[at]) - (plane + slope * wp.float64(first))
+        at = sample_index(raster, x + right * first, y + up * first)
+        z0 = wp.float64(item_at(h, at))
+        e0 = z0 - (plane + slope * wp.float64(first))
         for i in range(first, end):
-            far = at + right + up * width
-            e1 = wp.float64(h[far]) - (plane + slope * wp.float64(i + 1))
-            twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[at + right]) - wp.float64(h[at + up * width])
+            far = at + to_side + to_row
+            z1 = wp.float64(item_at(h, far))
+            e1 = z1 - (plane + slope * wp.float64(i + 1))
+            twist = z0 + z1 - wp.float64(item_at(h, at + to_side)) - wp.float64(item_at(h, at + to_row))
             if wp.abs(e1 - e0) < wp.abs(twist):
                 rest = twist - (e1 - e0)
                 largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+            z0 = z1
             e0 = e1
             at = far
     return largest
@@ -104,7 +109,7 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Dep
     for k in range(4):
         c = child(coarser, p, k)
         if holds(finer, c):
-            largest = wp.max(largest, values[entry(finer, c[0], c[1])])
+            largest = wp.max(largest, item_at(values, entry(finer, c[0], c[1])))
     return largest
 
 
@@ -129,7 +134,7 @@ def corner_error(
 
 @wp.kernel
 def centre_errors(
-    offset: int,
+    offset: wp.int64,
     raster: Samples,
     measured: Samples,
     side: int,
@@ -143,7 +148,7 @@ def centre_errors(
     The thread works on diamond `offset + tid`: the largest distance of samples from its two triangles, and its
     children's errors. root: 1 if these cells are the root squares. measured: samples, NaN where they do not count.
     """
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
     n = wp.float64(side)
     largest = wp.float64(0.0)
@@ -157,12 +162,12 @@ def centre_errors(
         slope_y = wp.float64(up) * (vertex_height(raster, x, y + up * side) - z) / n
         slope = wp.vec2d(slope_x, slope_y)
         largest = wp.max(largest, corner_error(measured, x, y, right, up, side, z, slope))
-    errors[entry(coarser, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, coarser, p))
+    put(errors, entry(coarser, p[0], p[1]), wp.max(round_up(largest), largest_below(errors, finer, coarser, p)))
 
 
 @wp.kernel
 def side_errors(
-    offset: int,
+    offset: wp.int64,
     raster: Samples,
     measured: Samples,
     half: int,
@@ -175,7 +180,7 @@ def side_errors(
     The thread works on diamond `offset + tid`. Each of the two triangles consists of two right ones with their
     corners in the middle. measured: samples, NaN where they do not count.
     """
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):
         return
     x = p[0] * half
@@ -203,7 +208,7 @@ def side_errors(
                 rise = wp.float64(across) * (z - middle) / n
                 slopes = wp.where(flat == 1, wp.vec2d(slope, rise), wp.vec2d(rise, slope))
                 largest = wp.max(largest, corner_error(measured, x, y, right, up, half, middle, slopes))
-    errors[entry(coarser, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, coarser, p))
+    put(errors, entry(coarser, p[0], p[1]), wp.max(round_up(largest), largest_below(errors, finer, coarser, p)))
 
 
 @wp.kernel
@@ -213,14 +218,15 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
     It is 0 if a sample is NaN.
     """
     h = measured.floats
-    width = measured.columns
     cy = offset + wp.tid()
-    for cx in range(width - 1):
-        at = cy * width + cx
-        near = wp.float64(h[at]) - wp.float64(h[at + 1])
-        far = wp.float64(h[at + width + 1]) - wp.float64(h[at + width])
+    for cx in range(measured.columns - 1):
+        south = sample_index(measured, cx, cy)
+        north = south + wp.int64(measured.columns)
+        east = wp.int64(1)
+        near = wp.float64(item_at(h, south)) - wp.float64(item_at(h, south + east))
+        far = wp.float64(item_at(h, north + east)) - wp.float64(item_at(h, north))
         twist = wp.abs(near + far) * wp.float64(0.25)
-        errors[entry(cells, cx, cy)] = wp.where(twist > wp.float64(0.0), round_up(twist), wp.float32(0.0))
+        put(errors, entry(cells, cx, cy), wp.where(twist > wp.float64(0.0), round_up(twist), wp.float32(0.0)))
 
 
 @wp.kernel
@@ -233,12 +239,12 @@ def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(
     last = wp.float32(0.0)
     for cx in range(cells.columns):
         cell = entry(cells, cx, cy)
-        last = wp.max(errors[cell], last * part)
-        errors[cell] = last
+        last = wp.max(item_at(errors, cell), last * part)
+        put(errors, cell, last)
     for i in range(cells.columns):
         cell = entry(cells, cells.columns - 1 - i, cy)
-        last = wp.max(errors[cell], last * part)
-        errors[cell] = last
+        last = wp.max(item_at(errors, cell), last * part)
+        put(errors, cell, last)
 
 
 @wp.kernel
@@ -252,9 +258,9 @@ def saturate_columns(offset: int, block: int, part: wp.float32, cells: Depth, er
     for i in range(cells.rows - 1):
         for x in range(x0, x1):
             cell = entry(cells, x, i + 1)
-            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, i)] * part)
+            put(errors, cell, wp.max(item_at(errors, cell), item_at(errors, entry(cells, x, i)) * part))
     for i in range(cells.rows - 1):
         cy = cells.rows - 2 - i
         for x in range(x0, x1):
             cell = entry(cells, x, cy)
-            errors[cell] = wp.max(errors[cell], errors[entry(cells, x, cy + 1)] * part)
+            put(errors, cell, wp.max(item_at(errors, cell), item_at(errors, entry(cells, x, cy + 1)) * part))

@@ -7,6 +7,7 @@
 
 import warp as wp
 
+from ..unchecked import item_at, put
 from .layout import Depth, child, diamond, entry, holds
 
 GROUND = wp.constant(wp.uint8(1))
@@ -19,7 +20,8 @@ def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j:
     at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
     above = at + wp.int64(columns)
     one = wp.int64(1)
-    return wp.min(wp.min(valid[at], valid[at + one]), wp.min(valid[above], valid[above + one])) > wp.uint8(0)
+    south = wp.min(item_at(valid, at), item_at(valid, at + one))
+    return wp.min(south, wp.min(item_at(valid, above), item_at(valid, above + one))) > wp.uint8(0)
 
 
 @wp.kernel
@@ -27,12 +29,12 @@ def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: 
     """Write whether each cell of row `offset + tid` is GROUND or a HOLE: one with an invalid sample."""
     cy = offset + wp.tid()
     for cx in range(width - 1):
-        kinds[entry(cells, cx, cy)] = wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE)
+        put(kinds, entry(cells, cx, cy), wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE))
 
 
 @wp.kernel
 def raise_borders(
-    offset: int,
+    offset: wp.int64,
     longest: wp.float32,
     finer: Depth,
     coarser: Depth,
@@ -43,14 +45,14 @@ def raise_borders(
 
     The error becomes at least `longest` metres, so that borders of holes are refined down to cells.
     """
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         kind = wp.uint8(0)
         for k in range(4):
             c = child(coarser, p, k)
             if holds(finer, c):
-                kind = kind | kinds[entry(finer, c[0], c[1])]
+                kind = kind | item_at(kinds, entry(finer, c[0], c[1]))
         at = entry(coarser, p[0], p[1])
-        kinds[at] = kind
+        put(kinds, at, kind)
         if kind == GROUND | HOLE:
-            errors[at] = wp.max(errors[at], longest)
+            put(errors, at, wp.max(item_at(errors, at), longest))

@@ -40,14 +40,14 @@ def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
 
 
 @wp.func
-def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
+def diamond(depth: Depth, t: wp.int64) -> wp.vec2i:
     """Return diamond number `t` of a depth, row by row.
 
     A row of sides between cells has one more than a row through centres, whose last number is beyond the east end.
     """
     stride = wp.where(depth.sides == 1, depth.columns / 2 + 1, depth.columns)
-    y = t / stride
-    x = t - y * stride
+    y = wp.int32(t / wp.int64(stride))
+    x = wp.int32(t - wp.int64(y) * wp.int64(stride))
     if depth.sides == 1:
         x = 2 * x + ((y + 1) & 1)
     return wp.vec2i(x, y)

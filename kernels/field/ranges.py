@@ -8,7 +8,7 @@ are flat: lower and upper of a diamond are adjacent, diamonds in the order of `c
 import warp as wp
 
 from ..unchecked import item_at, put
-from .codes import Samples
+from .codes import Samples, sample_index
 from .layout import Depth, child, diamond, entry, holds
 
 # Samples from the middle of a side of 4 x 4 cells to the border of its diamond's box.
@@ -49,21 +49,20 @@ def finest_ranges(
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
     h = raster.floats
-    width = raster.columns
     south = wp.clamp(2 * y - REACH, 0, raster.rows - 1)
     north = wp.min(2 * y + REACH, raster.rows - 1)
     for x in range(1 - (y & 1), finest.columns + 1, 2):
-        west = wp.clamp(2 * x - REACH, 0, width - 1)
-        low = h[south * width + west]
+        west = wp.clamp(2 * x - REACH, 0, raster.columns - 1)
+        low = item_at(h, sample_index(raster, west, south))
         high = low
         for j in range(south, north + 1):
-            for i in range(west, wp.min(2 * x + REACH, width - 1) + 1):
-                z = h[j * width + i]
+            for i in range(west, wp.min(2 * x + REACH, raster.columns - 1) + 1):
+                z = item_at(h, sample_index(raster, i, j))
                 low = wp.where(z < low, z, low)
                 high = wp.where(z > high, z, high)
         at = wp.int64(2) * entry(finest, x, y)
-        ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
-        ranges[at + wp.int64(1)] = quantise_up(wp.float64(high), base, step, per_step)
+        put(ranges, at, quantise_down(wp.float64(low), base, step, per_step))
+        put(ranges, at + wp.int64(1), quantise_up(wp.float64(high), base, step, per_step))
 
 
 @wp.func
@@ -93,9 +92,9 @@ def patches_around(
 
 
 @wp.kernel
-def unite_children(offset: int, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
+def unite_children(offset: wp.int64, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Compute the range of diamond `offset + tid` as the union of those of its up to four children."""
-    p = diamond(coarser, offset + wp.tid())
+    p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for k in range(4):

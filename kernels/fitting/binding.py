@@ -4,11 +4,12 @@
 import warp as wp
 
 from ..field.domain import Domain
+from ..unchecked import item_at, put
 from .mesh import KNOWN, PINNED, FitMesh
 
 
 @wp.func
-def sample_index(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
+def vertex_index(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
     """Return the index of vertex (i, j), a sample or a point of the padding, in the arrays of `store_heights`."""
     return wp.int64(j) * wp.int64((d.columns << d.levels) + 1) + wp.int64(i)
 
@@ -23,7 +24,7 @@ def place_vertices(
 ):
     """Write the lattice position of vertex `offset + tid`, and restore height and state from the mesh before.
 
-    heights, states: by `sample_index`, from `store_heights`.
+    heights, states: by `vertex_index`, from `store_heights`.
     """
     v = offset + wp.tid()
     d = m.domain
@@ -37,10 +38,10 @@ def place_vertices(
     bits = d.unit_bits - d.levels
     state = PINNED  # inside a raster's cell
     if ((x | y) & ((1 << bits) - 1)) == 0:
-        at = sample_index(d, x >> bits, y >> bits)
-        state = states[at]
+        at = vertex_index(d, x >> bits, y >> bits)
+        state = item_at(states, at)
         if (state & KNOWN) != wp.uint8(0):
-            p = wp.vec3f(p[0], p[1], heights[at])
+            p = wp.vec3f(p[0], p[1], item_at(heights, at))
             positions[v] = p
     m.z[v] = p[2]
     m.state[v] = state & PINNED
@@ -72,6 +73,6 @@ def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), 
     bits = d.unit_bits - d.levels
     p = m.point[v]
     if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
-        at = sample_index(d, p[0] >> bits, p[1] >> bits)
-        heights[at] = m.z[v]
-        states[at] = m.state[v] | KNOWN
+        at = vertex_index(d, p[0] >> bits, p[1] >> bits)
+        put(heights, at, m.z[v])
+        put(states, at, m.state[v] | KNOWN)

@@ -14,7 +14,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     typedef float lanes __attribute__((vector_size(32)));
     typedef int masks __attribute__((vector_size(32)));
     const float* data = d.samples.floats.data;
-    const int size = (int)d.samples.floats.shape[0], width = d.samples.columns, height = d.samples.rows;
+    const int width = d.samples.columns, height = d.samples.rows;
+    const long long size = (long long)width * height;
     const int bits = d.unit_bits - d.levels;
     const int apex_x = apex[0] >> bits, left_x = (left[0] - apex[0]) >> bits, right_x = (right[0] - apex[0]) >> bits;
     const int apex_y = apex[1] >> bits, left_y = (left[1] - apex[1]) >> bits, right_y = (right[1] - apex[1]) >> bits;
@@ -29,7 +30,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
     lanes largest = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
-    const int origin = apex_y * width + apex_x;
+    const long long origin = (long long)apex_y * width + apex_x;
     const int right_border = width - 1 - apex_x, upper_border = height - 1 - apex_y;  // nothing counts beyond
     const int south = wp::min(wp::min(left_y, right_y), 0);
     const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_border);
@@ -37,10 +38,11 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         const int away = wp::abs(y);
         int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
-        const int row = origin + y * width, last = wp::min(first + samples - 1, right_border);
+        const long long row = origin + (long long)y * width;
+        const int last = wp::min(first + samples - 1, right_border);
         const float base = rest + slope_y * (float)y;
         for (int x = first; x <= last; x += 8) {
-            int from = row + x;
+            long long from = row + x;
             lanes heights;
             if (size >= 8) {  // not beyond the last sample
                 from = wp::min(from, size - 8);
@@ -84,10 +86,10 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             continue;
         x += skip * dx;
         y += skip * dy;
-        int at = origin + y * width + x;
+        long long at = origin + (long long)y * width + x;
         float r0 = (data[at] - high) - (rest + slope_x * (float)x + slope_y * (float)y);
         for (int k = skip; k < end; ++k) {
-            const int across = at + dx, along = at + dy * width, next = along + dx;
+            const long long across = at + dx, along = at + dy * width, next = along + dx;
             const float r1 = (data[next] - high) - (rest + slope_x * (float)(x + dx) + slope_y * (float)(y + dy));
             const float twist = (data[at] - data[across]) - (data[along] - data[next]);
             const float turn = r1 - r0 - twist;

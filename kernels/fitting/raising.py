@@ -7,6 +7,7 @@ from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..morph.lattice import half_edge
 from ..refine.stored_errors import place
+from ..unchecked import item_at, put
 
 # Codes of errors while a mesh is fitted: PER_OCTAVE in an octave, the first one stands for MIN_ERROR times the
 # requested error. A diamond with RAISED, twice the requested error, is split.
@@ -49,8 +50,8 @@ def raise_ancestors(
         top -= 1
         q = stack[top]
         at = entry_of(d, q[0], q[1], q[2])
-        if wp.int32(codes[at]) < code:
-            codes[at] = wp.uint8(code)
+        if wp.int32(item_at(codes, at)) < code:
+            put(codes, at, wp.uint8(code))
             if q[2] > 1:
                 along = half_edge(d.unit_bits, wp.vec2i(q[0], q[1]), q[2])
                 for k in range(2):  # an apex is as far on either side of the edge

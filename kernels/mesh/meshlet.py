@@ -10,7 +10,6 @@ inside. Side 0 runs from left to apex, 1 from apex to right, 2 from right to lef
 
 import warp as wp
 
-from ..refine.curve import DEEPEST
 from ..refine.runs import NOT_CLEAR, Run
 from ..unchecked import item_at, look_up, number_row, put
 
@@ -149,6 +148,12 @@ def expand(
         number_row(out.level, leaf * t.triangles, t.triangles, level + t.levels, 0)
 
 
+@wp.func
+def length_of(level: wp.int32) -> wp.int64:
+    """Return the part of a root square's curve that a leaf of a level takes, times 2^62."""
+    return wp.int64(1) << wp.int64(62 - level)
+
+
 @wp.kernel
 def find_common_points(
     last_leaves: wp.int32,
@@ -170,13 +175,11 @@ def find_common_points(
     """
     i = wp.int32(0)
     j = wp.int32(0)
-    end_i = wp.int64(0)  # end of the current leaf along the curve
-    end_j = wp.int64(0)
+    ahead = wp.int64(0)  # end of leaf i along the curve less that of leaf j
     found = wp.int64(0)
     goes_on = wp.bool(False)  # whether the run of the previous leaf goes on
     if leaves > 0 and last_leaves > 0:
-        end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
-        end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])
+        ahead = length_of(level[0]) - length_of(last_level[0])
     while i < leaves and j < last_leaves:
         stays = level[i] == last_level[j]
         if stays:
@@ -189,14 +192,14 @@ def find_common_points(
                 found += wp.int64(1)
             runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
         goes_on = stays
-        next_i = end_i <= end_j
-        next_j = end_j <= end_i
+        next_i = ahead <= wp.int64(0)
+        next_j = ahead >= wp.int64(0)
         if next_i:
             i += 1
             if i < leaves:
-                end_i += wp.int64(1) << wp.int64(DEEPEST - level[i])
+                ahead += length_of(level[i])
         if next_j:
             j += 1
             if j < last_leaves:
-                end_j += wp.int64(1) << wp.int64(DEEPEST - last_level[j])
+                ahead -= length_of(last_level[j])
     count[0] = found

@@ -21,8 +21,6 @@ CORNER = wp.constant(8)  # ... whose entry edge ends on the corner that the squa
 DEPTH_SHIFT = wp.constant(9)
 LAST = wp.constant(15)  # the square's last leaf
 
-DEEPEST = wp.constant(40)  # levels of a tree, those of its root squares included
-
 # Types of passage: entered by a leg and left by a leg, by hypotenuse and leg, by leg and hypotenuse. A state is a type
 # and, as its lowest bit, whether the third edge is old.
 LEG_LEG = wp.constant(0)

@@ -12,7 +12,7 @@ import warp as wp
 
 from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
-from ..unchecked import item_at
+from ..unchecked import item_at, put
 from .diamond import heights_of_cells, larger, smaller
 from .hiding import BINS, ROW, bin_of, radius_of
 from .local_view import LocalView
@@ -32,7 +32,7 @@ class HorizonBlocks:
 
     # Per block: minimum of heights, minimum of negated heights; from level FINEST, row by row from the south-west.
     min_height: wp.array(dtype=wp.float32)
-    first: wp.array(dtype=wp.int32)  # per level: number of its first block
+    first: wp.array(dtype=wp.int64)  # per level: number of its first block
     wide: wp.array(dtype=wp.int32)  # per level: blocks in a row
 
 
@@ -59,9 +59,9 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
         i = k << FINEST
         i1 = wp.min(i + beside, domain.samples.columns - 2)
         low, high = heights_of_cells(domain, i, j, i1, j1)
-        at = 2 * ((j >> FINEST) * wide + k)
-        min_height[at] = wp.float32(low - wp.abs(low) * OUTWARD)
-        min_height[at + 1] = wp.float32(-high - wp.abs(high) * OUTWARD)
+        at = wp.int64(2) * (wp.int64(j >> FINEST) * wp.int64(wide) + wp.int64(k))
+        put(min_height, at, wp.float32(low - wp.abs(low) * OUTWARD))
+        put(min_height, at + wp.int64(1), wp.float32(-high - wp.abs(high) * OUTWARD))
 
 
 @wp.func
@@ -72,10 +72,9 @@ def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.i
     """
     min_height = wp.float64(0.0)
     if level > 0:
-        row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
-        min_height = wp.float64(
-            item_at(blocks.min_height, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1)))
-        )
+        block = item_at(blocks.first, level) + wp.int64(j) * wp.int64(item_at(blocks.wide, level)) + wp.int64(i)
+        side = wp.int64(wp.where(up > wp.float64(0.0), 0, 1))
+        min_height = wp.float64(item_at(blocks.min_height, wp.int64(2) * block + side))
     else:
         min_height = min_of_cells(domain, i, j, i, j, up)
     return min_height

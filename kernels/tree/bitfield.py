@@ -19,7 +19,6 @@ from ..unchecked import item_at
 from .atomic import compare_exchange, fetch_add, highest_bit, lowest_bit
 
 WORD_BITS = wp.constant(6)  # log2 of the bits of a word
-LEVELS = wp.constant(7)  # of words in a tree of depth 40
 ROOT = wp.constant(64)  # slot of the highest word; page 0 stays empty, and words without a page refer to it
 CHANGED = wp.constant(-1)  # in place of a counter that has to be summed again
 LEVEL_SHIFT = wp.constant(28)  # of a word's level in the list of changed words

@@ -120,13 +120,16 @@ SIZES = {
     (3601, 1801): (2, 1, 11),
     (20_000, 20_000): (1, 1, 15),
     (28_673, 28_673): (1, 1, 15),
+    (100_352, 70_000): (1, 1, 17),
+    (1 << 29, 2): ((1 << 29) - 1, 1, 0),
+    ((1 << 29) + 1, (1 << 29) + 1): (1, 1, 29),
 }
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_squares_are_as_large_as_covers_the_short_side_once(size):
     lattice = fit(*size)
-    assert (lattice.columns, lattice.rows, lattice.levels) == SIZES[size] and lattice.can_be_numbered
+    assert (lattice.columns, lattice.rows, lattice.levels) == SIZES[size] and lattice.is_addressable
     assert (lattice.width, lattice.height) == size
 
 

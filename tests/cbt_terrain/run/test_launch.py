@@ -52,6 +52,25 @@ def test_items_of_a_recorded_launch_are_those_of_the_call(recorded, monkeypatch)
         assert (found == wanted).all()
 
 
+@wp.kernel
+def mark(first: wp.int64, out: wp.array(dtype=wp.int32)):
+    i = first + wp.int64(wp.tid())
+    out[i] = out[i] + 1
+
+
+def test_more_items_than_a_launch_holds_are_launched_in_turn(monkeypatch):
+    """No more jobs run at a time than there are threads."""
+    monkeypatch.setattr(launch, "MAX_LAUNCH", 10)
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 1)
+    together, jobs = launch.together, []
+    monkeypatch.setattr(launch, "together", lambda batch: (jobs.append(len(batch)), together(batch)))
+    for threads, expected in ((1, [1] * 10), (3, [3, 3, 3, 1])):
+        found = np.zeros(95, np.int32)
+        launch.spread(mark, 95, [shared(found, wp.int32)], step="mark", threads=threads)
+        assert (found == 1).all() and jobs == expected
+        jobs.clear()
+
+
 @pytest.fixture
 def interruptible():
     """Let Ctrl-C work, which a shell disables for processes in the background."""

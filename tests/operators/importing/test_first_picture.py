@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A large height map is shown quickly and completed beside the window. Renders, farms and packing know the difference."""
+"""A large height map is shown quickly and completed beside the window; renders, farms and packing tell them apart."""
 
 import json
 import threading

@@ -97,9 +97,9 @@ class UnpackedFiles:
         if path not in self._kept:
             inner = self._folder / str(len(self._archives))
             self._archives.append(path)
-            inner.mkdir()
-            file = _unpack(path, inner)
-            self._kept[path] = file, sum(entry.stat().st_size for entry in inner.iterdir())
+            with owned_files.open_folder(inner, make=True):
+                file = _unpack(path, inner)
+            self._kept[path] = file, sum(int(entry.stat().st_size) for entry in inner.iterdir())
             self._remove_oldest()
         self._kept[path] = self._kept.pop(path)
         return self._kept[path][0]
@@ -116,7 +116,7 @@ class UnpackedFiles:
 
         A file that is open stays readable; where the system cannot remove it, it stays until the end.
         """
-        while len(self._kept) > 1 and sum(size for _, size in self._kept.values()) > MAX_UNPACKED_BYTES:
+        while len(self._kept) > 1 and sum(int(size) for _, size in self._kept.values()) > MAX_UNPACKED_BYTES:
             file, _ = self._kept.pop(next(iter(self._kept)))
             with suppress(OSError, NotOursError):
                 owned_files.remove_tree(file.parent, may_be_link=True)

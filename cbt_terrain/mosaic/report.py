@@ -130,7 +130,7 @@ def _expected_bytes(composite: Composite) -> int:
     """Return the bytes of the store, and those of unpacked files during the import."""
     grid = composite.grid
     unpacked = sum(
-        tile.width * tile.height * np.dtype(tile.stored).itemsize
+        int(tile.width * tile.height * np.dtype(tile.stored).itemsize)
         for tile in composite.tiles
         if is_archive(Path(tile.path))
     )

@@ -94,6 +94,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
                 _rows(
                     kernels.keep_rows, lattice, window, tile, KEPT, whole, [values], [flat(kept, wp.float32)], threads
                 )
+        del window  # before the next one takes its memory
     for finer in range(KEPT + 1, lattice.cell_depth):
         below, above = _above(lattice, finer - 1, first), _above(lattice, finer, first)
         _add_errors(field, finer, below, above, wp.vec2i(0, 0), off, errors, threads)

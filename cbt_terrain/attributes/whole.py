@@ -103,5 +103,5 @@ def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) ->
 
 
 def _never(_arrays: dict[str, np.ndarray]) -> bool:
-    """Return False: what is there is computed again."""
+    """Return False, so that a cached result is computed again."""
     return False

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The error hierarchy of the bicubic surface (bicubic.py), computed tile by tile, so that memory has a bound.
 
-A tile computes its cells and the KEPT bisections above them, with the cells around it that they depend on. Coarser
-diamonds, one in 250, are computed for the whole raster at once. Results are codes, in place; a tile with a larger error
-than all before raises the exponent of a group, and the codes so far are translated, which gives the codes of the errors
-themselves (codes.py).
+A tile computes its cells and the TILE_DEPTHS bisections above them, in a window with the cells around it that they
+depend on. Coarser diamonds, one in 250, are computed for the whole raster at once. Results are codes, in place. A tile
+with a larger error than all earlier ones raises the exponent of a group, and the codes so far are translated, which
+gives the codes of the errors themselves (codes.py).
 
 A cell's curvature is at least that of a cell n steps away times 2^-n, so any cell of the raster may count. If no
-curvature of the tile is below a bound of all curvatures times 2^-n, none that is n steps away counts. A tile with
-planar parts fails this test; then so many cells around it are computed that 2^-n is 0 in float32.
+curvature of the tile is below a bound of all curvatures times 2^-n, cells n steps away have no effect. A tile with
+planar parts fails this test; then its window includes all cells for which 2^-n times the bound is not 0 in float32.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ from .lattice import PAGE, Lattice
 # Cells along the side of a tile, a multiple of ALIGNED.
 TILE = 2048
 # Bisections above the cells that tiles compute: the groups 0 and 1, and the first depth of group 2.
-KEPT, FIRST_WHOLE = 9, 2
+TILE_DEPTHS, FIRST_WHOLE = 9, 2
 # Cells around a tile on which its diamonds depend; corners of windows are multiples, so that depths are aligned.
 ALIGNED = 32
 # Curvatures are at most this factor times the relief, and 2^-SMALLEST is 0 in float32.
@@ -47,7 +47,7 @@ class _Window:
 
     Attributes:
         box: cells of the window. A raster's cell beyond is missing.
-        depths: layouts of the arrays, from the cells (0) to KEPT bisections above them.
+        depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them.
         errors, off, curvatures: float32 metres; `off` is the distance to the bilinear surface.
     """
 
@@ -77,8 +77,10 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
         """
         for group, error in found.items():
             largest[group] = max(largest[group], error)
-        own = [codes.exponent_of(error) if error > 0.0 else unused for error in largest]
-        for group, (before, after) in enumerate(zip(exponents, codes.nested(lattice, own), strict=True)):
+        exponents_of_groups = [codes.exponent_of(error) if error > 0.0 else unused for error in largest]
+        for group, (before, after) in enumerate(
+            zip(exponents, codes.nested(lattice, exponents_of_groups), strict=True)
+        ):
             if after != before:
                 translated = codes.translation(*codes.tables([before, after]))
                 codes.translate(out[parts[group]], translated, out[parts[group]])
@@ -88,14 +90,22 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
         window = _compute_tile(field, tile, threads)
         raise_to(_largest(lattice, window))
         _encode(lattice, window, tile, codes.tables(exponents), out, threads)
-        if len(window.depths) > KEPT:
-            for values, kept in ((window.errors, errors), (window.off, off)):
-                whole = _above(lattice, KEPT, first)
+        if len(window.depths) > TILE_DEPTHS:
+            for values, target in ((window.errors, errors), (window.off, off)):
+                whole = _above(lattice, TILE_DEPTHS, first)
                 _rows(
-                    kernels.keep_rows, lattice, window, tile, KEPT, whole, [values], [flat(kept, wp.float32)], threads
+                    kernels.keep_rows,
+                    lattice,
+                    window,
+                    tile,
+                    TILE_DEPTHS,
+                    whole,
+                    [values],
+                    [flat(target, wp.float32)],
+                    threads,
                 )
         del window  # before the next one takes its memory
-    for finer in range(KEPT + 1, lattice.cell_depth):
+    for finer in range(TILE_DEPTHS + 1, lattice.cell_depth):
         below, above = _above(lattice, finer - 1, first), _above(lattice, finer, first)
         _add_errors(field, finer, below, above, wp.vec2i(0, 0), off, errors, threads)
     raise_to({g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, 0)
@@ -145,7 +155,7 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
     )
     box = across, up
     depths, base = [], 0
-    for finer in range(min(KEPT, lattice.cell_depth - 1) + 1):
+    for finer in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
         whole, side, depth = stored_at(lattice, lattice.cell_depth - finer), finer // 2, Depth()
         # A diamond beyond the border that the raster has, but none beyond another side of the window.
         counts = [-(-(end - first) >> side) + 1 for first, end in box]
@@ -176,13 +186,12 @@ def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
 def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
     """Return the largest errors of a window in the groups that tiles encode.
 
-    Those of diamonds at its sides are too small, since they lack what is outside, so they are no larger than the
-    raster's.
+    Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
     found = {lattice.groups + 1: float(window.curvatures.max())}
     ends = [depth.base for depth in window.depths[1:]] + [len(window.errors)]
     for finer, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
-        if finer < KEPT:
+        if finer < TILE_DEPTHS:
             group = lattice.group(lattice.cell_depth - finer)
             found[group] = max(found.get(group, 0.0), float(window.errors[depth.base : end].max()))
     return found
@@ -191,7 +200,7 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
 def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:
     """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1."""
     after = [flat(table, wp.float32)]
-    for finer in range(min(KEPT, len(window.depths))):
+    for finer in range(min(TILE_DEPTHS, len(window.depths))):
         depth = lattice.cell_depth - finer
         whole, more = stored_at(lattice, depth), [*after, lattice.group(depth), flat(out, wp.uint8)]
         _rows(kernels.encode_rows, lattice, window, tile, finer, whole, [window.errors], more, threads)

@@ -41,7 +41,7 @@ class LayerMask:
     digest: str = ""
 
     def __post_init__(self) -> None:
-        """Convert the values to uint8 in C order, and compute what is missing."""
+        """Convert the values to uint8 in C order, and compute the digest and the maxima."""
         values = np.ascontiguousarray(self.values, np.uint8)
         object.__setattr__(self, "values", values)
         content = hashlib.blake2b(repr(values.shape).encode(), digest_size=16)

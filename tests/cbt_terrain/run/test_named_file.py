@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[3]
 READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile"}
 # Reads of files that no user names: of the system, of the package, or written just before; and a writer.
 OWN = {
-    ("cbt_terrain/field/store.py", "np.load(file, mmap_mode='r+')"),
+    ("cbt_terrain/field/store_arrays.py", "np.load(file, mmap_mode='r+')"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
     ("cbt_terrain/importing/archives.py", "gzip.open(file)"),

@@ -172,7 +172,8 @@ def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame |
     for level in levels:
         triangles, positions = level.mesh.triangles, level.mesh.positions.astype(np.float64)
         edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-        ends.append(np.unique(np.sort(edges, 1), axis=0).T)
+        keys = np.unique(edge_keys(edges))  # of integers: of rows it would hold Python's lock for seconds
+        ends.append(np.stack([keys >> 32, keys & 0xFFFFFFFF]))
         points += [positions, 0.5 * (positions[ends[-1][0]] + positions[ends[-1][1]])]
     frame, places, up = place_on_globe(placing, np.concatenate(points), folder)
     cuts = np.cumsum([len(some) for some in points])[:-1]

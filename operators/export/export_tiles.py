@@ -87,7 +87,7 @@ class TileExport(JobOperator, ExportHelper):
         """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
         if not self.options.is_invoke:
             return JobOperator.execute(self, context)
-        operator = getattr(bpy.ops.adaptive_terrain, self.bl_idname.partition(".")[2])
+        operator = getattr(bpy.ops.adaptive_terrain, type(self).bl_idname.partition(".")[2])
         operator("INVOKE_DEFAULT", is_chosen=True, **self.as_keywords(ignore=("is_chosen",)))
         return {"FINISHED"}
 

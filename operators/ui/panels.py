@@ -171,8 +171,9 @@ class OutputPanel(TerrainSubpanel):
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
         if job := jobs.find(jobs.EXPORT, session.shown_terrain(context)):
-            jobs.draw_progress(column, job, job.text)
-        _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
+            jobs.draw_progress(column, job, job.text)  # in place of a button, so that no row moves
+        else:
+            _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
         _waiting_row(column).operator("adaptive_terrain.export_tileset", icon="WORLD")
         row = column.row(align=True)
         row.operator("adaptive_terrain.map_camera", icon="CAMERA_DATA")

@@ -61,6 +61,16 @@ def steps():
     yield from until(lambda: not jobs.running)
     result["store"] = terrain().adaptive_terrain.store
     bpy.ops.wm.save_mainfile()
+    run(operators.export_tileset, error_m=20.0)
+    yield from until(lambda: len(bpy.context.window_manager.windows) > 1)
+    yield 1.0
+    dialog = bpy.context.window_manager.windows[1]
+    with bpy.context.temp_override(window=dialog, area=dialog.screen.areas[0]):
+        result["proposed"] = bpy.context.space_data.params.filename
+        bpy.ops.file.execute("INVOKE_DEFAULT")
+    yield from until(lambda: jobs.find(jobs.EXPORT))
+    yield from until(lambda: not jobs.running)
+    result["tileset"] = sorted(path.suffix for path in folder.glob("Terrain_tileset*"))
     run(operators.measure_accuracy)
     yield from until(threads)
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))

@@ -32,9 +32,9 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
         self.joined = [other.session_uid for other in others]
         paths = [*_sources_of(settings), *(path for other in others for path in _sources_of(other.adaptive_terrain))]
         self.earlier = settings.source_path, [item.path for item in settings.more_sources]
-        # The last file covers the others, so the active terrain's own come last.
-        own = len(_sources_of(settings))
-        _set_sources(settings, list(dict.fromkeys([*paths[own:], *paths[:own]])))
+        # The last file covers the others, so those of the active terrain come last.
+        first = len(_sources_of(settings))
+        _set_sources(settings, list(dict.fromkeys([*paths[first:], *paths[:first]])))
         try:
             return (yield from super().steps(context, job))
         except BaseException:

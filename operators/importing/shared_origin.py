@@ -36,7 +36,7 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
 def keep_anchor_inside(obj, imported: Imported | None) -> None:
     """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster."""
     half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
-    if any(abs(at) > most for at, most in zip(anchor_of(obj), half, strict=True)):
+    if any(abs(at) > border for at, border in zip(anchor_of(obj), half, strict=True)):
         obj.adaptive_terrain.anchor = (0.0, 0.0)
 
 

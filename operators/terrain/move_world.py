@@ -179,9 +179,9 @@ def set_anchor(obj, x: float, y: float) -> None:
     shift_location(obj, Vector((basis @ by).tolist()), set())
     obj.adaptive_terrain.anchor = (x, y)
     back = Matrix.Translation((*(-by).tolist(), 0.0))
-    made = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
+    static = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
     for child in obj.children:
-        if child in made:  # static meshes in the terrain's space
+        if child in static:  # meshes in the terrain's space
             child.data.transform(back)
         elif child not in scatters_of(obj):  # their points follow the anchor by themselves
             child.matrix_parent_inverse = back @ child.matrix_parent_inverse

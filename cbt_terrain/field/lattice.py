@@ -29,6 +29,10 @@ from ..errors import TerrainError
 SIDE_BITS = 29
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
 MAX_MESHLET = 4
+# Anchors are multiples of this number of metres, which float32 holds exactly. Up to NEAR metres from the middle of a
+# raster none is needed: float32 has steps of a quarter of a millimetre there.
+ANCHOR_STEP = 1024.0
+NEAR = 4 * ANCHOR_STEP
 # Vertices along the side of a page of the arrays of diamonds.
 PAGE = 32
 
@@ -79,6 +83,15 @@ class Lattice:
         """Return the west, south, east and north border of the raster, metres in the terrain's space."""
         x, y = 0.5 * self.cells_x * self.step_x, 0.5 * self.cells_y * self.step_y
         return -x - self.anchor_x, -y - self.anchor_y, x - self.anchor_x, y - self.anchor_y
+
+    def anchor_near(self, x: float, y: float) -> tuple[float, float]:
+        """Return an anchor near (x, y), metres from the raster's middle; (0, 0) if that is near enough.
+
+        It is a multiple of ANCHOR_STEP inside the raster.
+        """
+        if max(abs(x), abs(y)) <= NEAR:
+            return 0.0, 0.0
+        return _multiple_near(x, 0.5 * self.cells_x * self.step_x), _multiple_near(y, 0.5 * self.cells_y * self.step_y)
 
     @property
     def squares(self) -> int:
@@ -172,6 +185,12 @@ class Lattice:
     def node_count(self) -> int:
         """Return the number of entries of an error hierarchy."""
         return int(self.layout()[0][-1])
+
+
+def _multiple_near(at: float, limit: float) -> float:
+    """Return the multiple of ANCHOR_STEP from -limit to limit that is nearest to a number."""
+    largest = limit // ANCHOR_STEP * ANCHOR_STEP
+    return min(max(round(at / ANCHOR_STEP) * ANCHOR_STEP, -largest), largest)
 
 
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:

@@ -247,6 +247,8 @@ def _add_export(subparsers) -> None:
         metavar="auto|none|F,F",
         help="attributes to write: those that the scene reads (auto; of a store none), none, or these",
     )
+    about = "positions about a point near --path, not about the raster's middle: precise far from that"
+    verb.add_argument("--anchor", action="store_true", help=about)
     verb.add_argument("--scatter", action="store_true", help="also the points of the scene's scatters, each as CSV")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 

@@ -210,6 +210,8 @@ def _export_source(arguments):
     settings, displacement = given_settings(arguments), _displacement(arguments)
     if arguments.scene:
         need_bpy("A .blend file")
+        if arguments.anchor:
+            raise UsageError("--anchor belongs to --store: in a scene Move World Here sets anchors")
         overrides = Overrides(settings, arguments.interpolation, arguments.effects, displacement)
         return SceneFrames(arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter)
     if arguments.scatter:
@@ -225,6 +227,7 @@ def _export_source(arguments):
         arguments.interpolation or INTERPOLATIONS[0],
         arguments.effects or (),
         displacement,
+        arguments.anchor,
     )
 
 

@@ -14,7 +14,7 @@ from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
-from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS, anchored, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.thinning import loaded_text
 from ...cbt_terrain.mesh.surface import Surface
@@ -75,12 +75,22 @@ class StoreFrames:
         interpolation: str = INTERPOLATIONS[0],
         effects: Sequence[str] = (),
         detail: Detail | None = None,
+        has_anchor: bool = False,
     ):
-        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale."""
+        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale.
+
+        has_anchor: positions are about a point near the path instead of the raster's middle.
+        """
         self.files = [Path(store), Path(path)]
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
-        self.field = with_detail(interpolated(open_store(store), interpolation), detail)
+        field, self.placement = open_store(store), None
+        if has_anchor:
+            x, y = (self.path.values[:, :2].min(axis=0) + self.path.values[:, :2].max(axis=0)) / 2
+            field = anchored(field, *field.lattice.anchor_near(float(x), float(y)))
+            self.placement = np.eye(4)
+            self.placement[:2, 3] = field.lattice.anchor_x, field.lattice.anchor_y
+        self.field = with_detail(interpolated(field, interpolation), detail)
         self.terrain = Terrain(self.field)
         self.effects = plan(AttributeRequest(name, ("the export",), GEOMETRY) for name in effects)
         self.obj = new_object(self.name) if in_blender else None
@@ -99,12 +109,12 @@ class StoreFrames:
     def pieces(self, frame: int) -> Iterator[Piece]:
         """Yield the terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
-        update = self.terrain.update(self.criterion, [view])
+        update = self.terrain.update(self.criterion, [view], self.placement)
         tree, how = self.terrain.saved()
         request = EffectRequest(self.effects, update.surface)
         evaluated = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
         surface = update.surface.with_attributes(evaluated.attributes)
-        info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
+        info = describe(update, self.criterion, [view], self.field, self.placement) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..bridge.writer import write_mesh
 
@@ -235,6 +245,7 @@ def baked_piece(
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
     """Return the info of a piece for JSON. It depends on the frame alone, so it has no times."""
+    anchor = field.lattice.anchor_x, field.lattice.anchor_y
     return {
         "generator": "Adaptive Terrain",
         "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
@@ -244,6 +255,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         **counts(update.surface),
         "views": [_view_to_json(view) for view in views],
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
+        **({"anchor": anchor} if any(anchor) else {}),
         "crs": field.crs,
         "height_field": str(field.key),
         **detail_of(field),

@@ -2,8 +2,8 @@
 """Move World Here: bring a shot to the world's origin, where float32 holds coordinates to a fraction of a millimetre.
 
 All objects move together, so pictures stay the same. Each terrain also gets an anchor: the origin of its object, and of
-the float32 positions of its mesh, is then near the world's origin. Anchors are multiples of GRID, which float32 holds
-exactly, and only this operator changes them: a mesh does not depend on the frame through its anchor.
+the float32 positions of its mesh, is then near the world's origin. Only this operator changes anchors, so none depends on
+the frame.
 """
 
 import bpy
@@ -12,6 +12,7 @@ from mathutils import Matrix, Vector
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import anchored
+from ...cbt_terrain.field.lattice import ANCHOR_STEP, NEAR
 from ...cbt_terrain.view.linear import inverse
 from ..bridge import camera as cameras
 from ..bridge.evaluated import anchor_of, raster_placement_of
@@ -24,8 +25,6 @@ from ..session.pauses import paused
 from ..session.polls import IN_A_MODE, cancelled_by_errors
 from ..session.shot import frames_of
 
-GRID = 1024.0  # metres
-NEAR = 4 * GRID  # up to this distance nothing moves: float32 has steps of a quarter of a millimetre there
 MAX_FRAMES = 24  # of a shot that are looked at
 FOLLOWED = 0.5  # fraction of a move that shows that constraints have moved an object already
 
@@ -51,7 +50,7 @@ class MoveWorld(bpy.types.Operator):
             [obj for obj in session.terrains_of(context.scene) if obj.adaptive_terrain.store],
         )
         middle = middle_of_path(scene)
-        by = -np.round(middle / GRID) * GRID if np.abs(middle).max() > NEAR else np.zeros(2)
+        by = -np.round(middle / ANCHOR_STEP) * ANCHOR_STEP if np.abs(middle).max() > NEAR else np.zeros(2)
         left = move_world(context, by)
         for obj in terrains:
             set_anchor(obj, *nearest_anchor(obj))
@@ -152,13 +151,9 @@ def _curves_of(animation, *paths: str) -> list:
 
 
 def nearest_anchor(obj) -> tuple[float, float]:
-    """Return the anchor of a terrain that is nearest to the world's origin, in multiples of GRID inside its raster."""
-    place = inverse(raster_placement_of(obj))[:2, 3]
-    if np.abs(place).max() <= NEAR:
-        return 0.0, 0.0
-    x, y = (session.open_field(shaped_land.store_of(obj)).lattice.rectangle())[2:]
-    inside = np.floor(np.array([x, y]) / GRID) * GRID
-    return tuple(np.clip(np.round(place / GRID) * GRID, -inside, inside).tolist())
+    """Return the anchor of a terrain that is nearest to the world's origin."""
+    x, y = inverse(raster_placement_of(obj))[:2, 3].tolist()
+    return session.open_field(shaped_land.store_of(obj)).lattice.anchor_near(x, y)
 
 
 def set_anchor(obj, x: float, y: float) -> None:

@@ -47,6 +47,15 @@ def test_the_panel_shows_the_rounding_of_whole_metres(others, dem):
     assert "by the source" in [label.strip() for label, _ in terrain["panel"]]
 
 
+def test_the_world_moves_to_a_camera_far_away(program, dem, tmp_path):
+    """Two placed rasters; keyframes and positions are exact at the world's origin."""
+    found = program.script("move_world.py", tmp_path / "far.blend", dem["whole"])
+    assert found["apart"] == pytest.approx([0.0, 0.0], abs=1e-3), "one file twice is at one place"
+    assert found["anchors"] == [[8192.0, -6144.0]] * 2 and found["locations"] == [[0.0, 0.0]] * 2
+    assert found["camera"] == pytest.approx([8200.0 - 8192.0, 6144.0 - 6200.0, 8300.0 - 8192.0], abs=1e-3)
+    assert found["moved_m"] < 2e-3, "the ground stays below the camera"
+
+
 def test_an_exr_becomes_a_terrain(others, dem):
     """The OpenEXR wheel is not safe inside the real program; the import reads it in a child process."""
     terrain = others[str(dem["exr"])]

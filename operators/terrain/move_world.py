@@ -2,8 +2,8 @@
 """Move World Here: bring a shot to the world's origin, where float32 holds coordinates to a fraction of a millimetre.
 
 All objects move together, so pictures stay the same. Each terrain also gets an anchor: the origin of its object, and of
-the float32 positions of its mesh, is then near the world's origin. Only this operator changes anchors: they do not depend
-on the frame.
+the float32 positions of its mesh, is then near the world's origin. No other operator changes an anchor, and it does not
+depend on the frame.
 """
 
 import bpy

@@ -102,8 +102,6 @@ def raster_of(
     sources. The raster is reprojected if the settings request it or its grid is sheared. notes: warnings so far. Raises
     TerrainError for a missing band or complex values.
     """
-    from rasterio.enums import MaskFlags
-
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
@@ -126,10 +124,7 @@ def raster_of(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
-    flags, no_data = dataset.mask_flag_enums[band - 1], settings.no_data
-    masked = no_data is None and MaskFlags.all_valid not in flags
-    alpha = float_alpha(dataset, band) if no_data is None else 0
-    window = _window_reader(path, dataset, band, masked, no_data, alpha)
+    window, is_plain = _reader_of(path, dataset, settings), driver == "GTiff" and dataset.name == str(path)
     raster = Raster(
         width=dataset.width,
         height=dataset.height,
@@ -139,9 +134,7 @@ def raster_of(
         block_rows=dataset.block_shapes[band - 1][0],
         stored=str(stored),
         format=driver,
-        overview=_overview_opener(
-            path, dataset, driver, lambda small: _window_reader(path, small, band, masked, no_data, alpha)
-        ),
+        overview=lambda factor: open_overview(path, settings, dataset.width, str(stored), factor) if is_plain else None,
     )
     view, projected_from = None, ""
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
@@ -227,33 +220,43 @@ def _window_reader(
     return read
 
 
-def _overview_opener(
-    path: Path, dataset: DatasetReader, driver: str, reader: Callable[[DatasetReader], Callable]
-) -> Callable[[int], Raster | None]:
-    """Return the function `overview` of a Raster. reader(dataset): the function `window` for an open overview."""
+def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
+    """Open the coarsest overview of a GeoTIFF with samples over at most `max_factor` samples a side; None without one.
 
-    def overview(max_factor: int) -> Raster | None:
-        """Open the coarsest overview with at most `max_factor` samples of the file a side of its own."""
-        import rasterio
+    The file was opened and checked before. width: its columns. stored: type of its samples.
+    """
+    import rasterio
 
-        factors = dataset.overviews(1) if driver == "GTiff" and dataset.name == str(path) else []
-        fitting = [factor for factor in factors if 1 < factor <= max_factor]
-        if not fitting:
-            return None
-        level = factors.index(max(fitting))
-        small = rasterio.open(path, driver=driver, sharing=False, OVERVIEW_LEVEL=level)
-        window = reader(small)
-        return Raster(
-            width=small.width,
-            height=small.height,
-            read=lambda first, count: window(first, count, 0, small.width),
-            window=window,
-            stored=small.dtypes[0],
-            format=driver,
-            close=small.close,
-        )
+    level = max_factor.bit_length() - 2  # overviews are 2, 4, 8, ... times coarser
+    if level < 0:
+        return None
+    try:
+        small = rasterio.open(path, driver="GTiff", sharing=False, OVERVIEW_LEVEL=level)
+    except rasterio.errors.RasterioIOError:
+        return None
+    if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
+        small.close()
+        return None
+    window = _reader_of(path, small, settings)
+    return Raster(
+        width=small.width,
+        height=small.height,
+        read=lambda first, count: window(first, count, 0, small.width),
+        window=window,
+        stored=stored,
+        format="GTiff",
+        close=small.close,
+    )
 
-    return overview
+
+def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Callable:
+    """Return the function `window` of a Raster for the band of the settings, with the mask that applies."""
+    from rasterio.enums import MaskFlags
+
+    flags, no_data = dataset.mask_flag_enums[settings.band - 1], settings.no_data
+    masked = no_data is None and MaskFlags.all_valid not in flags
+    alpha = float_alpha(dataset, settings.band) if no_data is None else 0
+    return _window_reader(path, dataset, settings.band, masked, no_data, alpha)
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Quick import: every n-th sample of a large raster, so that its land is shown within seconds.
 
-Samples are those of the raster. Of a raster whose samples take too long to unpack they are means over a small part of
-the coarse step around the place, as an overview of the file has them. The first and the last column
-and row are among them, so the coarse land covers the ground of the complete one, with the same middle. If the step does
-not divide the raster, a sample in between is up to half a step of the raster beside its place.
+The first and the last column and row are always read, so the coarse land covers the ground of the complete one and has
+the same middle. If the step does not divide the raster, samples in between are off their positions by up to half a step
+of the raster. If unpacking all samples would take long, overviews of the file are read instead: means over an eighth of
+the coarse step around each position. Overviews as coarse as the step itself would shift the land by half a step.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ QUICK_SAMPLES = 9 << 19  # 4.7 million: 2 s of work after they are read
 WORTHWHILE = 15
 # Samples that are unpacked at most if there are overviews: 4 ns a sample make 9 s for deflate.
 MAX_UNPACKED = 1 << 31
-FINER = 8  # ratio of the coarse step to that of an overview: a sample is at most 1/16 of the coarse step off its place
+FINER = 8  # ratio of the coarse step to an overview's: a mean is off its position by up to 1/16 of the coarse step
 FROM_OVERVIEWS = {"loaded_from": "overviews"}  # entry of the report
 LOADED = "loaded_m"  # entry of an incomplete store's provenance
 

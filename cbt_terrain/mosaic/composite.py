@@ -15,6 +15,7 @@ import warp as wp
 
 from ...kernels.mosaic import resample
 from ..importing.archives import UnpackedFiles
+from ..importing.gdal_source import open_overview
 from ..importing.raster import NEWEST, RESOLUTION, ImportSettings, Raster
 from ..run import launch
 from ..run.buffers import flat
@@ -218,7 +219,7 @@ class Composite:
 
     def tile_window(self, rank: int, row: int, rows: int, column: int, columns: int) -> np.ndarray:
         """Return a window of a tile as float64 values of the composite, NaN where missing."""
-        return self.values_of(self.tiles[rank], self.raster_of(rank), row, rows, column, columns)
+        return self.values_of(self.tiles[rank], self._raster(rank), row, rows, column, columns)
 
     def values_of(self, tile: SourceTile, raster: Raster, row: int, rows: int, column: int, columns: int) -> np.ndarray:
         """Return a window of a tile's raster, or of an overview of it, as `tile_window` does."""
@@ -229,7 +230,16 @@ class Composite:
         shift = self.shifts.window(tile, row, rows, column, columns) if self.shifts is not None else 0.0
         return heights * tile.scale + tile.offset + shift
 
-    def raster_of(self, rank: int) -> Raster:
+    def overview_of(self, rank: int, max_factor: int) -> Raster | None:
+        """Return an overview of a tile as `open_overview` does. Raises TerrainError if its file has changed."""
+        tile = self.tiles[rank]
+        tile.check_unchanged()
+        if tile.format != "GTiff":
+            return None
+        file = self._unpacked.path_of(Path(tile.path))
+        return open_overview(file, self._settings, tile.width, tile.stored, max_factor)
+
+    def _raster(self, rank: int) -> Raster:
         """Return the raster of a tile, opened. Raises TerrainError if its file has changed."""
         if rank not in self._open:
             tile = self.tiles[rank]

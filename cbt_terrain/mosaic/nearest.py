@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Single samples of a mosaic, for a quick import: the sample of the highest-ranked tile that is nearest to a place.
+"""Single samples of a mosaic, for a quick import: the sample of the highest-ranked tile that is nearest to a position.
 
-For tiles on the grid it is the composite's sample, bit by bit. For others it is up to half a sample beside it. Of a
-mosaic whose samples take too long to unpack, overviews are read where there are any (thinning.py).
+Tiles on the grid give the composite's samples, bit by bit. Samples of other tiles are off by up to half a step of the
+tile. A mosaic whose samples take long to unpack is read from overviews of its files, if they have any (thinning.py).
 """
 
 from collections.abc import Callable
@@ -70,7 +70,7 @@ def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stri
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:
-        small = composite.raster_of(rank).overview(int(stride / FINER + ROUNDING))
+        small = composite.overview_of(rank, int(stride / FINER + ROUNDING))
     if small is None:
         return _read(lambda *window: composite.tile_window(rank, *window), u, v)
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Quick imports: true samples at the right places, the extent of the complete land, and marks of what is missing."""
+"""Quick imports: true samples at the right places, the extent of the complete land, and marks of incomplete stores."""
 
 import json
 from fractions import Fraction

@@ -10,6 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing import thinning
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from fields import reference_heights
@@ -144,6 +145,23 @@ def test_a_fitted_bake_holds_its_error_with_fewer_triangles(store, tmp_path, cap
     first = (tmp_path / "fitted.npz").read_bytes()
     assert command_line.main([*bake, str(tmp_path / "again.npz"), "--fit"]) == 0
     assert (tmp_path / "again.npz").read_bytes() == first
+
+
+def test_a_quick_import_says_what_it_lacks(tmp_path, flight, capsys, monkeypatch):
+    monkeypatch.setattr(thinning, "QUICK_SAMPLES", 500)
+    store = str(tmp_path / "store")
+    assert command_line.main(["import", "island", "--size", "129", "--store", store, "--quick"]) == 0
+    assert "loaded: to 512 m of 64 m" in capsys.readouterr().out
+    assert command_line.main(["info", store]) == 0
+    printed = capsys.readouterr().out
+    assert "loaded: to 512 m of 64 m\n" in printed and "complete: False\n" in printed
+    assert "bounds_against: the surface as loaded so far, to 512 m of 64 m\n" in printed
+    export = ["export", "--store", store, "--path", str(flight), "--frames", "1", "--out", str(tmp_path / "out")]
+    assert command_line.main([*export, "--format", "npz"]) == 0
+    assert "terrain is loaded to 512 m of 64 m" in capsys.readouterr().out
+    assert command_line.main(["import", "island", "--size", "129", "--store", store]) == 0
+    assert command_line.main(["info", store]) == 0
+    assert "loaded" not in capsys.readouterr().out
 
 
 def test_import_info_and_export_by_words(tmp_path, flight, capsys):

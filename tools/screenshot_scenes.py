@@ -155,7 +155,7 @@ def is_shown():
 
 
 def evening_scene():
-    """From a dropped elevation model to a render with water and trees, by clicks on the buttons of the panel."""
+    """Go from a dropped elevation model to a render with water and trees, by clicks on the panel."""
     scene = bpy.context.scene
     run(bpy.ops.mesh.adaptive_terrain_from_file, "INVOKE_DEFAULT", filepath=str(FILE))
     yield from until(lambda: any(len(obj.data.polygons) > 6 for obj in scene.objects if obj.type == "MESH"))

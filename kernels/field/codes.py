@@ -46,7 +46,7 @@ def height_at(s: Samples, i: wp.int64) -> wp.float64:
 @wp.func
 def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
     """Return the heights, metres, at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
-    south = sample_index(s, i, j)
+    south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
     north = south + wp.int64(s.columns)
     one = wp.int64(1)
     return wp.vec4d(height_at(s, south), height_at(s, south + one), height_at(s, north), height_at(s, north + one))

@@ -8,7 +8,7 @@ child never exceeds a parent.
 
 import warp as wp
 
-from ..field.codes import sample_at, sample_index
+from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
@@ -56,10 +56,10 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
         low = domain.range_base + wp.float64(min_code) * domain.range_step
         high = domain.range_base + wp.float64(max_code) * domain.range_step
     else:
-        lowest = sample_at(domain.samples, sample_index(domain.samples, i0, j0))
+        lowest = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.samples.columns) + wp.int64(i0))
         highest = lowest
         for j in range(j0, j1 + 2):
-            row = sample_index(domain.samples, 0, j)
+            row = wp.int64(j) * wp.int64(domain.samples.columns)
             for i in range(i0, i1 + 2):
                 h = sample_at(domain.samples, row + wp.int64(i))
                 lowest = wp.where(h < lowest, h, lowest)

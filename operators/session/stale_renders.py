@@ -80,7 +80,8 @@ def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
 
 def add_message(text: str) -> None:
     """Add a sentence about the render as a whole to the message in the window at its end."""
-    _messages.append(text)
+    if text not in _messages:  # every frame and view layer adds it
+        _messages.append(text)
 
 
 def stale_frame_error(frame: int, errors: list[TerrainError]) -> TerrainError:

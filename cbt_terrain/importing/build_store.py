@@ -30,7 +30,17 @@ from .source_list import file_stat, files_of, names_several
 from .sources import check_file, check_named, open_source
 from .store_job import READING, Tell
 from .thinning import LOADED, loaded_entries, loaded_steps, thinned
-from .tile_import import MEASURING, Crew, TileSource, build_by_tile, is_tiled, open_work
+from .tile_import import (
+    MEASURING,
+    Crew,
+    ImportPart,
+    TileSource,
+    build_by_tile,
+    check_tiled,
+    do_part,
+    is_tiled,
+    open_work,
+)
 
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the file's header has its true size"
@@ -44,6 +54,7 @@ def run_import(
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
     folder: str | None = None,
     crew: Crew | None = None,
+    part: ImportPart | None = None,
 ) -> dict:
     """Import one file in this process and return the report; the store at `path` changes at the very end or not at all.
 
@@ -52,6 +63,7 @@ def run_import(
     Args:
         folder: name of the folder for the new arrays; None for a random one.
         crew: processes that read and measure a large raster; None for this process.
+        part: the part to do of an import by tile; None for all that is not done yet.
 
     Raises TerrainError.
     """
@@ -61,7 +73,7 @@ def run_import(
     if is_archive(source):
         check_file(source)
     with unpacked(source, path / store_folder.scratch_name(folder)) as file:
-        return import_raster(settings, file, path, folder, on_progress, crew=crew)
+        return import_raster(settings, file, path, folder, on_progress, crew=crew, part=part)
 
 
 def import_raster(
@@ -72,6 +84,7 @@ def import_raster(
     on_progress: Callable[[float, str], None],
     open_raster: Callable[[ImportSettings], Raster] = open_source,
     crew: Crew | None = None,
+    part: ImportPart | None = None,
 ) -> dict:
     """Import the raster of the settings in this process, and return the report; see `run_import`.
 
@@ -90,11 +103,14 @@ def import_raster(
             if raster.full_size is None:
                 given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
         digest = source_digest(given, raster.sources)
-        place = _place(settings, raster)
+        place = place_of(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1))
         raster.warnings += notes
+        if part is not None:
+            check_tiled(raster, lattice, settings.name)
+            return do_part(part, path, folder, TileSource(raster, settings, place), lattice, digest, DOUBT)
         reader, crew = HeightReader(raster, settings), crew or Crew()
         with open_work(path, folder, lattice, digest, is_tiled(raster, lattice), doubt=DOUBT) as (draft, work):
             begin = 0.0
@@ -234,7 +250,7 @@ def describe(path: str | os.PathLike) -> dict:
     }
 
 
-def _place(settings: ImportSettings, raster: Raster) -> Georeference:
+def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
     """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given."""
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
     width, height = _size(raster, place)

@@ -21,7 +21,7 @@ def open_draft(
     elsewhere: str = "choose another folder",
     doubt: str = "",
     is_begun: bool = False,
-    keeps_work: bool = False,
+    by_tile: bool = False,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
 
@@ -33,30 +33,36 @@ def open_draft(
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
         is_begun: whether the folder is there, with all arrays.
-        keeps_work: whether a block that fails leaves what can be completed later; a full disk is made free.
+        by_tile: whether the store is made by tile: this takes less room, and a block that fails leaves what can be
+            completed later, unless the disk is the reason.
     """
     draft = None
     try:
         if not is_begun:
-            _check_room(path, lattice, layers, elsewhere + doubt)
+            needed = work_bytes(lattice) if by_tile else store_bytes(lattice, layers)
+            _check_room(path, lattice, needed, elsewhere + doubt)
         draft = store.Draft(path, folder, is_begun)
         yield draft
     except OSError as reason:
-        keeps_work = False
+        by_tile = False
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
-            draft.discard_unless_published(with_work=not keeps_work)
+            draft.discard_unless_published(with_work=not by_tile)
+
+
+def work_bytes(lattice: Lattice) -> int:
+    """Return the bytes that a store takes on the disk while it is made by tile."""
+    return 5 * lattice.width * lattice.height + lattice.node_count * 9 // 8 + 4 * lattice.range_count
 
 
 def store_bytes(lattice: Lattice, layers: int) -> int:
-    """Return the bytes that a store takes on the disk. layers: number of its layers."""
+    """Return the bytes that a store takes on the disk while it is made in one piece. layers: number of its layers."""
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
 
 
-def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:
-    """Raise TerrainError if a store is larger than the free bytes of its disk; `elsewhere`: remedy in the error."""
-    needed = store_bytes(lattice, layers)
+def _check_room(path: Path, lattice: Lattice, needed: int, elsewhere: str) -> None:
+    """Raise TerrainError if a store needs more than the free bytes of its disk; `elsewhere`: remedy in the error."""
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:

@@ -77,13 +77,22 @@ def guard_import(
         files: the files of a mosaic; by default that of the settings.
         more_kernels: further modules of kernels to load.
     """
-    from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges
+    from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges, window_errors
     from ..field.lands import LANDS
     from ..run import launch
     from ..run.warmup import load
 
     with _removed_scratch():
-        for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else []), *more_kernels):
+        for module in (
+            codes,
+            expand,
+            fill,
+            hierarchy,
+            ranges,
+            window_errors,
+            *([holes] if settings.holes else []),
+            *more_kernels,
+        ):
             load(module)
         if settings.source in LANDS:
             launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing

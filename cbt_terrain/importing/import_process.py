@@ -16,6 +16,8 @@ from .guard import VARIABLES, guard_import
 from .raster import ImportSettings
 from .source_list import files_of, names_several
 from .store_job import CHECK_FILE, READING, JobProgress, StoreJob, Tell, serve, wait_for
+from .tile_crew import start_crew
+from .tile_import import ImportPart
 
 MOSAIC = "cbt_terrain.mosaic.import_child"  # the child's module for several files
 
@@ -25,10 +27,10 @@ __all__ = ["ImportJob", "child_main", "import_source"]
 class ImportJob(StoreJob):
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
-    def __init__(self, settings: ImportSettings, store: str | os.PathLike) -> None:
+    def __init__(self, settings: ImportSettings, store: str | os.PathLike, part: ImportPart | None = None) -> None:
         """Start importing into `store` in a child process.
 
-        No process starts if the store has this content already.
+        No process starts if the store has this content already. part: the part to do of an import by tile.
         """
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
@@ -39,7 +41,7 @@ class ImportJob(StoreJob):
         super().__init__(
             MOSAIC if several else "cbt_terrain.importing.import_process",
             store,
-            {"settings": dataclasses.asdict(settings)},
+            {"settings": dataclasses.asdict(settings), "part": part and [part.step, sorted(part.numbers)]},
             what=f"The import of {settings.name}",
             fix=CHECK_FILE,
             reading=settings.source,
@@ -55,6 +57,7 @@ def import_source(
     store: str | os.PathLike,
     on_progress: Tell = lambda _fraction, _message: None,
     on_preview: Callable[[dict], None] = lambda _preview: None,
+    part: ImportPart | None = None,
 ) -> dict:
     """Import in a child process, wait, and return the report, with "unchanged" if the store held this source already.
 
@@ -62,16 +65,22 @@ def import_source(
         source: settings, or a path or the name of a built-in terrain ("island") to import with default settings.
         on_progress: is called repeatedly with a fraction and a message; an exception from it stops the import.
         on_preview: is called with the report on several files before the long work.
+        part: the part to do of a large import, for a farm; an import without one then does the rest.
 
     Raises TerrainError. The store is then as it was before.
     """
     settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
-    return wait_for(lambda: ImportJob(settings, store), on_progress, on_preview)
+    return wait_for(lambda: ImportJob(settings, store, part), on_progress, on_preview)
 
 
 def child_main() -> None:
     """Import the source in the request on stdin, and report on stdout."""
     serve(_import, lambda request: f"The import of {request['settings']['source']}")
+
+
+def part_of(request: dict) -> ImportPart | None:
+    """Return the part of an import that a request has, None for all."""
+    return ImportPart(request["part"][0], frozenset(request["part"][1])) if request["part"] else None
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
@@ -80,6 +89,10 @@ def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict
     begin: says that the child is ready, so threads may start.
     """
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
-    guard_import(settings, path)
-    begin()  # after the guard: threads started before it could still write elsewhere
-    return run_import(settings, path, on_progress, request["folder"])
+    crew = start_crew(settings, "cbt_terrain.importing.tile_crew")  # before the guard: a sandboxed process starts none
+    try:
+        guard_import(settings, path)
+        begin()  # after the guard: threads started before it could still write elsewhere
+        return run_import(settings, path, on_progress, request["folder"], crew=crew, part=part_of(request))
+    finally:
+        crew.close()

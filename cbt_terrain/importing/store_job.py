@@ -229,8 +229,8 @@ class StoreJob(ChildJob):
         return content["report"] if content["data"] == self._folder else None
 
     def _discard(self) -> None:
-        """Remove the incomplete arrays of the child."""
-        store_folder.discard(self._store, self._folder, self._new_folders)
+        """Remove the incomplete arrays of the child; work that can be continued only after a cancel."""
+        store_folder.discard(self._store, self._folder, self._new_folders, with_work=self.cancelled)
 
 
 def _parse_line(line: bytes) -> dict:
@@ -324,8 +324,9 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
             send({"fraction": fraction, "message": message})
 
     def clean_up() -> None:
-        """Remove the arrays of a store that was not completed."""
-        store_folder.discard(Path(request["store"]), request["folder"], list(map(Path, request["new_folders"])))
+        """Remove the arrays of a store that was not completed and cannot be continued."""
+        new_folders = list(map(Path, request["new_folders"]))
+        store_folder.discard(Path(request["store"]), request["folder"], new_folders, with_work=False)
 
     def send_error(error: TerrainError) -> None:
         """Report an error to the parent."""

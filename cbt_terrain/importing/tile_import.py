@@ -7,13 +7,14 @@ import, and if only a part of the sources has changed.
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.build import content_key, no_ground, no_heights
 from ..field.georeference import Georeference
@@ -33,7 +34,10 @@ from .store_job import READING
 TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
 MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
 MEASURING = "Measuring errors"
+PARTS = BEGIN, READ_TILES, FILL, MEASURE = "begin", "read", "fill", "measure"
+TILED_PARTS = READ_TILES, MEASURE  # of some tiles each
 CHECKED_ROWS = 256
+STRIP_ROWS = 512  # of a tile that are read together, to save memory
 READ_SHARE, FILLED_SHARE, MEASURED_SHARE = 0.2, 0.25, 0.85  # of the progress at the end of a step
 
 
@@ -54,6 +58,16 @@ class TileTask(NamedTuple):
     before: dict | None = None
 
 
+class ImportPart(NamedTuple):
+    """A part of an import, for a farm: a step, and the numbers of its tiles.
+
+    A raster that is no mosaic has fewer units to read than tiles; further numbers are ignored.
+    """
+
+    step: str
+    numbers: Collection[int] = ()
+
+
 class TileSource(NamedTuple):
     """What an import by tile reads."""
 
@@ -65,6 +79,16 @@ class TileSource(NamedTuple):
 def is_tiled(raster: Raster, lattice: Lattice) -> bool:
     """Return whether a raster is imported by tile."""
     return lattice.width * lattice.height > TILED_SAMPLES and min(raster.width, raster.height) > 1
+
+
+def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
+    """Raise TerrainError for a raster that is imported in one piece, and so has no parts."""
+    if not is_tiled(raster, lattice):
+        raise TerrainError(
+            f"{name} has {lattice.width} x {lattice.height} samples, too few for an import in parts",
+            expected=f"more than {TILED_SAMPLES:,} samples",
+            fix="import it as a whole",
+        )
 
 
 def perform(work: TileWork, source: TileSource, task: TileTask, threads: int) -> bool:
@@ -109,10 +133,11 @@ def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[T
     """Yield the boxes of a unit, each with its values in the order of the file."""
     raster, place = source.raster, source.place
     if raster.format == MOSAIC:
-        box = grid.owned(grid.box(number))
-        row, rows, column, columns = _in_file(grid.lattice, place, box)
+        tile = grid.owned(grid.box(number))
         assert raster.window is not None
-        yield box, raster.window(row, rows, column, columns)
+        for y in range(tile.y0, tile.y1 + 1, STRIP_ROWS):
+            box = tile._replace(y0=y, y1=min(y + STRIP_ROWS - 1, tile.y1))
+            yield box, raster.window(*_in_file(grid.lattice, place, box))
         return
     count, at_once = _unit_rows(grid, raster), raster.rows_at_once
     for first in range(number * count, min((number + 1) * count, raster.height), at_once):
@@ -149,6 +174,9 @@ class Crew:
             on_progress((number + 1) / len(tasks))
         return True
 
+    def close(self) -> None:
+        """End the processes."""
+
 
 @contextmanager
 def open_work(
@@ -161,21 +189,77 @@ def open_work(
     work = _continued(path, folder, digest) if by_tile else None
     if by_tile and path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
-    with open_draft(path, folder, lattice, doubt=doubt, is_begun=work is not None, keeps_work=by_tile) as draft:
+    with open_draft(path, folder, lattice, doubt=doubt, is_begun=work is not None, by_tile=by_tile) as draft:
         yield draft, work
 
 
 def _continued(path: Path, folder: str, digest: str) -> TileWork | None:
     """Return the work that a killed import with this digest has left in a store, moved to `folder`; None for none."""
+    work = _find_work(path, digest)
+    if work is None:
+        return None
+    os.rename(work.folder, path / folder)
+    return work_in(path / folder)
+
+
+def _find_work(path: Path, digest: str) -> TileWork | None:
+    """Return work with this digest in a store that no process has locked; None for none."""
     for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
         with suppress(OSError):
-            if not store_folder.is_array_folder(found) or found == store_folder.named_folder(path):
-                continue
-            work = None if partial_files.is_in_use(found) else work_in(found)
-            if work is not None and work.digest == digest:
-                os.rename(found, path / folder)
-                return work_in(path / folder)
+            if store_folder.is_array_folder(found) and found != store_folder.named_folder(path):
+                work = None if partial_files.is_in_use(found) else work_in(found)
+                if work is not None and work.digest == digest:
+                    return work
     return None
+
+
+def do_part(
+    part: ImportPart, path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
+) -> dict:
+    """Do a part of an import, and return a report. An import without parts then does the rest. Raises TerrainError.
+
+    BEGIN and FILL need the work alone; several processes may read, or measure, different tiles at a time.
+    """
+    numbers, crew = part.numbers, Crew()
+    if part.step in (BEGIN, FILL):
+        with open_work(path, folder, lattice, digest, True, doubt) as (draft, work):
+            if part.step == FILL and work is None:
+                raise _not_begun(path)
+            work = _started(work, draft, source, lattice, digest)
+            if part.step == FILL:
+                while not _read_units(work, source, crew, lambda _share: None):
+                    work.start_again(draft)
+                limits = tile_steps.limits_of(work)
+                _check_ground(work, limits, source.settings.source)
+                if limits.missing:
+                    tile_steps.fill(work, launch.default_threads())
+            return {"tiles": len(work.grid)}
+    work = _find_work(path, digest)
+    if work is None:
+        raise _not_begun(path)
+    if part.step == READ_TILES:
+        _read_units(work, source, crew, lambda _share: None, numbers)
+    else:
+        _measure_tiles(work, source, tile_steps.limits_of(work), crew, lambda _share: None, numbers)
+    return {"tiles": len(work.grid), "done": sum(number < len(work.grid) for number in numbers)}
+
+
+def _not_begun(path: Path) -> TerrainError:
+    """Return the error about a part of an import before the import was begun."""
+    return TerrainError(
+        f"No import of these sources and settings was begun in {path}",
+        fix="begin it (--only begin), with the same sources and options",
+    )
+
+
+def _started(work: TileWork | None, draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return an earlier work, attached to a draft in its folder, or a new one."""
+    if work is None:
+        work = _new_work(draft, source, lattice, digest)
+    else:
+        work.attach(draft)
+    source.raster.finish(draft.folder)  # other processes read the catalogue of a mosaic there
+    return work
 
 
 def build_by_tile(
@@ -198,11 +282,7 @@ def build_by_tile(
         source_max: returns the rounding error of the heights of a reader, metres.
         crew: does the tasks.
     """
-    if work is None:
-        work = _new_work(draft, source, lattice, digest)
-    else:
-        work.attach(draft)
-    source.raster.finish(draft.folder)  # the crew reads the catalogue of a mosaic there
+    work = _started(work, draft, source, lattice, digest)
     while not _read_units(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
         work.start_again(draft)
     for record in work.records(READ).values():
@@ -232,10 +312,19 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
     return work
 
 
-def _read_units(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:
-    """Read the units that have changed. Return False if heights have to be stored as floats."""
+def _read_units(
+    work: TileWork,
+    source: TileSource,
+    crew: Crew,
+    on_progress: Callable[[float], None],
+    numbers: Collection[int] | None = None,
+) -> bool:
+    """Read the units that have changed. Return False if heights have to be stored as floats.
+
+    numbers: of the units that are looked at, None for all.
+    """
     before, tasks = work.records(READ), []
-    for number in range(unit_count(work.grid, source)):
+    for number in _chosen(unit_count(work.grid, source), numbers):
         inputs = _inputs(work, source, number)
         if number not in before or before[number]["inputs"] != inputs:
             tasks.append(TileTask(READ, number, inputs))
@@ -267,11 +356,18 @@ def _measure_tiles(
     limits: tile_steps.TerrainLimits,
     crew: Crew,
     on_progress: Callable[[float], None],
+    numbers: Collection[int] | None = None,
 ) -> None:
-    """Measure all tiles that have changed."""
+    """Measure the tiles that have changed. numbers: of the tiles that are looked at, None for all."""
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
-    tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in range(len(work.grid))]
+    chosen = _chosen(len(work.grid), numbers)
+    tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
     crew.run(work, source, tasks, on_progress)
+
+
+def _chosen(count: int, numbers: Collection[int] | None) -> list[int]:
+    """Return the numbers below `count` that are in `numbers`; all for None."""
+    return [number for number in range(count) if numbers is None or number in numbers]
 
 
 def _completed(

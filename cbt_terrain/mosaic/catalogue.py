@@ -123,8 +123,8 @@ def build_catalogue(
 ) -> list[SourceTile]:
     """Return the tiles of all files that the settings' sources name, in their order.
 
-    store: its kept catalogue is used where files have not changed; None for none. unpacked: height maps of archives.
-    Raises TerrainError for a file that cannot be a part of a mosaic.
+    store: a store or a folder of arrays, whose catalogue is used where files have not changed; None for none. unpacked:
+    height maps of archives. Raises TerrainError for a file that cannot be a part of a mosaic.
     """
     unpacked = unpacked or UnpackedFiles()
     paths: dict[Path, None] = {}
@@ -231,7 +231,7 @@ def _sum(text: str) -> str:
 
 def _stored_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile]:
     """Return the tiles of a store's catalogue by path, {} without one that can be used."""
-    folder = named_folder(store)
+    folder = store if (store / FILE_NAME).exists() else named_folder(store)
     if folder is None:
         return {}
     try:

@@ -10,11 +10,13 @@ from ..field import store_folder
 from ..importing.archives import UnpackedFiles, unpacking
 from ..importing.build_store import finished_import, import_raster
 from ..importing.guard import guard_import
+from ..importing.import_process import part_of
 from ..importing.raster import ImportSettings, Raster
 from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
 from ..importing.store_job import READING, Tell, serve
-from ..importing.tile_import import Crew
+from ..importing.tile_crew import serve_tasks, start_crew
+from ..importing.tile_import import Crew, ImportPart
 from .mosaic_source import mosaic_raster, open_composite
 from .report import IMPORT_ENTRIES, describe_mosaic
 
@@ -50,6 +52,7 @@ def run_mosaic_import(
     on_progress: Tell = lambda *_: None,
     folder: str | None = None,
     crew: Crew | None = None,
+    part: ImportPart | None = None,
 ) -> dict:
     """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
     store_folder.check_target(path)
@@ -71,7 +74,8 @@ def run_mosaic_import(
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)
-        if not settings.quick and finished_import(path, settings, raster.sources) is None:
+        is_new = part is None and not settings.quick
+        if is_new and finished_import(path, settings, raster.sources) is None:
             details = describe_mosaic(composite, settings)
             on_progress(SCANNED, READING, details)
             raster.warnings += details["warnings"]
@@ -79,12 +83,27 @@ def run_mosaic_import(
         return raster
 
     with unpacked_sources(settings, path / store_folder.scratch_name(folder)) as files:
-        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic, crew)
+        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic, crew, part)
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     """Import in the child process, and return the report."""
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
+    # Before the guard, because a sandboxed process starts none. Archives are unpacked once, for this process alone.
+    crew = Crew() if has_archives(settings) else start_crew(settings, "cbt_terrain.mosaic.import_child")
+    try:
+        guard_mosaic(settings, path)
+        begin()  # after the guard: threads started before it could still write elsewhere
+        return run_mosaic_import(settings, path, on_progress, request["folder"], crew, part_of(request))
+    finally:
+        crew.close()
+
+
+def guard_mosaic(settings: ImportSettings, path: Path) -> None:
+    """Prepare this process for a mosaic, as `guard_import`."""
     guard_import(settings, path, paths_of(settings), (resample,))
-    begin()  # after the guard: threads started before it could still write elsewhere
-    return run_mosaic_import(settings, path, on_progress, request["folder"])
+
+
+def idle_main(line: bytes) -> None:
+    """Do the tasks of a mosaic in an idle process (tile_crew.py)."""
+    serve_tasks(line, guard_mosaic, lambda settings, folder: mosaic_raster(open_composite(settings, folder), settings))

@@ -46,7 +46,7 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
 
     Args:
         variables: additions to its environment.
-        streams: its other standard streams, as of Popen.
+        streams: its other standard streams, as of Popen, which may also have `start_new_session`.
     """
     paths = {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-P", "-c", BOOTSTRAP, *bootstrap_arguments(module, *arguments)]
@@ -66,9 +66,8 @@ def start_program(command: list[str], variables: dict[str, str] | None = None, *
         command,
         env=environment | (variables or {}),
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-        start_new_session=True,
         stdin=subprocess.PIPE,
-        **streams,
+        **{"start_new_session": True, **streams},
     )
 
 

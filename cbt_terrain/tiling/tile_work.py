@@ -12,12 +12,13 @@ A part is finished when its record is written, so a killed process loses one par
 part, because its pages count as memory of the process.
 """
 
+import functools
 import json
 import os
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,6 @@ class TileWork:
     steps: codes.Steps | None
     holes: bool
     digest: str
-    _log: Path | None = field(default=None, init=False)
 
     def arrays(self) -> dict[str, tuple[tuple, DTypeLike]]:
         """Return shapes and types of the arrays by name."""
@@ -97,7 +97,7 @@ class TileWork:
         for file in [self.folder / store_folder.WORK_NAME, *self.folder.glob(f"{PREFIX[:-1]}*.jsonl")]:
             owned_files.remove_file(file)
         draft.remove("samples")
-        self.steps, self._log = None, None
+        self.steps = None
         self.attach(draft)
         self.make_sparse("missing")
         self.describe()
@@ -177,10 +177,8 @@ class TileWork:
 
     def note(self, kind: str, number: int, **values: Any) -> None:
         """Write the record of a finished part."""
-        if self._log is None:
-            self._log = self.folder / f"{PREFIX}{partial_files.new_token()}.jsonl"
         line = json.dumps({"kind": kind, "number": number, "at": time.time_ns(), **values}) + "\n"
-        with self._log.open("a", encoding="utf-8") as file:
+        with (self.folder / _log_name()).open("a", encoding="utf-8") as file:
             file.write(line)
 
     def records(self, kind: str) -> dict[int, dict]:
@@ -207,7 +205,12 @@ class TileWork:
         self._write(RECORDS_NAME, _lines([*self.records(READ).values(), *self.records(MEASURED).values()]))
         for file in files:
             owned_files.remove_file(file)
-        self._log = None
+
+
+@functools.cache
+def _log_name() -> str:
+    """Return the name of this process's file of records."""
+    return f"{PREFIX}{partial_files.new_token()}.jsonl"
 
 
 def _lines(records: list[dict]) -> str:

@@ -196,8 +196,22 @@ def _add_import(subparsers) -> None:
     quick = "of a large raster, load only every n-th sample; the same command without it loads all"
     verb.add_argument("--quick", action="store_const", const=QUICK_SAMPLES, help=quick)
     _add_raw_options(verb)
+    _add_parts(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
+
+
+def _add_parts(verb: argparse.ArgumentParser) -> None:
+    """Add the options of an import that several computers share."""
+    from ...cbt_terrain.importing.tile_import import PARTS
+    from ..export.formats import parse_frames
+
+    part = verb.add_mutually_exclusive_group()
+    part.add_argument("--only", choices=PARTS, help="one part of a large import; without, all that is not done yet")
+    part.add_argument("--job", type=path, metavar="DIR", help="write a job that a render farm runs, and import nothing")
+    tiles = {"type": argument(parse_frames), "metavar": "A-B", "default": ()}
+    verb.add_argument("--tiles", **tiles, help="numbers of the tiles to read or measure, from 0")
+    verb.add_argument("--chunk", type=count_from_one, metavar="N", help=f"tiles of one task of the job ({CHUNK})")
 
 
 def _add_info(subparsers) -> None:

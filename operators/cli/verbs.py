@@ -26,6 +26,7 @@ def run_import(arguments) -> None:
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
     from ...cbt_terrain.importing.source_list import names_several
+    from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
 
     source = arguments.sources[0]
     if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
@@ -36,6 +37,15 @@ def run_import(arguments) -> None:
         wrong = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
         if getattr(arguments, option) is not None and wrong:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
+    if bool(arguments.tiles) != (arguments.only in TILED_PARTS):
+        raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
+    if arguments.chunk and not arguments.job:
+        raise UsageError("--chunk belongs to --job")
+    if arguments.job:
+        for line in _write_import_job(arguments, settings):
+            print_line(line)
+        return
+    part = ImportPart(arguments.only, frozenset(arguments.tiles)) if arguments.only else None
     start = time.monotonic()
     bar = Progress(1.0, "import", arguments.progress)
     previews: list[dict] = []
@@ -45,12 +55,23 @@ def run_import(arguments) -> None:
         print_fields(preview)
 
     try:
-        report = import_source(settings, arguments.store, lambda fraction, _message: bar.to(fraction), on_preview)
+        report = import_source(settings, arguments.store, lambda fraction, _message: bar.to(fraction), on_preview, part)
     finally:
         bar.close()
+    if part is not None:
+        print_fields(report)
+        return
     before = previews[0] if previews else {}
     print_fields({name: value for name, value in report.items() if before.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def _write_import_job(arguments, settings) -> list[str]:
+    """Write the job of an import for a farm, and return lines about it."""
+    from ..farm.import_job import write_import_job
+
+    described = describe_heights(settings)
+    return write_import_job(settings, described["raster"], arguments.store, arguments.job, arguments.chunk or 4)
 
 
 def run_info(arguments) -> None:
@@ -78,8 +99,6 @@ def _is_store(path: str) -> bool:
 
 def _described(arguments, is_store: bool) -> dict:
     """Return the description of a store, an exported mesh, a height map or a mosaic of several."""
-    from ...cbt_terrain.importing.source_list import names_several
-
     paths = arguments.paths
     if is_store:
         from ...cbt_terrain.importing.build_store import describe
@@ -89,7 +108,13 @@ def _described(arguments, is_store: bool) -> dict:
         from ...cbt_terrain.mesh.archive import read_npz
 
         return read_npz(Path(paths[0]))["info"]
-    settings = _import_settings(arguments, source=paths[0], more_sources=paths[1:])
+    return describe_heights(_import_settings(arguments, source=paths[0], more_sources=paths[1:]))
+
+
+def describe_heights(settings) -> dict:
+    """Return the description of a height map or of a mosaic of several."""
+    from ...cbt_terrain.importing.source_list import names_several
+
     if names_several(settings):
         from ...cbt_terrain.mosaic.mosaic_info import describe_sources
 

@@ -68,18 +68,18 @@ def write_bundle(job: FarmJob, folder: Path) -> None:
         raise TerrainError(
             "The frames have too many gaps for one job", expected="ranges", fix="make a job of each part"
         )
-    guard = _read_template("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
-    flamenco = _read_template("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
+    guard = read_template("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
+    flamenco = read_template("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
     values = _parameter_values(job)
     listed = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
     files = {
         TEMPLATE: job_template(job, guard),
-        VALUES: _to_yaml_json(listed),
-        OPENJD_VALUES: _to_yaml_json(values),
+        VALUES: to_yaml_json(listed),
+        OPENJD_VALUES: to_yaml_json(values),
         ASSETS: _asset_references(job),
     }
     try:
-        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: _read_template(CONTAINER)})
+        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: read_template(CONTAINER)})
     except UnicodeEncodeError as reason:
         path = shown(reason.object[max(0, reason.start - 60) : reason.end])
         raise TerrainError("A path of the job is not UTF-8", path, fix="rename the file or its folder") from None
@@ -87,9 +87,9 @@ def write_bundle(job: FarmJob, folder: Path) -> None:
 
 def job_template(job: FarmJob, guard: str) -> str:
     """Return the template of a job as YAML. `guard`: source of guard.py, which runs before the frames."""
-    steps = _read_template("meshes.yaml" if job.formats else "render.yaml")
+    steps = read_template("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8
-    text = _read_template("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
+    text = read_template("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
     return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
 
 
@@ -149,7 +149,7 @@ def _asset_references(job: FarmJob) -> str:
     """Return JSON that lists the files to copy to a worker and back; farms cannot find stores in a .blend file."""
     inputs = {"filenames": _path_names([job.blend, *job.files]), "directories": _path_names(job.folders)}
     outputs = {"directories": _path_names([job.out, *job.output_folders])}
-    return _to_yaml_json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
+    return to_yaml_json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
 
 
 def _path_names(paths: Sequence[Path]) -> list[str]:
@@ -157,12 +157,12 @@ def _path_names(paths: Sequence[Path]) -> list[str]:
     return sorted({str(path) for path in paths})
 
 
-def _to_yaml_json(content: dict) -> str:
+def to_yaml_json(content: dict, indent: int | None = 1) -> str:
     """Return JSON that is valid YAML, too: characters that YAML refuses are escaped."""
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(content, indent=indent, ensure_ascii=False) + "\n"
     return re.sub(NO_YAML, lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
-def _read_template(name: str) -> str:
+def read_template(name: str) -> str:
     """Return the text of a file in this folder."""
     return (HERE / name).read_text(encoding="utf-8")

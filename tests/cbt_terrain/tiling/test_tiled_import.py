@@ -1,54 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Import by tile: the bytes of an import in one piece, for every kind of source."""
 
-import json
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import cleaning
-from adaptive_terrain.cbt_terrain.field.store import verify
-from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
-from adaptive_terrain.cbt_terrain.importing import tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
-from mosaic_files import EAST, NORTH, UTM32, sheet
+from mosaic_files import EAST, NORTH, UTM32
 from rasterio import Affine
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
-
-ARRAYS = "samples", "error", "ranges", "valid"
-
-
-@pytest.fixture
-def tiled(monkeypatch):
-    """Return a function that switches to tiles of 2**bits cells, and for None to imports in one piece."""
-
-    def switch(bits):
-        monkeypatch.setattr(tile_import, "TILED_SAMPLES", 1 if bits else 1 << 60)
-        monkeypatch.setattr(tile_import, "TILE_BITS", bits or 11)
-
-    return switch
-
-
-def content(store):
-    """Return the arrays of a store, and its description without names, times and the checksum over them."""
-    folder = named_folder(store)
-    verify(store)
-    arrays = {name: np.load(folder / f"{name}.npy") for name in ARRAYS if (folder / f"{name}.npy").exists()}
-    text = json.loads((store / "store.json").read_text())
-    del text["data"], text["sum"], text["report"]["seconds"]
-    return arrays, text
-
-
-def assert_same(store, other):
-    assert len(list(store.glob("data-*/borders.npy"))) == 1 and not list(other.glob("data-*/borders.npy"))
-    (arrays, text), (wanted, wanted_text) = content(store), content(other)
-    assert text == wanted_text
-    assert arrays.keys() == wanted.keys()
-    for name in wanted:
-        assert arrays[name].dtype == wanted[name].dtype
-        assert np.array_equal(arrays[name], wanted[name]), name
+from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
 
 
 def with_gaps(heights):
@@ -86,7 +49,7 @@ SOURCES = {
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name):
+def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name):  # noqa: F811
     heights, bits, more = SOURCES[name]
     monkeypatch.setattr(cleaning, "FILLED_ROWS", 32)
     np.save(tmp_path / "a.npy", heights)
@@ -106,7 +69,7 @@ ORIENTATIONS = {
 
 
 @pytest.mark.parametrize("name", ORIENTATIONS)
-def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, name):
+def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, name):  # noqa: F811
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 2000)
     source = write_raster(tmp_path / "a.tif", MOUNTAINS, crs=UTM32, transform=ORIENTATIONS[name])
     for store, cut in ("whole", None), ("tiled", 5):
@@ -115,7 +78,7 @@ def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, na
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
-def test_a_reprojected_raster_is_read_in_one_unit(tmp_path, tiled):
+def test_a_reprojected_raster_is_read_in_one_unit(tmp_path, tiled):  # noqa: F811
     source = write_raster(tmp_path / "a.tif", MOUNTAINS, crs="EPSG:4326", transform=from_origin(10.0, 50.0, 1e-4, 1e-4))
     for store, cut in ("whole", None), ("tiled", 5):
         tiled(cut)
@@ -123,19 +86,8 @@ def test_a_reprojected_raster_is_read_in_one_unit(tmp_path, tiled):
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
-def write_tiles(folder, columns=4, rows=3, side=40, crs=UTM32):
-    """Write tiles with a gap, and a finer one above them."""
-    whole = sheet(crs, EAST, NORTH, 10.0, 10.0, columns * side, rows * side)
-    for row in range(rows):
-        for column in range(columns):
-            if (row, column) != (1, 1):
-                part = {"first_row": row * side, "rows": side, "first_column": column * side, "columns": side}
-                whole.write(folder / f"t{row}{column}.tif", **part)
-    sheet(crs, EAST + 250.0, NORTH - 130.0, 5.0, 5.0, 50, 40, shift=3.0).write(folder / "u.tif")
-
-
 @pytest.mark.parametrize("more", [{}, {"holes": True}, {"step": 7.0}])
-def test_a_mosaic_by_tile_has_the_bytes_of_one_piece(tmp_path, tiled, more):
+def test_a_mosaic_by_tile_has_the_bytes_of_one_piece(tmp_path, tiled, more):  # noqa: F811
     write_tiles(tmp_path / "tiles")
     settings = ImportSettings(str(tmp_path / "tiles"), **more)
     for store, cut in ("whole", None), ("tiled", 5):

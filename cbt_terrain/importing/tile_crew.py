@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Processes that read and measure tiles for an import, each sandboxed like the import's process.
+
+A sandboxed process cannot start others, so the import starts them before it drops its rights. They wait for the first
+line on stdin and load nothing until then, because most imports are small. They are in the import's group of processes,
+and end when their stdin closes.
+
+The first line has the settings and the folder of an import, each further one a task. A process answers each task with
+a line: {"done": true}, or false if heights have to be stored as floats, or {"error": the fields of a TerrainError}.
+"""
+
+import dataclasses
+import io
+import json
+import os
+import queue
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import TerrainError, unwritable
+from ..field.lands import LANDS
+from ..run import child, launch, stopping
+from ..tiling.tile_work import TileWork, work_in
+from .build_store import place_of
+from .guard import VARIABLES, guard_import
+from .raster import ImportSettings, Raster
+from .source_list import INDEX_SUFFIXES, files_of, names_several
+from .sources import open_source
+from .store_job import FREE_MEMORY
+from .tile_import import TILED_SAMPLES, Crew, TileSource, TileTask, perform
+
+MIN_BYTES = 1 << 22  # of the files of an import, for which processes are started
+POLL_S = 0.1
+
+
+def start_crew(settings: ImportSettings, module: str) -> Crew:
+    """Return the processes for an import; the calling process alone for one that is probably small.
+
+    module: name of a module with the function `idle_main`.
+    """
+    count = launch.default_threads()
+    if count < 2 or not _may_be_large(settings):
+        return Crew()
+    try:
+        return ProcessCrew(module, count)
+    except OSError:
+        return Crew()
+
+
+def _may_be_large(settings: ImportSettings) -> bool:
+    """Return whether the files of an import are large."""
+    if settings.source in LANDS:
+        return settings.size**2 > TILED_SAMPLES
+    files = files_of(settings) if names_several(settings) else [Path(settings.source)]
+    try:
+        return (
+            any(file.suffix.lower() in INDEX_SUFFIXES for file in files)
+            or sum(file.stat().st_size for file in files) >= MIN_BYTES
+        )
+    except OSError:
+        return False
+
+
+class ProcessCrew(Crew):
+    """Processes that do tasks, one task at a time each."""
+
+    def __init__(self, module: str, count: int) -> None:
+        """Start `count` processes. Raises OSError."""
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "start_new_session": False}
+        self._processes = [
+            child.start("cbt_terrain.run.idle_process", module, variables=VARIABLES, **pipes) for _ in range(count)
+        ]
+        self._has_begun = False
+
+    def run(
+        self, work: TileWork, source: TileSource, tasks: Sequence[TileTask], on_progress: Callable[[float], None]
+    ) -> bool:
+        """Do tasks: see `Crew.run`."""
+        if tasks and not self._has_begun:
+            self._has_begun = True
+            for process in self._processes:
+                _send(process, {"settings": dataclasses.asdict(source.settings), "folder": str(work.folder)})
+        waiting = TaskQueue(tasks)
+        threads = [
+            threading.Thread(target=_do_tasks, args=(process, waiting), daemon=True) for process in self._processes
+        ]
+        for thread in threads:
+            thread.start()
+        try:
+            for number in range(len(tasks)):
+                if not waiting.answer():
+                    return False
+                on_progress((number + 1) / len(tasks))
+        finally:
+            waiting.stop()
+            for thread in threads:
+                thread.join()
+        return True
+
+    def close(self) -> None:
+        """End the processes."""
+        for process in self._processes:
+            assert process.stdin is not None
+            process.stdin.close()
+
+
+class TaskQueue:
+    """Tasks for several threads, and their answers."""
+
+    def __init__(self, tasks: Sequence[TileTask]) -> None:
+        self._tasks, self._taking = iter(tasks), threading.Lock()
+        self._answers: queue.SimpleQueue[dict] = queue.SimpleQueue()
+        self._is_stopped = False
+
+    def take(self) -> TileTask | None:
+        """Return the next task; None without one, or after `stop`."""
+        with self._taking:
+            return None if self._is_stopped else next(self._tasks, None)
+
+    def stop(self) -> None:
+        """Give out no more tasks."""
+        self._is_stopped = True
+
+    def put(self, answer: dict) -> None:
+        """Add the answer of a process."""
+        self._answers.put(answer)
+
+    def answer(self) -> bool:
+        """Wait for an answer. Return False if heights have to be stored as floats. Raises TerrainError."""
+        while True:
+            stopping.check()
+            try:
+                found = self._answers.get(timeout=POLL_S)
+            except queue.Empty:
+                continue
+            if "error" in found:
+                raise TerrainError(**found["error"])
+            return bool(found["done"])
+
+
+def _do_tasks(process: subprocess.Popen, waiting: TaskQueue) -> None:
+    """Send tasks to a process and collect its answers, until there is no more task or it ends."""
+    assert process.stdout is not None
+    while (task := waiting.take()) is not None:
+        try:
+            _send(process, task._asdict())
+            answer = json.loads(process.stdout.readline())
+        except (OSError, ValueError):
+            what = "A process of the import ended before its work was done"
+            answer = {"error": TerrainError(what, fix=FREE_MEMORY).to_json()}
+        waiting.put(answer)
+        if "error" in answer:
+            return
+
+
+def _send(process: subprocess.Popen, content: dict) -> None:
+    """Write a line to a process."""
+    assert process.stdin is not None
+    process.stdin.write(json.dumps(content).encode() + b"\n")
+    process.stdin.flush()
+
+
+def idle_main(line: bytes) -> None:
+    """Do the tasks of an import of one file in an idle process. line: see above."""
+    serve_tasks(line, guard_import, lambda settings, _folder: open_source(settings))
+
+
+def serve_tasks(
+    line: bytes,
+    guard: Callable[[ImportSettings, Path], None],
+    open_raster: Callable[[ImportSettings, Path], Raster],
+) -> None:
+    """Do tasks from stdin, and answer on stdout.
+
+    Args:
+        line: the settings and the folder of the import.
+        guard: guard(settings, store) drops the rights of this process.
+        open_raster: open_raster(settings, folder) opens the source.
+    """
+    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # libraries print to stderr
+    request, found = json.loads(line), None
+    settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
+    guard(settings, folder.parent)
+    try:
+        for text in io.FileIO(0, closefd=False):
+            task = TileTask(**json.loads(text))
+            work = work_in(folder)
+            answer: dict = {}
+            try:
+                if work is None:
+                    raise TerrainError(f"The arrays in {folder} were removed", fix="import again")
+                if found is None:
+                    raster = open_raster(settings, folder)
+                    found = TileSource(raster, settings, place_of(settings, raster))
+                answer["done"] = perform(work, found, task, 1)
+            except TerrainError as error:
+                answer["error"] = error.to_json()
+            except OSError as reason:
+                answer["error"] = unwritable(f"The store {folder.parent}", reason).to_json()
+            except MemoryError:
+                answer["error"] = TerrainError("The import ran out of memory", fix=FREE_MEMORY).to_json()
+            channel.write(json.dumps(answer) + "\n")
+            channel.flush()
+    finally:
+        if found is not None:
+            found.raster.close()

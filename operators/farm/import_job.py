@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job of Open Job Description that imports large height maps: begin, read, fill, measure, publish."""
+
+import dataclasses
+import json
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.field.lattice import lattice_for
+from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.importing.source_list import files_of
+from ...cbt_terrain.importing.tile_import import TILED_PARTS, TILED_SAMPLES
+from ...cbt_terrain.tiling.tile_grid import TileGrid
+from ..export.exporting import make_folder, write_files
+from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_json
+
+TIMEOUT_S = 86_400
+# Options of the verb `import` that are not spelled like their setting; a tuple is written with x.
+OPTIONS = {"raw_dtype": "raw-type", "raw_little_endian": "big-endian"}
+POSITIONAL = "source", "more_sources"
+
+
+def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path, folder: Path, chunk: int) -> list[str]:
+    """Write the job of an import into `folder`, and return lines about it. Raises TerrainError.
+
+    size: columns and rows of the raster. chunk: tiles of one task.
+    """
+    width, height = size
+    if width * height <= TILED_SAMPLES:
+        raise TerrainError(
+            f"The terrain has {width} x {height} samples, too few for a farm",
+            expected=f"more than {TILED_SAMPLES:,} samples",
+            fix="import it here",
+        )
+    tiles = len(TileGrid(lattice_for(width, height)))
+    values = {"StoreDir": str(store.absolute()), "Tiles": range_text(range(tiles)), "ChunkSize": str(chunk)}
+    make_folder(folder)
+    write_files(folder, {TEMPLATE: import_template(settings), OPENJD_VALUES: to_yaml_json(values)})
+    path = folder.absolute()
+    command = f"openjd run {shlex.quote(str(path / TEMPLATE))} --step Publish --run-dependencies"
+    return [
+        f"{folder} is a job of {tiles:,} tiles, {chunk} a task",
+        f"to run it on this machine: {command} --job-param {shlex.quote(f'file://{path / OPENJD_VALUES}')}",
+    ]
+
+
+def import_template(settings: ImportSettings) -> str:
+    """Return the template of a job as YAML."""
+    arguments = import_arguments(settings)
+    if any("{{" in text for text in arguments):
+        raise TerrainError("A source has {{ in its name, which a job reads as a variable", fix="rename it")
+
+    def action(found: re.Match) -> str:
+        """Return the lines of a step's command."""
+        part = found[1].split()
+        tiles = ["--tiles", "{{Task.Param.Tile}}"] if part and part[0] in TILED_PARTS else []
+        words = ["--command", "adaptive_terrain", "import", "--store", "{{Param.StoreDir}}", "--progress", "openjd"]
+        words += [*(["--only", *part, *tiles] if part else []), *arguments]
+        run = {"command": "{{Param.Blender}}", "args": words, "timeout": TIMEOUT_S}
+        run["cancelation"] = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 15}
+        return f"script: {to_yaml_json({'actions': {'onRun': run}}, indent=None).strip()}"
+
+    chunks = {"defaultTaskCount": "{{Param.ChunkSize}}", "rangeConstraint": "CONTIGUOUS"}
+    tile = {"name": "Tile", "type": "CHUNK[INT]", "range": "{{Param.Tiles}}", "chunks": chunks}
+    text = read_template("import_job.yaml")
+    text = text.replace("@TILES@", f"parameterSpace: {json.dumps({'taskParameterDefinitions': [tile]})}")
+    return re.sub("@ACTION([ a-z]*)@", action, text)
+
+
+def import_arguments(settings: ImportSettings) -> list[str]:
+    """Return the arguments of the verb `import` for settings: options, and then the sources with absolute paths."""
+    words = []
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if field.name in POSITIONAL or value == field.default:
+            continue
+        words.append(f"--{OPTIONS.get(field.name, field.name).replace('_', '-')}")
+        if isinstance(value, tuple):
+            words.append("x".join(map(repr, value)))
+        elif not isinstance(value, bool):
+            words.append(str(value))
+    sources = [settings.source] if settings.source in LANDS else files_of(settings)
+    return [*words, *map(str, sources)]

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Imports by tile in several processes, after a kill, and after a part of the sources has changed."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field import store_folder
+from adaptive_terrain.cbt_terrain.importing import tile_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.tiling import tile_steps
+from adaptive_terrain.cbt_terrain.tiling.tile_work import MEASURED, READ
+from mosaic_files import EAST, NORTH, UTM32, sheet
+from rasters import hills
+from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
+
+MODULES = {"file": "cbt_terrain.importing.tile_crew", "mosaic": "cbt_terrain.mosaic.import_child"}
+
+
+class CountingCrew(tile_import.Crew):
+    """Counts what is read and what is measured; raises KeyboardInterrupt after some tasks."""
+
+    def __init__(self, tasks=10**9):
+        self.left, self.read, self.measured = tasks, [], []
+
+    def run(self, work, source, tasks, on_progress):
+        for task in tasks:
+            if self.left == 0:
+                raise KeyboardInterrupt
+            before = work.records(MEASURED)
+            if not tile_import.perform(work, source, task, 1):
+                return False
+            self.left -= 1
+            if task.step == READ:
+                self.read.append(task.number)
+            elif work.records(MEASURED) != before:
+                self.measured.append(task.number)
+        return True
+
+
+@pytest.mark.parametrize(("kind", "count"), [("file", 3), ("mosaic", 2)])
+def test_processes_give_the_bytes_of_one_piece(tmp_path, tiled, kind, count):  # noqa: F811
+    run = run_import if kind == "file" else run_mosaic_import
+    if kind == "file":
+        np.save(tmp_path / "a.npy", hills(200, 150))
+        settings = ImportSettings(str(tmp_path / "a.npy"))
+    else:
+        write_tiles(tmp_path / "tiles")
+        settings = ImportSettings(str(tmp_path / "tiles"))
+    tiled(None)
+    run(settings, tmp_path / "whole")
+    tiled(6)
+    crew = ProcessCrew(MODULES[kind], count)
+    try:
+        run(settings, tmp_path / "tiled", crew=crew)
+    finally:
+        crew.close()
+    assert [process.wait(10) for process in crew._processes] == [0] * count
+    assert_same(tmp_path / "tiled", tmp_path / "whole")
+
+
+def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled):  # noqa: F811
+    write_tiles(tmp_path / "tiles")
+    tiled(6)
+    crew = ProcessCrew(MODULES["mosaic"], 2)
+
+    def run(work, source, tasks, on_progress):
+        file = tmp_path / "tiles" / "t00.tif"
+        file.write_bytes(file.read_bytes()[:3000])
+        return ProcessCrew.run(crew, work, source, tasks, on_progress)
+
+    spoiling = tile_import.Crew()
+    spoiling.run = run
+    with pytest.raises(TerrainError, match="t00.tif is damaged or incomplete in rows"):
+        run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store", crew=spoiling)
+    crew.close()
+
+
+KILLED = """
+import os, sys
+from adaptive_terrain.cbt_terrain.importing import raster, tile_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+raster.BLOCK_SAMPLES = 2000
+tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
+class Crew(tile_import.Crew):
+    left = int(sys.argv[3])
+    def run(self, work, source, tasks, on_progress):
+        for task in tasks:
+            if self.left == 0:
+                work.note("measured", task.number) if task.step == "measured" else None
+                (work.folder / f"tiles-{0:032}.jsonl").write_text('{"kind": "read", "number": 0, "a')
+                os._exit(9)
+            tile_import.perform(work, source, task, 1)
+            self.left -= 1
+        return True
+run_import(ImportSettings(sys.argv[1], no_data=0.0), sys.argv[2], crew=Crew())
+"""
+
+
+@pytest.mark.parametrize("done", [2, 12])
+def test_a_killed_import_goes_on_where_it_was(tmp_path, tiled, monkeypatch, done):  # noqa: F811
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 2000)
+    heights = hills(160, 140)
+    heights[30:60, 50:90] = 0.0
+    np.save(tmp_path / "a.npy", heights)
+    settings, store = ImportSettings(str(tmp_path / "a.npy"), no_data=0.0), tmp_path / "store"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-c", KILLED, settings.source, str(store), str(done)]
+    assert subprocess.run(command, env=environment).returncode == 9
+    assert len(list(store.glob("data-*"))) == 1 and not (store / "store.json").exists()
+    store_folder.remove_abandoned(store)
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    tiled(5)
+    crew = CountingCrew()
+    run_import(settings, store, crew=crew)
+    assert (len(crew.read), len(crew.measured)) == (max(3 - done, 0), 25 - max(done - 3, 0))
+    assert len(list(store.glob("data-*"))) == 1
+    assert_same(store, tmp_path / "whole")
+
+
+def test_another_import_removes_what_was_left(tmp_path, tiled):  # noqa: F811
+    np.save(tmp_path / "a.npy", hills(100, 90))
+    tiled(5)
+    with pytest.raises(KeyboardInterrupt):
+        run_import(ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store", crew=CountingCrew(5))
+    [left] = (tmp_path / "store").glob("data-*")
+    crew = CountingCrew()
+    run_import(ImportSettings(str(tmp_path / "a.npy"), height_scale=2.0), tmp_path / "store", crew=crew)
+    assert len(crew.read) == 1 and not left.exists()
+
+
+def import_twice(tmp_path, tiled, change, **more):  # noqa: F811
+    """Import a mosaic, change it, import again, and return what that has read and measured."""
+    settings, store = ImportSettings(str(tmp_path / "tiles"), **more), tmp_path / "store"
+    tiled(5)
+    run_mosaic_import(settings, store)
+    change()
+    crew = CountingCrew()
+    run_mosaic_import(settings, store, crew=crew)
+    tiled(None)
+    run_mosaic_import(settings, tmp_path / "whole")
+    assert_same(store, tmp_path / "whole")
+    return crew
+
+
+def patch(tmp_path, name="u.tif", column=70, row=50, side=12, shift=0.0):
+    """Write a small tile with the mosaic's step over the others."""
+    part = sheet(UTM32, EAST + 10.0 * column, NORTH - 10.0 * row, 10.0, 10.0, side, side, shift=shift)
+    part.write(tmp_path / "tiles" / name)
+
+
+def test_a_replaced_file_is_read_and_measured_alone(tmp_path, tiled):  # noqa: F811
+    write_tiles(tmp_path / "tiles", gap=None)
+    patch(tmp_path, shift=1.0)
+    crew = import_twice(tmp_path, tiled, lambda: patch(tmp_path, shift=-2.0))
+    # Columns 70 .. 81 and, from the south, rows 58 .. 69 of the 5 x 4 tiles of 32; samples at 96 belong to two tiles.
+    assert crew.read == [1 * 5 + 2, 2 * 5 + 2]
+    margin = 96
+    assert len(crew.measured) == 20 and margin > 32, "the windows of all tiles of this size meet it"
+
+
+def test_a_file_in_a_gap_and_a_lower_peak(tmp_path, tiled):  # noqa: F811
+    write_tiles(tmp_path / "tiles", gap=(1, 1))
+    patch(tmp_path, "z.tif", column=20, row=20, side=4, shift=5000.0)
+
+    def change():
+        patch(tmp_path, "z.tif", column=20, row=20, side=4, shift=30.0)
+        patch(tmp_path, "v.tif", column=38, row=38, side=50)
+
+    crew = import_twice(tmp_path, tiled, change)
+    assert len(crew.read) <= 22 and len(crew.measured) == 80, "the peak had coarser codes everywhere"
+
+
+def test_holes_that_a_file_closes(tmp_path, tiled):  # noqa: F811
+    write_tiles(tmp_path / "tiles", gap=(1, 1))
+    import_twice(tmp_path, tiled, lambda: patch(tmp_path, "v.tif", column=45, row=45, side=20), holes=True)
+
+
+def test_a_changed_margin_measures_only_windows_that_meet_it(tmp_path, tiled, monkeypatch):  # noqa: F811
+    """Windows smaller than a tile: the margin is not enough for exact errors, but shows which tiles are measured."""
+    monkeypatch.setattr(tile_steps, "margin_of", lambda _low, _high: 8)
+    write_tiles(tmp_path / "tiles", gap=None)
+    patch(tmp_path, column=75, row=50, side=12)
+    tiled(5)
+    settings, crew = ImportSettings(str(tmp_path / "tiles")), CountingCrew()
+    run_mosaic_import(settings, tmp_path / "store")
+    patch(tmp_path, column=75, row=50, side=12, shift=1.0)
+    run_mosaic_import(settings, tmp_path / "store", crew=crew)
+    assert crew.read == [7, 12] and set(crew.measured) >= {7, 12} and len(crew.measured) <= 4

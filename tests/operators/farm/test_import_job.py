@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs that import a large height map on a farm: their template, and a run by openjd-cli."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.farm import import_job
+from openjd.model import decode_job_template
+from rasters import hills
+from store_exports import run
+from tiled_stores import assert_same, tiled  # noqa: F401
+
+# Stands for Blender: imports in its own process, with small tiles.
+WORKER = """
+import sys
+from adaptive_terrain.cbt_terrain.importing import build_store, import_process, tile_import
+from adaptive_terrain.operators.cli import command_line
+tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
+
+def import_source(settings, store, on_progress, _on_preview, part):
+    return build_store.run_import(settings, store, on_progress, part=part)
+
+import_process.import_source = import_source
+assert sys.argv[1:3] == ["--command", "adaptive_terrain"]
+sys.exit(command_line.main(sys.argv[3:]))
+"""
+
+
+def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatch):  # noqa: F811
+    heights = hills(120, 90)
+    heights[20:40, 30:70] = np.nan
+    np.save(tmp_path / "a.npy", heights)
+    settings = ImportSettings(str(tmp_path / "a.npy"), extent=(1190.0, 890.0), holes=True)
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    monkeypatch.setattr(import_job, "TILED_SAMPLES", 1)
+    monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
+    lines = import_job.write_import_job(settings, (120, 90), tmp_path / "store", tmp_path / "job", 6)
+    assert lines[0].endswith("is a job of 12 tiles, 6 a task")
+    worker = tmp_path / "blender"
+    worker.write_text(f"#!{sys.executable}\n{WORKER}")
+    worker.chmod(0o755)
+    command = lines[1].removeprefix("to run it on this machine: ").replace("openjd run", f"{openjd()} run")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    done = subprocess.run(
+        f"{command} --job-param Blender={worker}", shell=True, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("done: 6") == 4
+    assert_same(tmp_path / "store", tmp_path / "whole")
+    assert len(list((tmp_path / "store").glob("data-*"))) == 1
+
+
+def openjd():
+    return Path(sys.executable).with_name("openjd")
+
+
+def test_a_job_repeats_all_options(tmp_path):
+    np.save(tmp_path / "a.npy", hills(9, 9))
+    settings = ImportSettings(
+        str(tmp_path / "a.npy"),
+        extent=(10.5, 20.0),
+        raw_little_endian=False,
+        raw_dtype="int16",
+        no_data=-1.0,
+        holes=True,
+        height_scale=0.5,
+    )
+    arguments = import_job.import_arguments(settings)
+    parsed = command_line.build_parser().parse_args(
+        command_line._with_negatives_joined(["import", "--store", "s", *arguments])
+    )
+    from adaptive_terrain.operators.cli.verbs import _import_settings
+
+    assert _import_settings(parsed, source=parsed.sources[0]) == settings
+    template = import_job.import_template(settings)
+    import yaml
+
+    decode_job_template(template=yaml.safe_load(template), supported_extensions=["TASK_CHUNKING"])
+
+
+def test_small_terrains_and_strange_names_have_no_job(tmp_path):
+    settings = ImportSettings(str(tmp_path / "a.npy"))
+    with pytest.raises(TerrainError, match="9 x 9 samples, too few for a farm; .*: import it here"):
+        import_job.write_import_job(settings, (9, 9), tmp_path / "s", tmp_path / "job", 4)
+    with pytest.raises(TerrainError, match="rename it"):
+        import_job.import_template(ImportSettings(str(tmp_path / "{{a}}.npy")))
+    assert not (tmp_path / "job").exists()
+
+
+def test_parts_of_a_small_import_are_refused(tmp_path, capsys):
+    np.save(tmp_path / "a.npy", hills(9, 9))
+    where = tmp_path / "a.npy", "--store", tmp_path / "store"
+    assert run("import", *where, "--only", "begin") == 1
+    assert "9 x 9 samples, too few for an import in parts" in capsys.readouterr().err
+    assert run("import", *where, "--only", "read") == run("import", *where, "--tiles", "0-3") == 2
+    assert run("import", *where, "--only", "begin", "--tiles", "0-3") == run("import", *where, "--chunk", "3") == 2
+    assert run("import", *where, "--job", tmp_path / "job") == 1
+    assert "too few for a farm" in capsys.readouterr().err and not (tmp_path / "store").exists()

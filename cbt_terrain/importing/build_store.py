@@ -45,7 +45,7 @@ from .tile_import import (
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the file's header has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "encoding", "cell", "quick")
+ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick")
 
 
 def run_import(
@@ -95,14 +95,14 @@ def import_raster(
     raster = open_raster(settings)
     try:
         # The sources of a mosaic are known only now. For all other files the caller has checked this already.
-        report = finished_import(path, given, raster.sources) if raster.sources else None
+        report = finished_import(path, given, raster) if raster.sources else None
         if report is not None:
             return report
         if settings.quick:
             raster = thinned(raster, settings)
             if raster.full_size is None:
                 given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
-        digest = source_digest(given, raster.sources)
+        digest = source_digest(given, raster.sources, raster.method)
         place = place_of(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
@@ -180,17 +180,17 @@ def _provenance(settings: ImportSettings, raster: Raster, place: Georeference) -
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
-def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
+def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0) -> str:
     """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
 
-    sources: files that the source names. Raises TerrainError for a missing source.
+    sources: files that the source names. method: as in Raster. Raises TerrainError for a missing source.
     """
     settings.check()
     values = dataclasses.asdict(settings)
     for field in dataclasses.fields(settings):
         if field.name in ADDED_SETTINGS and values[field.name] == field.default:
             del values[field.name]
-    parts = [METHOD, store.VERSION, values]
+    parts = [METHOD, store.VERSION, values, *([method] if method else [])]
     if names_several(settings):
         for file in [*files_of(settings), *sources]:
             check_named(file)
@@ -206,14 +206,15 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def finished_import(path: str | os.PathLike, settings: ImportSettings, sources: tuple[Path, ...] = ()) -> dict | None:
+def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
     """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
 
-    sources: files that the source names.
+    raster: the opened source, which knows the files that it names; None for a source that names none.
     """
     complete = dataclasses.replace(settings, quick=0)
+    files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
-        report = finished_before(path, source_digest(wanted, sources))
+        report = finished_before(path, source_digest(wanted, files, method))
         if report is not None:
             return report
     return None

@@ -38,6 +38,7 @@ class ImportSettings:
             or the one that was changed last (NEWEST).
         step: metres between samples of a terrain of several files; None for those of the finest file.
         quick: number of samples at most to which a large raster is thinned (thinning.py); 0 imports all.
+        blend: whether finer files blend to coarser ones below them within a ring at their borders.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
         raw_little_endian: order of their bytes.
@@ -83,6 +84,7 @@ class ImportSettings:
     priority: str = ORDER
     step: float | None = None
     quick: int = 0
+    blend: bool = True
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
@@ -147,9 +149,9 @@ class ImportSettings:
 
     def check_file(self) -> None:
         """Raise TerrainError for settings that the one file of the import cannot have."""
-        if self.step is not None or self.priority != ORDER:
+        if self.step is not None or self.priority != ORDER or not self.blend:
             raise TerrainError(
-                "A step and a priority are of several files",
+                "A step and a priority are of several files, as is blending",
                 where=shown(self.source),
                 fix="leave them out for one file",
             )
@@ -186,6 +188,7 @@ class Raster:
         sources: other files that hold the samples.
         overview: overview(max_factor) returns a raster of means of at most max_factor samples a side, or None.
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
+        method: version of a method that makes the samples and that older versions lack; 0 for none.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
         details: further entries of the report.
         inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
@@ -215,6 +218,7 @@ class Raster:
     sources: tuple[Path, ...] = ()
     overview: Callable[[int], "Raster | None"] = lambda _max_factor: None
     full_size: tuple[int, int] | None = None
+    method: int = 0
     moved: float = 0.0
     details: dict = field(default_factory=dict)
     inputs: Callable[[int, int, int, int], str] | None = None

@@ -3,12 +3,14 @@
 
 A sample is interpolated in the lattice of its sources. Where several lattices have a value, the tile of the highest
 rank decides. Samples in the cell between two tiles without a common lattice are interpolated between their borders.
+Finer tiles on coarser ones blend to them at their borders (insets.py).
 """
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -22,10 +24,11 @@ from ..run.buffers import flat
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
+from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, BlockNodes, is_congruent, nodes_of
 from .target_grid import Footprints, TargetGrid
-from .windows import NO_DATA, UNCOVERED, GridPiece, LatticeWindow, pieces_of
+from .windows import NO_DATA, UNCOVERED, GridPiece, LatticeWindow, PieceValues, empty_values, pieces_of
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
@@ -43,6 +46,14 @@ def ranked(tiles: Sequence[SourceTile], found: Footprints, settings: ImportSetti
     return np.arange(len(tiles))
 
 
+class FoundLattice(NamedTuple):
+    """A lattice with tiles near a piece: its level, the positions of the piece's block, and its samples there."""
+
+    level: int
+    nodes: BlockNodes
+    window: LatticeWindow
+
+
 class Composite:
     """Tiles on a grid, read by windows.
 
@@ -54,6 +65,7 @@ class Composite:
         scale, offset: a height is value * scale + offset metres.
         resamples: whether samples of some files are interpolated.
         shifts: conversion of heights to one vertical datum, None for none.
+        insets: the blending of finer tiles on coarser ones; None without any, or if the settings leave it out.
         on_piece: is called before each piece that is read, because reading many files may take long.
         boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
@@ -77,17 +89,21 @@ class Composite:
         self.reads_overviews = False
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
-        boxes, steps = found.boxes[order], found.steps[order]
+        boxes, steps = found.boxes[order], found.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
         self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
-        steps = steps / (grid.step_x, grid.step_y)
         self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
         self.near = self.boxes + near
+        self._levels = np.zeros(len(tiles), np.int64)
+        if settings.blend:
+            self._levels = find_levels(self.lattices, steps, self.boxes)
+        self.insets = InsetBlend(self._levels, steps, grid, self._scan) if self._levels.any() else None
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}
-        is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
+        on_grid = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
+        is_copied = on_grid and self.insets is None
         self.resamples = not is_copied
         self.shifts = find_shifts(tiles)
         self._converts = len(scales) > 1 or self.shifts is not None
@@ -115,20 +131,18 @@ class Composite:
     def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
         """Return a hex digest of everything that determines the values of a window: see `read`."""
         column, row = self.grid.column + column, self.grid.row + row
-        meets = self._meets(column, row, columns, rows)
+        reach = self.insets.reach if self.insets is not None else 0
+        meets = self._meets(GridPiece(column - reach, row - reach, columns + 2 * reach, rows + 2 * reach))
         parts: list = [METHOD, self.grid[:5], column, row, columns, rows, self.stored, self.scale, self.offset]
         parts += [self._settings.band, str(self._settings.no_data), self._settings.encoding]
         for lattice in self.lattices:
             if meets[lattice.tiles].any():
                 parts.append((lattice.crs, lattice.origin, lattice.steps, lattice.off_grid, lattice.period))
                 parts += [lattice.rectangles.mean(axis=0).tolist()] if lattice.period else []
+        if self.insets is not None:
+            parts += [self.insets.rings, self._levels[meets].tolist()]
         parts += [self.tiles[rank] for rank in np.flatnonzero(meets)]  # in the order of their priority
         return hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
-
-    def _meets(self, column: int, row: int, columns: int, rows: int) -> np.ndarray:
-        """Return which tiles may have a part in a window of the grid, given by its numbers: bool [tiles]."""
-        meets = (self.near[:, 0] < column + columns) & (self.near[:, 2] >= column)
-        return meets & (self.near[:, 1] < row + rows) & (self.near[:, 3] >= row)
 
     def rounded(self) -> tuple:
         """Return the different roundings of the files, in units of a value."""
@@ -145,14 +159,19 @@ class Composite:
         while self._open:
             self._open.popitem()[1].close()
 
-    def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the values of a piece, and return the largest difference made by positions."""
+    def _meets(self, piece: GridPiece) -> np.ndarray:
+        """Return which tiles may have a part in a piece: bool [tiles]."""
+        low, high = self.near[:, :2], self.near[:, 2:]
+        first = piece.column, piece.row
+        return ((low < (piece.column + piece.columns, piece.row + piece.rows)) & (high >= first)).all(axis=1)
+
+    def _parts(self, piece: GridPiece) -> Iterator[tuple[GridPiece, np.ndarray, list[FoundLattice]]]:
+        """Yield a piece, or its parts if it needs too many source samples at once, with the lattices found there.
+
+        Each comes with the levels of the tiles near it, ascending.
+        """
         self.on_piece()
-        column, row = piece.column, piece.row
-        meets = self._meets(column, row, piece.columns, piece.rows)
-        if not meets.any():
-            return 0.0
-        found = []
+        meets, found = self._meets(piece), []
         for number, lattice in enumerate(self.lattices):
             near = np.flatnonzero(meets[lattice.tiles])
             if not len(near):
@@ -162,25 +181,37 @@ class Composite:
             if box is None:
                 continue
             if (box[2] - box[0]) * (box[3] - box[1]) > MAX_BUFFER and piece.columns * piece.rows > 1:
-                return self._fill_halves(piece, values)
-            found.append((nodes, self._window(lattice, near, box)))
-        out, ranks = np.full(values.shape, np.nan), np.full(values.shape, UNCOVERED, np.int32)
-        moved = np.zeros(values.shape)
-        for nodes, window in found:
-            _resample(piece, nodes, window, out, ranks, moved)
-        if (ranks == UNCOVERED).any():
-            bridge(piece, found, out, ranks, moved)
-        values[:] = out
-        return float(moved.max())
+                for half in piece.halves():
+                    yield from self._parts(half)
+                return
+            level = int(self._levels[lattice.tiles[0]])
+            found.append(FoundLattice(level, nodes, self._window(lattice, near, box)))
+        yield piece, np.unique(self._levels[meets]), found
 
-    def _fill_halves(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the two halves of a piece that needs too many source samples at once."""
-        first, second = piece.halves()
-        if first.rows == piece.rows:
-            parts = values[:, : first.columns], values[:, first.columns :]
-        else:
-            parts = values[: first.rows], values[first.rows :]
-        return max(self._fill(first, parts[0]), self._fill(second, parts[1]))
+    def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
+        """Fill the values of a piece, and return the largest difference made by positions."""
+        moved = 0.0
+        for part, levels, found in self._parts(piece):
+            result = empty_values(part)
+            for level, below in _overlay(part, levels, found, result):
+                if below is not None and self.insets is not None:
+                    self.insets.blend(level, part, below, result)
+            if found and (result.ranks == UNCOVERED).any():
+                bridge(part, [(one.nodes, one.window) for one in found], *result)
+            top, left = part.row - piece.row, part.column - piece.column
+            values[top : top + part.rows, left : left + part.columns] = result.values
+            moved = max(moved, float(result.moved.max()))
+        return moved
+
+    def _scan(self, row: int, column: int) -> Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]:
+        """Yield the parts of a block with each level above the coarsest, the values below it and with it."""
+        block = GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK)
+        if self._levels[self._meets(block)].any():
+            for part, levels, found in self._parts(block):
+                result = empty_values(part)
+                for level, below in _overlay(part, levels, found, result):
+                    if below is not None:
+                        yield part, level, below, result
 
     def _nodes_of(self, number: int, column: int, row: int) -> BlockNodes:
         """Return the nodes of a block for the lattice `number`."""
@@ -288,9 +319,19 @@ def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece:
     return np.array(corners)
 
 
-def _resample(
-    piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, out: np.ndarray, ranks: np.ndarray, moved: np.ndarray
-) -> None:
+def _overlay(
+    piece: GridPiece, levels: np.ndarray, found: Sequence[FoundLattice], result: PieceValues
+) -> Iterator[tuple[int, PieceValues | None]]:
+    """Lay one level after the other on `result`, and yield each with the values below it; None below level 0."""
+    for level in map(int, levels):
+        below = result.copy() if level > 0 else None
+        for one in found:
+            if one.level == level:
+                _resample(piece, one.nodes, one.window, result)
+        yield level, below
+
+
+def _resample(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
     """Write the samples of a piece that a lattice has with the highest rank so far."""
     height, width = window.values.shape
     inputs = [
@@ -309,8 +350,8 @@ def _resample(
         height,
         window.left,
         window.top,
-        flat(out, wp.float64),
-        flat(ranks, wp.int32),
-        flat(moved, wp.float64),
+        flat(result.values, wp.float64),
+        flat(result.ranks, wp.int32),
+        flat(result.moved, wp.float64),
     ]
     launch.spread(resample.resample_rows, piece.rows, inputs, step="resample", threads=None, cost=2.0 * piece.columns)

@@ -75,7 +75,7 @@ def run_mosaic_import(
         composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)
         is_new = part is None and not settings.quick
-        if is_new and finished_import(path, settings, raster.sources) is None:
+        if is_new and finished_import(path, settings, raster) is None:
             details = describe_mosaic(composite, settings)
             on_progress(SCANNED, READING, details)
             raster.warnings += details["warnings"]

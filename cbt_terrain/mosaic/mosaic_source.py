@@ -22,6 +22,7 @@ from .target_grid import TargetGrid, choose_grid, footprints
 
 BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
 MAX_WARNINGS = 3  # of files
+BLENDING = 1  # increased when the same insets blend to other heights
 
 
 def open_composite(
@@ -79,8 +80,9 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         offset=composite.offset,
         roundings=composite.rounded(),
         warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
-        details={"bounds_against": f"the mosaic as resampled to {grid.crs}, bilinear"} if composite.resamples else {},
+        details=_surface(composite),
         sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
+        method=BLENDING if composite.insets else 0,
         inputs=composite.inputs_of,
         close=composite.close,
     )
@@ -109,6 +111,25 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
 
     raster.window, raster.pick, raster.finish = window, pick, finish
     return raster
+
+
+def blend_metres(composite: Composite) -> float:
+    """Return the largest width of the ring in which insets blend to the tiles below, metres; 0 for none."""
+    if composite.insets is None:
+        return 0.0
+    place = georeference_of(composite.grid)
+    steps = np.array([place.step_y, place.step_x])
+    return max(float((steps * ring.cell * ring.width).max()) for ring in composite.insets.rings[:-1])
+
+
+def _surface(composite: Composite) -> dict:
+    """Return the report's entry about the surface that bounds refer to; {} for the files' own."""
+    if not composite.resamples:
+        return {}
+    against = f"the mosaic as resampled to {composite.grid.crs}, bilinear"
+    width = blend_metres(composite)
+    blended = f", finer files blended to coarser ones over {width:.4g} m at most" if width else ""
+    return {"bounds_against": against + blended}
 
 
 def file_warnings(tiles: Sequence[SourceTile]) -> list[str]:

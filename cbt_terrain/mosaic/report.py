@@ -15,7 +15,7 @@ from ..importing.drafts import store_bytes
 from ..importing.file_grid import unit_of
 from ..importing.raster import ImportSettings
 from .composite import Composite
-from .mosaic_source import georeference_of
+from .mosaic_source import blend_metres, georeference_of
 from .seams import SeamReport, find_seams
 from .systems import crs_of, period_of, projected
 
@@ -24,7 +24,10 @@ MEASURED_SIDE = 513  # samples whose reading and building is timed
 MAX_KINDS = 12
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
-IMPORT_ENTRIES = (*("files", "kinds", "overlap_percent", "gap_percent"), *(f"seam{name}" for name in SEAM_NAMES))
+IMPORT_ENTRIES = (
+    *("files", "kinds", "overlap_percent", "gap_percent", "blend_m"),
+    *(f"seam{name}" for name in SEAM_NAMES),
+)
 
 
 def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
@@ -46,6 +49,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gap_percent": round(100.0 * gap, 2),
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
+        **({"blend_m": float(f"{blend_metres(composite):.4g}")} if composite.insets else {}),
         "expected_seconds": _expected_seconds(composite),
         "expected_disk_mb": round(_expected_bytes(composite) / 1e6, 1),
         "warnings": datum_warnings(composite),

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seams of a mosaic: how far the heights of two overlapping files are apart where one of them ends."""
+"""Seams of a mosaic: how far the heights of two overlapping files are apart where one of them ends.
+
+They are compared as the files have them, before insets blend to what is below.
+"""
 
 from typing import NamedTuple
 
@@ -7,11 +10,11 @@ import numpy as np
 
 from .catalogue import SourceTile
 from .composite import Composite
+from .insets import INSIDE, overlapping_pairs
 from .systems import period_of, projected
 
 MAX_PAIRS = 400  # of files that are compared; of more, some are chosen evenly
 MAX_SAMPLES = 512  # of one side of a file
-INSIDE = 1e-6  # samples
 
 
 class SeamReport(NamedTuple):
@@ -39,7 +42,7 @@ def find_seams(composite: Composite) -> SeamReport:
 
     If none of these are known in both files, samples of the whole overlap are compared.
     """
-    pairs = overlapping_pairs(composite)
+    pairs = overlapping_pairs(composite.boxes)
     chosen = [pairs[len(pairs) * n // MAX_PAIRS] for n in range(MAX_PAIRS)] if len(pairs) > MAX_PAIRS else pairs
     steps, places, numbers = [], [], []
     names: list[tuple[str, str]] = []
@@ -59,19 +62,6 @@ def find_seams(composite: Composite) -> SeamReport:
         np.concatenate([np.zeros(0, np.int32), *numbers]),
         names,
     )
-
-
-def overlapping_pairs(composite: Composite) -> list[tuple[int, int]]:
-    """Return the ranks of tiles whose boxes overlap, the lower one first."""
-    boxes = composite.boxes
-    order = np.argsort(boxes[:, 0], kind="stable")
-    starts, pairs = boxes[order, 0], []
-    for position, rank in enumerate(order):
-        end = int(np.searchsorted(starts, boxes[rank, 2] + INSIDE, side="right"))
-        others = order[position + 1 : end]
-        meets = (boxes[others, 1] <= boxes[rank, 3] + INSIDE) & (boxes[others, 3] >= boxes[rank, 1] - INSIDE)
-        pairs += [(min(rank, other), max(rank, other)) for other in others[meets]]
-    return sorted((int(lower), int(upper)) for lower, upper in pairs)
 
 
 def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:

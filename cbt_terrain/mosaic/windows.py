@@ -52,6 +52,30 @@ class LatticeWindow(NamedTuple):
     tile_ranks: np.ndarray
 
 
+class PieceValues(NamedTuple):
+    """Resampled values of a piece.
+
+    Attributes:
+        values: float64 [rows, columns], NaN where missing.
+        ranks: int32 [rows, columns], rank of each value's tile; UNCOVERED, or NO_DATA in a tile.
+        moved: float64 [rows, columns], largest difference that the error of the position makes.
+    """
+
+    values: np.ndarray
+    ranks: np.ndarray
+    moved: np.ndarray
+
+    def copy(self) -> "PieceValues":
+        """Return a copy of the arrays."""
+        return PieceValues(self.values.copy(), self.ranks.copy(), self.moved.copy())
+
+
+def empty_values(piece: GridPiece) -> PieceValues:
+    """Return a piece without any value."""
+    shape = piece.rows, piece.columns
+    return PieceValues(np.full(shape, np.nan), np.full(shape, UNCOVERED, np.int32), np.zeros(shape))
+
+
 def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPiece]:
     """Divide a window into its parts of blocks."""
     for y in range(row // BLOCK, (row + rows - 1) // BLOCK + 1):

@@ -447,6 +447,8 @@ def _add_mosaic(verb: argparse.ArgumentParser) -> None:
 
     priority = "which of several files is used where they overlap: the last, the finest or the newest (order)"
     verb.add_argument("--priority", choices=PRIORITIES, help=priority)
+    blend = "leave the step where a finer file ends on a coarser one, instead of blending their heights"
+    verb.add_argument("--no-blend", dest="blend", action="store_false", help=blend)
     step = positive(MAX_ERROR_M)
     verb.add_argument(
         "--step", type=step, metavar="METRES", help="between samples of several files (the finest file's)"

@@ -47,7 +47,9 @@ def settings_of(obj) -> ImportSettings:
         heights = {"lowest": settings.lowest, "highest": settings.highest}
     files = _files_of(settings)
     several = names_several(files)
-    mosaic = {"priority": settings.priority, "step": settings.sample_step or None} if several else {}
+    mosaic = {}
+    if several:
+        mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
     raw = {}
     if is_raw(settings.source_path):
         raw = {

@@ -96,7 +96,7 @@ def _draw_file(column, settings) -> None:
 
 def _draw_mosaic(column, settings) -> None:
     """Draw the settings of a terrain with several sources."""
-    for name in ("priority", "sample_step", "band", "project"):
+    for name in ("priority", "blend", "sample_step", "band", "project"):
         column.prop(settings, name)
     draw_switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")

@@ -121,6 +121,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
                ("resolution", "Finest File", "The file with the smallest step"),
                ("newest", "Newest File", "The file that was changed last")],
     )  # fmt: skip
+    blend: BoolProperty(
+        name="Blend Borders",
+        description="Blend the heights of a finer file to those of a coarser one below it, in a ring inside its border",
+        default=True,
+    )
     sample_step: FloatProperty(
         name="Sample Step",
         description="Metres between samples of a terrain of several files; 0 for the step of the finest file",

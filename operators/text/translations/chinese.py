@@ -45,6 +45,7 @@ LABELS = {
     "Band": "波段",
     "Bed": "岩层",
     "Beds": "岩层",
+    "Blend Borders": "混合边缘",
     "Bring Extension": "附带扩展",
     "Broadleaves": "阔叶树",
     "Build Different Mountains": "生成不同的山脉",

@@ -45,6 +45,7 @@ LABELS = {
     "Band": "Bande",
     "Bed": "Strate",
     "Beds": "Strates",
+    "Blend Borders": "Fondre les bords",
     "Bring Extension": "Joindre l’extension",
     "Broadleaves": "Feuillus",
     "Build Different Mountains": "Créer d’autres montagnes",

@@ -45,6 +45,7 @@ LABELS = {
     "Band": "Band",
     "Bed": "Schicht",
     "Beds": "Schichten",
+    "Blend Borders": "Ränder überblenden",
     "Bring Extension": "Erweiterung mitgeben",
     "Broadleaves": "Laubbäume",
     "Build Different Mountains": "Andere Berge bilden",

@@ -45,6 +45,7 @@ LABELS = {
     "Band": "バンド",
     "Bed": "地層",
     "Beds": "地層",
+    "Blend Borders": "境界を混ぜる",
     "Bring Extension": "エクステンションを同梱",
     "Broadleaves": "広葉樹",
     "Build Different Mountains": "別の山を作る",

@@ -45,6 +45,7 @@ LABELS = {
     "Band": "Banda",
     "Bed": "Estrato",
     "Beds": "Estratos",
+    "Blend Borders": "Fundir los bordes",
     "Bring Extension": "Incluir extensión",
     "Broadleaves": "Frondosas",
     "Build Different Mountains": "Crear otras montañas",

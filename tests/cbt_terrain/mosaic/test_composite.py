@@ -52,7 +52,7 @@ def test_any_window_has_the_bits_of_the_whole(three, project):
 @pytest.mark.parametrize("project", ["", "EPSG:3035"])
 def test_heights_are_those_of_an_exact_sampler(three, project):
     files, sheets = three
-    composite = open_composite(settings_of(files, project=project), None)
+    composite = open_composite(settings_of(files, project=project, blend=False), None)
     heights, bound = composite.read(0, composite.grid.height)
     x, y = composite.grid.positions(
         *np.meshgrid(

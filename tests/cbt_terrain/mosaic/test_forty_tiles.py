@@ -70,7 +70,7 @@ def mosaic(tmp_path_factory):
         file.with_suffix(".tif.gz").write_bytes(gzip.compress(file.read_bytes()))
         file.unlink()
     previews = []
-    settings = ImportSettings(str(folder), project=UTM32)
+    settings = ImportSettings(str(folder), project=UTM32, blend=False)
     report = run_mosaic_import(settings, folder / "store", lambda *state: previews.extend(state[2:]))
     south.heights[MISSING] = np.nan
     return open_store(folder / "store"), report, previews, [north, south, zone33, zone32, feet, inset], tiles

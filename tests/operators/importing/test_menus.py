@@ -88,6 +88,8 @@ def test_several_files_become_one_terrain(scene, tmp_path):
     assert changed_settings(settings_of(terrain), imported_of(settings)) == []
     settings.priority = "newest"
     assert changed_settings(settings_of(terrain), imported_of(settings)) == ["priority"]
+    settings.blend = False
+    assert changed_settings(settings_of(terrain), imported_of(settings)) == ["priority", "blend"]
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     saved = bpy.data.objects["tiles"].adaptive_terrain

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Insets: finer tiles on coarser ones. Within a ring inside their border, their heights blend to those below.
+
+Lattices of about the same step form a level, and each level is laid on those with larger steps. A seam of a level is a
+sample that it lacks and that is known below. Distances to seams are measured between the corners of square cells at
+fixed places of the grid, so a blended height depends on its place and the tiles alone.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from .lattices import TileLattice
+from .positions import BLOCK
+from .target_grid import TargetGrid
+from .windows import GridPiece, PieceValues
+
+RING = 32  # samples of the coarser tiles between the border of an inset and its own heights
+MIN_RATIO = 1.9  # of the steps of two levels
+MIN_SIDE = 8  # samples of the level below; a narrower lattice is not blended, because a ring would leave nothing of it
+MAX_LEVELS = 62  # whose seams are bits of one number
+MAX_STRETCH = 4.0  # of a ring's axes
+MAX_CELL_BYTES = 1 << 28  # kept seams
+INSIDE = 1e-6  # samples
+
+Scan = Callable[[int, int], Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]]
+
+
+class BlendRing(NamedTuple):
+    """The ring of insets on tiles of one level.
+
+    Attributes:
+        cell: samples of the grid along a side of the cells by which distances are measured; a power of 2.
+        width: its width in cells, down and across.
+    """
+
+    cell: int
+    width: tuple[float, float]
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """Return the width in whole cells, down and across."""
+        return int(np.ceil(self.width[0])), int(np.ceil(self.width[1]))
+
+
+def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
+    """Return the ranks of tiles whose boxes overlap, the lower one first."""
+    order = np.argsort(boxes[:, 0], kind="stable")
+    starts, pairs = boxes[order, 0], []
+    for position, rank in enumerate(order):
+        end = int(np.searchsorted(starts, boxes[rank, 2] + INSIDE, side="right"))
+        others = order[position + 1 : end]
+        meets = (boxes[others, 1] <= boxes[rank, 3] + INSIDE) & (boxes[others, 3] >= boxes[rank, 1] - INSIDE)
+        pairs += [(min(rank, other), max(rank, other)) for other in others[meets]]
+    return sorted((int(lower), int(upper)) for lower, upper in pairs)
+
+
+def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile lies on a coarser one.
+
+    steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4].
+    """
+    levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
+    coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
+    level, first = 0, coarsest.max()
+    order = np.argsort(-coarsest, kind="stable")
+    for number in order:
+        if coarsest[number] * MIN_RATIO <= first and level < MAX_LEVELS - 1:
+            level, first = level + 1, coarsest[number]
+        levels[lattices[number].tiles] = level
+    if level == 0:
+        return levels
+    pairs = np.array(overlapping_pairs(boxes), np.int64).reshape(-1, 2)
+    for number in order:
+        tiles = lattices[number].tiles
+        below = pairs[np.isin(pairs[:, 1], tiles), 0]
+        below = below[levels[below] < levels[tiles[0]]]
+        if len(below):
+            nearest = levels[below].max()
+            sides = boxes[tiles, 2:].max(axis=0) - boxes[tiles, :2].min(axis=0)
+            if (sides < MIN_SIDE * steps[levels == nearest].max(axis=0)).any():
+                levels[tiles] = nearest
+    lower, upper = levels[pairs].T
+    return np.unique(levels, return_inverse=True)[1] if (upper > lower).any() else np.zeros_like(levels)
+
+
+class InsetBlend:
+    """Blending of the levels of a mosaic.
+
+    Attributes:
+        levels: level of each tile.
+        rings: ring of insets on each level.
+    """
+
+    def __init__(self, levels: np.ndarray, steps: np.ndarray, grid: TargetGrid, scan: Scan) -> None:
+        """Prepare the rings. `scan` yields the parts of a block with each of their levels, below it and with it."""
+        self.levels, self._scan = levels, scan
+        self.rings = [_ring(steps[levels == level].max(axis=0, initial=0.0)) for level in range(levels.max() + 1)]
+        self._kind = np.min_scalar_type(1 << len(self.rings))
+        last = grid.row + grid.height - 1, grid.column + grid.width - 1
+        self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
+        self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
+        self._bytes = 0
+
+    @property
+    def reach(self) -> int:
+        """Return the distance, samples of the grid, up to which tiles have a part in a blended sample."""
+        return max(ring.cell * (3 * max(ring.reach) + 2) for ring in self.rings)
+
+    def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
+        """Blend the values of a level in `top` to those below it."""
+        mixed = (below.ranks >= 0) & (top.ranks > below.ranks)
+        if not mixed.any():
+            return
+        part = np.ones(mixed.shape)
+        for lower in range(level):
+            found = self._fractions(level, lower, piece)
+            part = part if found is None else np.minimum(part, found)
+        mixed &= part < 1.0
+        t = part[mixed]
+        weight = t * t * (3.0 - 2.0 * t)
+        for of_top, of_below in ((top.values, below.values), (top.moved, below.moved)):
+            of_top[mixed] = of_below[mixed] * (1.0 - weight) + of_top[mixed] * weight
+
+    def _fractions(self, level: int, lower: int, piece: GridPiece) -> np.ndarray | None:
+        """Return how far samples are on their way through the ring, 0 at seams to 1 inside; None for 1 everywhere."""
+        ring = self.rings[lower]
+        down, across = ring.reach
+        if not (self._seams(level, ring, piece, (down + 1, across + 1)) >> lower & 1).any():
+            return None
+        cells = self._seams(level, ring, piece, (3 * down + 1, 3 * across + 1))
+        seams, ends = cells >> lower & 1 != 0, cells >> len(self.rings) & 1 != 0
+        nodes = ring_fractions(seams, ends, ring)
+        rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
+        j, i = rows // ring.cell - piece.row // ring.cell, columns // ring.cell - piece.column // ring.cell
+        t, s = ((rows % ring.cell + 0.5) / ring.cell)[:, None], (columns % ring.cell + 0.5) / ring.cell
+        between = nodes[j] * (1.0 - t) + nodes[j + 1] * t
+        return between[:, i] * (1.0 - s) + between[:, i + 1] * s
+
+    def _seams(self, level: int, ring: BlendRing, piece: GridPiece, margin: tuple[int, int]) -> np.ndarray:
+        """Return the marks of a level in a ring's cells that a piece meets, and in `margin` cells around them."""
+        size = BLOCK // ring.cell
+        first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
+        last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
+        last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
+        cells = np.zeros((last[0] - first[0] + 1, last[1] - first[1] + 1), self._kind)
+        ranges = [
+            range(max(first[axis] // size, low), min(last[axis] // size, high) + 1)
+            for axis, (low, high) in enumerate(self._blocks)
+        ]
+        for row in ranges[0]:
+            for column in ranges[1]:
+                found = self._block(row, column).get(level)
+                if found is None:
+                    continue
+                pooled = _pool(found, len(found) // size)
+                top, left = row * size - first[0], column * size - first[1]
+                part = cells[max(top, 0) : top + size, max(left, 0) : left + size]
+                part[:] = pooled[max(-top, 0) :, max(-left, 0) :][: part.shape[0], : part.shape[1]]
+        return cells
+
+    def _block(self, row: int, column: int) -> dict[int, np.ndarray]:
+        """Return the marks in a block's cells of each level that has any."""
+        key = row, column
+        if key not in self._cells:
+            found: dict[int, np.ndarray] = {}
+            for piece, level, below, top in self._scan(row, column):
+                marks = found.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
+                y, x = piece.row % BLOCK, piece.column % BLOCK
+                marks[y : y + piece.rows, x : x + piece.columns] = self._marks(below.ranks, top.ranks)
+            cells = {level: min(ring.cell for ring in self.rings[:level]) for level in found}
+            pooled = {level: _pool(marks, cells[level]) for level, marks in found.items()}
+            self._cells[key] = {level: marks for level, marks in pooled.items() if marks.any()}
+            self._bytes += sum(marks.nbytes for marks in self._cells[key].values())
+            while self._bytes > MAX_CELL_BYTES and len(self._cells) > 1:
+                self._bytes -= sum(marks.nbytes for marks in self._cells.popitem(last=False)[1].values())
+        self._cells.move_to_end(key)
+        return self._cells[key]
+
+    def _marks(self, below: np.ndarray, top: np.ndarray) -> np.ndarray:
+        """Return marks of samples: bit n where level n is seen past the one on top, the last bit where none is below.
+
+        below, top: ranks.
+        """
+        seen = np.where((below >= 0) & (top == below), np.left_shift(1, self.levels[np.maximum(below, 0)]), 0)
+        return np.where((below < 0) & (top >= 0), 1 << len(self.rings), seen).astype(self._kind)
+
+
+def _ring(steps: np.ndarray) -> BlendRing:
+    """Return the ring of insets on tiles with these steps, samples of the grid along x and y."""
+    shortest = min(float(steps.min()), float(BLOCK))
+    across, down = (min(float(step), MAX_STRETCH * shortest) for step in steps)
+    cell = 1
+    while 2 * cell <= shortest:
+        cell *= 2
+    return BlendRing(cell, (RING * down / cell, RING * across / cell))
+
+
+def _pool(marks: np.ndarray, side: int) -> np.ndarray:
+    """Return the marks of squares of side x side samples."""
+    if side == 1:
+        return marks
+    rows = np.bitwise_or.reduce(marks.reshape(len(marks) // side, side, -1), axis=1)
+    return np.bitwise_or.reduce(rows.reshape(len(rows), -1, side), axis=2)
+
+
+def ring_fractions(seams: np.ndarray, ends: np.ndarray, ring: BlendRing) -> np.ndarray:
+    """Return how far the corners of cells are on their way through a ring, 0 to 1.
+
+    The ring is narrower where the inset is: at most half as wide as the largest distance to a seam within one ring.
+    It is narrower, too, where the tiles below end under the inset, so that there is no step where they do.
+
+    Args:
+        seams: bool, cells with a sample of the tiles below, with a margin of three rings and one cell.
+        ends: the same for samples of the inset without any below.
+    """
+    down, across = ring.reach
+    near = _distances(_corners(seams), ring, 2)[2 * down : -2 * down, 2 * across : -2 * across]
+    widest = sliding_window_view(near, 2 * down + 1, axis=0).max(axis=-1)
+    widest = sliding_window_view(widest, 2 * across + 1, axis=1).max(axis=-1)
+    beyond = _distances(_corners(ends)[2 * down : -2 * down, 2 * across : -2 * across], ring, 1)
+    near, beyond = (distance[down:-down, across:-across] for distance in (near, beyond))
+    width = np.minimum(np.minimum(widest / 2.0, near + beyond), 1.0)
+    return np.minimum(np.divide(near, width, out=np.zeros_like(near), where=width > 0.0), 1.0)
+
+
+def _corners(cells: np.ndarray) -> np.ndarray:
+    """Return which inner corners of cells belong to a marked one."""
+    rows = cells[:-1] | cells[1:]
+    return rows[:, :-1] | rows[:, 1:]
+
+
+def _distances(marked: np.ndarray, ring: BlendRing, limit: int) -> np.ndarray:
+    """Return the distance, in widths of the ring, to the nearest marked corner; at most `limit` widths."""
+    columns, far = np.arange(marked.shape[1]), float(limit * limit)
+    before = np.maximum.accumulate(np.where(marked, columns, -(1 << 30)), axis=1)
+    after = np.minimum.accumulate(np.where(marked, columns, 1 << 30)[:, ::-1], axis=1)[:, ::-1]
+    along = np.minimum(columns - before, after - columns) / ring.width[1]
+    squares = np.minimum(along * along, far)
+    nearest = squares.copy()
+    for row in range(1, min(int(np.ceil(limit * ring.width[0])), len(marked) - 1) + 1):
+        down = row / ring.width[0]
+        np.minimum(nearest[row:], squares[:-row] + down * down, out=nearest[row:])
+        np.minimum(nearest[:-row], squares[row:] + down * down, out=nearest[:-row])
+    return np.sqrt(nearest)

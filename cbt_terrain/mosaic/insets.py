@@ -21,6 +21,10 @@ from .windows import GridPiece, PieceValues
 RING = 32  # samples of the coarser tiles between the border of an inset and its own heights
 MIN_RATIO = 1.9  # of the steps of two levels
 MIN_SIDE = 8  # samples of the level below; a narrower lattice is not blended, because a ring would leave nothing of it
+MAX_PART = (
+    4  # a ring is at most this part (1 : n) of the largest distance to a seam, so most of an inset keeps its heights
+)
+WIDER = 4  # cells of a ring along one by which that distance is measured
 MAX_LEVELS = 62  # whose seams are bits of one number
 MAX_STRETCH = 4.0  # of a ring's axes
 MAX_CELL_BYTES = 1 << 28  # kept seams
@@ -128,21 +132,25 @@ class InsetBlend:
     def _fractions(self, level: int, lower: int, piece: GridPiece) -> np.ndarray | None:
         """Return how far samples are on their way through the ring, 0 at seams to 1 inside; None for 1 everywhere."""
         ring = self.rings[lower]
-        down, across = ring.reach
-        if not (self._seams(level, ring, piece, (down + 1, across + 1)) >> lower & 1).any():
-            return None
-        cells = self._seams(level, ring, piece, (3 * down + 1, 3 * across + 1))
+        cells = self._seams(level, ring, piece, 1)
         seams, ends = cells >> lower & 1 != 0, cells >> len(self.rings) & 1 != 0
-        nodes = ring_fractions(seams, ends, ring)
+        if not seams.any():
+            return None
+        times = min(WIDER, BLOCK // ring.cell)
+        wide = BlendRing(times * ring.cell, (ring.width[0] / times, ring.width[1] / times))
+        widest = find_widest(self._seams(level, wide, piece, MAX_PART + 1) >> lower & 1 != 0, wide)
+        first = piece.row // ring.cell, piece.column // ring.cell
+        last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
+        corners = [np.arange(n, m + 2) for n, m in zip(first, last, strict=True)]
+        widest = _between(widest, *(n / times - n[0] // times for n in corners))
+        nodes = ring_fractions(seams, ends, widest, ring)
         rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
-        j, i = rows // ring.cell - piece.row // ring.cell, columns // ring.cell - piece.column // ring.cell
-        t, s = ((rows % ring.cell + 0.5) / ring.cell)[:, None], (columns % ring.cell + 0.5) / ring.cell
-        between = nodes[j] * (1.0 - t) + nodes[j + 1] * t
-        return between[:, i] * (1.0 - s) + between[:, i + 1] * s
+        places = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))
+        return _between(nodes, *places)
 
-    def _seams(self, level: int, ring: BlendRing, piece: GridPiece, margin: tuple[int, int]) -> np.ndarray:
-        """Return the marks of a level in a ring's cells that a piece meets, and in `margin` cells around them."""
-        size = BLOCK // ring.cell
+    def _seams(self, level: int, ring: BlendRing, piece: GridPiece, rings: int) -> np.ndarray:
+        """Return the marks of a level in a ring's cells that a piece meets, with a margin of `rings` and one cell."""
+        size, margin = BLOCK // ring.cell, [rings * reach + 1 for reach in ring.reach]
         first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
         last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
@@ -207,23 +215,40 @@ def _pool(marks: np.ndarray, side: int) -> np.ndarray:
     return np.bitwise_or.reduce(rows.reshape(len(rows), -1, side), axis=2)
 
 
-def ring_fractions(seams: np.ndarray, ends: np.ndarray, ring: BlendRing) -> np.ndarray:
-    """Return how far the corners of cells are on their way through a ring, 0 to 1.
+def _between(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Interpolate between nodes, bilinearly, at the products of two sets of places."""
+    j, i = down.astype(np.int64), across.astype(np.int64)
+    t, s = (down - j)[:, None], across - i
+    rows = nodes[j] * (1.0 - t) + nodes[np.minimum(j + 1, nodes.shape[0] - 1)] * t
+    return rows[:, i] * (1.0 - s) + rows[:, np.minimum(i + 1, nodes.shape[1] - 1)] * s
 
-    The ring is narrower where the inset is: at most half as wide as the largest distance to a seam within one ring.
-    It is narrower, too, where the tiles below end under the inset, so that there is no step where they do.
 
-    Args:
-        seams: bool, cells with a sample of the tiles below, with a margin of three rings and one cell.
-        ends: the same for samples of the inset without any below.
+def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
+    """Return for corners of cells the largest distance to a seam within one ring, at most MAX_PART rings.
+
+    seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
     """
     down, across = ring.reach
-    near = _distances(_corners(seams), ring, 2)[2 * down : -2 * down, 2 * across : -2 * across]
+    near = _distances(_corners(seams), ring, MAX_PART)
+    near = near[MAX_PART * down : -MAX_PART * down, MAX_PART * across : -MAX_PART * across]
     widest = sliding_window_view(near, 2 * down + 1, axis=0).max(axis=-1)
-    widest = sliding_window_view(widest, 2 * across + 1, axis=1).max(axis=-1)
-    beyond = _distances(_corners(ends)[2 * down : -2 * down, 2 * across : -2 * across], ring, 1)
-    near, beyond = (distance[down:-down, across:-across] for distance in (near, beyond))
-    width = np.minimum(np.minimum(widest / 2.0, near + beyond), 1.0)
+    return sliding_window_view(widest, 2 * across + 1, axis=1).max(axis=-1)
+
+
+def ring_fractions(seams: np.ndarray, ends: np.ndarray, widest: np.ndarray, ring: BlendRing) -> np.ndarray:
+    """Return how far the corners of cells are on their way through a ring, 0 to 1.
+
+    The ring is narrower where the inset is, and where the tiles below end under it, so that there is no step.
+
+    Args:
+        seams: bool, cells with a sample of the tiles below, with a margin of one ring and one cell.
+        ends: the same for samples of the inset without any below.
+        widest: float64, largest distances to a seam around the corners, rings.
+    """
+    down, across = ring.reach
+    marks = _corners(seams), _corners(ends)
+    near, beyond = (_distances(marked, ring, 1)[down:-down, across:-across] for marked in marks)
+    width = np.minimum(np.minimum(widest / MAX_PART, near + beyond), 1.0)
     return np.minimum(np.divide(near, width, out=np.zeros_like(near), where=width > 0.0), 1.0)
 
 

@@ -37,34 +37,41 @@ def layers(grid, below, above):
 def expected_heights(grid, low, high, step):
     """Return blended heights and weights of two layers by brute force; step: samples of the grid in a coarse one."""
     cell = 2 ** int(np.log2(step))
-    reach = int(np.ceil(32 * step / cell))
     j, i = (n0 + np.arange(count) for n0, count in ((grid.row, grid.height), (grid.column, grid.width)))
-    nodes_y, nodes_x = (np.arange(n[0] // cell - reach, n[-1] // cell + 2 + reach) for n in (j, i))
 
-    def distances(marked):
-        """Return distances of nodes, in rings, to the corners of cells with marked samples."""
+    def distances(marked, side, reach=0):
+        """Return distances of nodes, in rings, to the corners of cells with marked samples, and the nodes' numbers."""
+        nodes_y, nodes_x = (np.arange(n[0] // side - reach, n[-1] // side + 3 + reach) for n in (j, i))
         rows, columns = np.nonzero(marked)
-        cells = np.unique(np.stack([j[rows] // cell, i[columns] // cell], axis=1), axis=0)
+        cells = np.unique(np.stack([j[rows] // side, i[columns] // side], axis=1), axis=0)
         corners = np.unique(np.concatenate([cells + (a, b) for a in (0, 1) for b in (0, 1)]), axis=0)
-        found = np.full((len(nodes_y), len(nodes_x)), 2.0)
+        found = np.full((len(nodes_y), len(nodes_x)), 4.0)
         for v, u in corners:
             squares = (nodes_y[:, None] - v) ** 2 + (nodes_x - u) ** 2
-            np.minimum(found, np.sqrt(squares) * cell / (32 * step), out=found)
-        return found
+            np.minimum(found, np.sqrt(squares) * side / (32 * step), out=found)
+        return found, nodes_y, nodes_x
 
-    near = distances(np.isnan(high) & np.isfinite(low))
-    beyond = distances(np.isfinite(high) & np.isnan(low))
-    widest = np.zeros_like(near)
-    for v in range(reach, len(nodes_y) - reach):
-        for u in range(reach, len(nodes_x) - reach):
-            widest[v, u] = near[v - reach : v + reach + 1, u - reach : u + reach + 1].max()
-    width = np.minimum(np.minimum(widest / 2, near + beyond), 1.0)
+    def between(nodes, v, u):
+        """Return bilinear values at rows v and columns u of nodes."""
+        q, p = np.floor(v).astype(int), np.floor(u).astype(int)
+        t, s = (v - q)[:, None], u - p
+        z = (nodes[q][:, p] * (1 - s) + nodes[q][:, p + 1] * s) * (1 - t)
+        return z + (nodes[q + 1][:, p] * (1 - s) + nodes[q + 1][:, p + 1] * s) * t
+
+    seams = np.isnan(high) & np.isfinite(low)
+    near, nodes_y, nodes_x = distances(seams, cell)
+    beyond = distances(np.isfinite(high) & np.isnan(low), cell)[0]
+    reach = int(np.ceil(32 * step / (4 * cell)))
+    around, wide_y, wide_x = distances(seams, 4 * cell, reach)
+    widest = around * np.nan
+    for v in range(reach, len(wide_y) - reach):
+        for u in range(reach, len(wide_x) - reach):
+            widest[v, u] = around[v - reach : v + reach + 1, u - reach : u + reach + 1].max()
+    widest = np.nan_to_num(between(widest, nodes_y[:-1] / 4 - wide_y[0], nodes_x[:-1] / 4 - wide_x[0]), nan=4.0)
+    near, beyond = near[:-1, :-1], beyond[:-1, :-1]
+    width = np.minimum(np.minimum(widest / 4, near + beyond), 1.0)
     part = np.where(near == 0, 0.0, np.minimum(near / np.maximum(width, 1e-300), 1.0))
-    v, u = (j + 0.5) / cell - nodes_y[0], (i + 0.5) / cell - nodes_x[0]
-    q, p = np.floor(v).astype(int), np.floor(u).astype(int)
-    t, s = (v - q)[:, None], u - p
-    z = (part[q][:, p] * (1 - s) + part[q][:, p + 1] * s) * (1 - t)
-    z += (part[q + 1][:, p] * (1 - s) + part[q + 1][:, p + 1] * s) * t
+    z = between(part, (j + 0.5) / cell - nodes_y[0], (i + 0.5) / cell - nodes_x[0])
     weight = 3 * z**2 - 2 * z**3
     blended = low * (1 - weight) + high * weight
     return np.where(np.isnan(low), high, np.where(np.isnan(high), low, blended)), weight

@@ -69,24 +69,23 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     """
     levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
-    level, first = 0, coarsest.max()
-    order = np.argsort(-coarsest, kind="stable")
-    for number in order:
+    level, first, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)
+    for number in np.argsort(-coarsest, kind="stable"):
         if coarsest[number] * MIN_RATIO <= first and level < MAX_LEVELS - 1:
             level, first = level + 1, coarsest[number]
-        levels[lattices[number].tiles] = level
+        levels[lattices[number].tiles], owners[lattices[number].tiles] = level, number
     if level == 0:
         return levels
     pairs = np.array(overlapping_pairs(boxes), np.int64).reshape(-1, 2)
-    for number in order:
-        tiles = lattices[number].tiles
-        below = pairs[np.isin(pairs[:, 1], tiles), 0]
-        below = below[levels[below] < levels[tiles[0]]]
-        if len(below):
-            nearest = levels[below].max()
-            sides = boxes[tiles, 2:].max(axis=0) - boxes[tiles, :2].min(axis=0)
-            if (sides < MIN_SIDE * steps[levels == nearest].max(axis=0)).any():
-                levels[tiles] = nearest
+    lower, upper = pairs[levels[pairs[:, 0]] < levels[pairs[:, 1]]].T
+    finest_below = np.full(len(lattices), -1)
+    np.maximum.at(finest_below, owners[upper], levels[lower])
+    level_steps = [steps[levels == number].max(axis=0) for number in range(level + 1)]
+    for number in np.flatnonzero(finest_below >= 0):
+        tiles, below = lattices[number].tiles, finest_below[number]
+        sides = boxes[tiles, 2:].max(axis=0) - boxes[tiles, :2].min(axis=0)
+        if (sides < MIN_SIDE * level_steps[below]).any():
+            levels[tiles] = below
     lower, upper = levels[pairs].T
     return np.unique(levels, return_inverse=True)[1] if (upper > lower).any() else np.zeros_like(levels)
 
@@ -104,6 +103,8 @@ class InsetBlend:
         self.levels, self._scan = levels, scan
         self.rings = [_ring(steps[levels == level].max(axis=0, initial=0.0)) for level in range(levels.max() + 1)]
         self._kind = np.min_scalar_type(1 << len(self.rings))
+        # The last two are those of the ranks UNCOVERED and NO_DATA.
+        self._bits = np.append(np.left_shift(1, levels), [0, 0]).astype(self._kind)
         last = grid.row + grid.height - 1, grid.column + grid.width - 1
         self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
@@ -193,8 +194,10 @@ class InsetBlend:
 
         below, top: ranks.
         """
-        seen = np.where((below >= 0) & (top == below), np.left_shift(1, self.levels[np.maximum(below, 0)]), 0)
-        return np.where((below < 0) & (top >= 0), 1 << len(self.rings), seen).astype(self._kind)
+        marks = self._bits[below]
+        marks[top != below] = 0
+        marks[(below < 0) & (top >= 0)] = 1 << len(self.rings)
+        return marks
 
 
 def _ring(steps: np.ndarray) -> BlendRing:

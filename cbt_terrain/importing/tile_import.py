@@ -305,7 +305,8 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
     if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
-        work.copy(before)
+        with suppress(OSError, ValueError):  # then everything is made anew
+            work.copy(before)
     work.attach(draft)
     work.make_sparse("missing")
     work.describe()

@@ -148,7 +148,9 @@ def open_tile(path: Path, settings: ImportSettings) -> Raster:
     """Open one file of a mosaic, unpacked. Its samples are as the file stores them. Raises TerrainError."""
     from rasterio.env import setenv
 
-    of_one = dataclasses.replace(settings, source=str(path), more_sources=(), priority=ORDER, step=None, project="")
+    of_one = dataclasses.replace(
+        settings, source=str(path), more_sources=(), priority=ORDER, step=None, blend=True, project=""
+    )
     raster = open_source(of_one)
     # For sources that a VRT opens while it is read.
     setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")

@@ -113,7 +113,7 @@ class InsetBlend:
     @property
     def reach(self) -> int:
         """Return the distance, samples of the grid, up to which tiles have a part in a blended sample."""
-        return max(ring.cell * (3 * max(ring.reach) + 2) for ring in self.rings)
+        return max(ring.cell * ((MAX_PART + 1) * max(ring.reach) + 2) for ring in self.rings)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
         """Blend the values of a level in `top` to those below it."""

@@ -11,9 +11,10 @@ from ..errors import shown
 from ..field.build import from_array
 from ..field.lattice import fit
 from ..importing.archives import MAX_UNPACKED_BYTES, is_archive
-from ..importing.drafts import store_bytes
+from ..importing.drafts import store_bytes, work_bytes
 from ..importing.file_grid import unit_of
 from ..importing.raster import ImportSettings
+from ..importing.tile_import import TILED_SAMPLES
 from .composite import Composite
 from .mosaic_source import blend_metres, georeference_of
 from .seams import SeamReport, find_seams
@@ -131,14 +132,15 @@ def _seams(seams: SeamReport, scale: float) -> dict:
 
 
 def _expected_bytes(composite: Composite) -> int:
-    """Return the bytes of the store, and those of unpacked files during the import."""
-    grid = composite.grid
+    """Return the room that an import takes on the disk, bytes, with that of unpacked files."""
+    lattice = fit(max(composite.grid.width, 2), max(composite.grid.height, 2))
+    is_large = lattice.width * lattice.height > TILED_SAMPLES
     unpacked = sum(
         int(tile.width * tile.height * np.dtype(tile.stored).itemsize)
         for tile in composite.tiles
         if is_archive(Path(tile.path))
     )
-    return store_bytes(fit(max(grid.width, 2), max(grid.height, 2)), 0) + min(unpacked, MAX_UNPACKED_BYTES)
+    return (work_bytes(lattice) if is_large else store_bytes(lattice, 0)) + min(unpacked, MAX_UNPACKED_BYTES)
 
 
 def _expected_seconds(composite: Composite) -> float:

@@ -13,11 +13,13 @@ part, because its pages count as memory of the process.
 """
 
 import functools
+import hashlib
 import json
 import os
-import shutil
 import time
+import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,9 +31,9 @@ from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.lattice import lattice_for
 from ..field.store import Draft
-from ..field.store_arrays import PAGE_BYTES, file_bytes, header
+from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
 from ..run import owned_files, partial_files
-from ..run.named_file import read_regular
+from ..run.named_file import open_regular, read_regular
 from .tile_grid import TileBox, TileGrid
 
 VERSION = 1
@@ -103,14 +105,37 @@ class TileWork:
         self.describe()
 
     def copy(self, before: "TileWork") -> None:
-        """Copy the arrays and records of an earlier version with the same tiles, but no record of a unit with gaps.
+        """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.
 
-        A store does not mark filled samples.
+        Records of units with gaps are left out, because a store does not mark filled samples.
         """
-        for name in STORED:
-            shutil.copyfile(before.folder / f"{name}.npy", self.folder / f"{name}.npy")
-        records = [record for record in before.records(READ).values() if not record["missing"]]
-        self._write(RECORDS_NAME, _lines([*records, *before.records(MEASURED).values()]))
+        is_whole = False
+        try:
+            text = read_regular(before.folder / RECORDS_NAME, MAX_RECORDS, links=False)
+            first, _, rest = text.partition(b"\n")
+            is_whole = first == _sum_line(rest) and all(self._copy_array(before, name) for name in STORED)
+            if is_whole:
+                records = [record for record in before.records(READ).values() if not record["missing"]]
+                self._write(RECORDS_NAME, _lines([*records, *before.records(MEASURED).values()]))
+        finally:
+            for name in () if is_whole else STORED:
+                with suppress(FileNotFoundError):
+                    self.remove(name)
+
+    def _copy_array(self, before: "TileWork", name: str) -> bool:
+        """Copy the file of an array, and return whether its checksums hold."""
+        shape, dtype = self.arrays()[name]
+        nbytes, sums = int(np.prod(shape)) * np.dtype(dtype).itemsize, []
+        file = f"{name}.npy"
+        with open_regular(before.folder / file) as reader, (self.folder / file).open("wb") as writer:
+            writer.write(reader.read(PAGE_BYTES))
+            for first in range(0, nbytes, BLOCK_BYTES):
+                block = reader.read(min(BLOCK_BYTES, nbytes - first))
+                sums.append(zlib.crc32(block))
+                writer.write(block)
+            stored = reader.read()
+            writer.write(stored)
+        return stored == np.array(sums, "<u4").tobytes()
 
     def _write(self, name: str, text: str) -> None:
         """Write a file that appears when it is complete."""
@@ -202,7 +227,8 @@ class TileWork:
     def keep_records(self) -> None:
         """Replace all files of records by one."""
         files = [*self.folder.glob(f"{PREFIX}*.jsonl")]
-        self._write(RECORDS_NAME, _lines([*self.records(READ).values(), *self.records(MEASURED).values()]))
+        lines = _lines([*self.records(READ).values(), *self.records(MEASURED).values()])
+        self._write(RECORDS_NAME, f"{_sum_line(lines.encode()).decode()}\n{lines}")
         for file in files:
             owned_files.remove_file(file)
 
@@ -211,6 +237,11 @@ class TileWork:
 def _log_name() -> str:
     """Return the name of this process's file of records."""
     return f"{PREFIX}{partial_files.new_token()}.jsonl"
+
+
+def _sum_line(lines: bytes) -> bytes:
+    """Return the first line of the records of a store: a checksum of the others."""
+    return json.dumps({"sum": hashlib.blake2b(lines, digest_size=16).hexdigest()}).encode()
 
 
 def _lines(records: list[dict]) -> str:

@@ -13,6 +13,7 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import codes, store
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.cleaning import fill_rows
 from adaptive_terrain.cbt_terrain.field.depths import depth_limit
 from adaptive_terrain.cbt_terrain.field.hierarchy import ranges_at, stored_at
 from adaptive_terrain.cbt_terrain.field.lattice import fit, lattice_for
@@ -23,7 +24,7 @@ from adaptive_terrain.cbt_terrain.run.buffers import flat
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from adaptive_terrain.kernels.field import expand, fill, hierarchy, ranges
+from adaptive_terrain.kernels.field import expand, hierarchy, ranges
 from diamond_entries import error_index, range_index
 from fields import split_points
 from invariants import arrays
@@ -218,15 +219,17 @@ def test_kernels_write_the_last_entries_of_a_large_hierarchy(tmp_path):
 def test_missing_samples_behind_2_to_the_31_are_filled(tmp_path):
     width, height = 1 << 20, 2100
     heights = sparse(tmp_path / "heights", (height, width), np.float32)
-    nearest = sparse(tmp_path / "nearest", (height, width), np.int32)
-    heights[-2:, -40:] = np.nan
+    heights[-2:, -40:] = 9.0
     heights[-3, -20] = 7.0
-    h, rows = flat(heights, wp.float32), flat(nearest, wp.int32)
-    launch_last(fill.nearest_in_columns, 1, width // 64 - 1, [h, width, height, 64, rows])
-    nearest[-1, :-64] = height - 1
-    apex, start = np.zeros(width, np.int32), np.zeros(width)
-    inputs = [h, width, height - 1, height, rows, flat(apex, wp.int32), flat(start, wp.float64)]
-    launch.once(fill.fill_rows, inputs, step="test")
+
+    def missing_in(rows):
+        """Return the missing samples of some rows: the last 40 of the last two rows."""
+        missing = np.zeros((rows.stop - rows.start, width), bool)
+        if rows.stop == height:
+            missing[-2:, -40:] = True
+        return missing
+
+    fill_rows(lambda: heights, missing_in, heights.shape, 1)
     expected = np.zeros(50)
     expected[-20] = 7.0
     assert heights.size > 2**31 and np.array_equal(heights[-1, -50:], expected)

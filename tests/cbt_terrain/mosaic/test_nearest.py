@@ -90,7 +90,7 @@ def test_each_file_is_opened_once_for_samples(tiles, tmp_path, monkeypatch):
     opened, real = [], composites.open_tile
     monkeypatch.setattr(composites, "open_tile", lambda path, settings: opened.append(path) or real(path, settings))
     run_mosaic_import(settings_of(tiles, quick=400), tmp_path / "store")
-    assert sorted(opened) == sorted(map(str, tiles))
+    assert sorted(map(str, opened)) == sorted(map(str, tiles))
 
 
 def test_a_mosaic_beyond_a_store_is_loaded_quickly(tmp_path):

@@ -179,6 +179,21 @@ def test_a_file_in_a_gap_and_a_lower_peak(tmp_path, tiled):  # noqa: F811
     assert len(crew.read) <= 22 and len(crew.measured) == 80, "the peak had coarser codes everywhere"
 
 
+@pytest.mark.parametrize("name", ["tiles.jsonl", "samples.npy", "borders.npy"])
+def test_damaged_parts_of_a_store_are_not_used_again(tmp_path, tiled, name):  # noqa: F811
+    write_tiles(tmp_path / "tiles", columns=2, rows=2, gap=None)
+
+    def change():
+        [file] = (tmp_path / "store").glob(f"data-*/{name}")
+        text = bytearray(file.read_bytes())
+        text[len(text) // 2] ^= 1
+        file.write_bytes(text)
+        patch(tmp_path, column=30, row=50)
+
+    crew = import_twice(tmp_path, tiled, change)
+    assert len(crew.read) == len(crew.measured) == 9
+
+
 def test_holes_that_a_file_closes(tmp_path, tiled):  # noqa: F811
     write_tiles(tmp_path / "tiles", gap=(1, 1))
     import_twice(tmp_path, tiled, lambda: patch(tmp_path, "v.tif", column=45, row=45, side=20), holes=True)

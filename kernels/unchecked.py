@@ -85,9 +85,11 @@ def copy_codes(
 
 @wp.func_native(
     "const int* leg = (const int*)(legs.data + first); int* __restrict to = (int*)(out.data + at); "
+    "const int down = bits > 0 ? bits - 1 : 0, lx = left[0] >> down, ly = left[1] >> down; "
+    "const int rx = right[0] >> down, ry = right[1] >> down; "
     "for (int k = 0; k < count; ++k) { "
-    "to[2 * k] = apex[0] + ((leg[2 * k] * left[0] + leg[2 * k + 1] * right[0]) >> 1); "
-    "to[2 * k + 1] = apex[1] + ((leg[2 * k] * left[1] + leg[2 * k + 1] * right[1]) >> 1); }"
+    "to[2 * k] = apex[0] + ((leg[2 * k] * lx + leg[2 * k + 1] * rx) >> 1); "
+    "to[2 * k + 1] = apex[1] + ((leg[2 * k] * ly + leg[2 * k + 1] * ry) >> 1); }"
 )
 def place_legs(
     legs: wp.array(dtype=wp.vec2i),
@@ -96,12 +98,14 @@ def place_legs(
     apex: wp.vec2i,
     left: wp.vec2i,
     right: wp.vec2i,
+    bits: wp.int32,
     out: wp.array(dtype=wp.vec2i),
     at: wp.int64,
 ):
-    """Write `count` vertices to out[at] on: apex + (a left + b right) / 2, with (a, b) from legs[first] on.
+    """Write `count` vertices to out[at] on: apex + (a left + b right) >> bits, with (a, b) from legs[first] on.
 
-    left, right: vectors from the apex towards the other two corners of the triangle, lattice units.
+    left, right: vectors from the apex to the other two corners of the triangle, lattice units. They are multiples of
+    2^(bits - 1), and are divided by it first, so that no product overflows.
     """
     ...
 

@@ -54,7 +54,5 @@ def write_block(
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)
     first = item_at(blocks.first_vertex, entry)
     count = item_at(blocks.vertices, entry)
-    shift = wp.max(bisections - 1, 0) >> 1  # the legs are multiples of the new vertices' distance
-    to_left = wp.vec2i((left[0] - apex[0]) >> shift, (left[1] - apex[1]) >> shift)
-    to_right = wp.vec2i((right[0] - apex[0]) >> shift, (right[1] - apex[1]) >> shift)
-    place_legs(blocks.leg, first, count, apex, to_left, to_right, point, first_point)
+    bits = (bisections + 1) >> 1
+    place_legs(blocks.leg, first, count, apex, left - apex, right - apex, bits, point, first_point)

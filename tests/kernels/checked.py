@@ -83,13 +83,15 @@ def place_legs(
     apex: wp.vec2i,
     left: wp.vec2i,
     right: wp.vec2i,
+    bits: wp.int32,
     out: wp.array(dtype=wp.vec2i),
     at: wp.int64,
 ):
     for k in range(count):
         leg = legs[first + k]
-        x = apex[0] + ((leg[0] * left[0] + leg[1] * right[0]) >> 1)
-        y = apex[1] + ((leg[0] * left[1] + leg[1] * right[1]) >> 1)
+        down = wp.max(bits - 1, 0)
+        x = apex[0] + ((leg[0] * (left[0] >> down) + leg[1] * (right[0] >> down)) >> 1)
+        y = apex[1] + ((leg[0] * (left[1] >> down) + leg[1] * (right[1] >> down)) >> 1)
         out[at + wp.int64(k)] = wp.vec2i(x, y)
 
 

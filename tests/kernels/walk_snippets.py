@@ -30,7 +30,7 @@ def pass_all(
         put(corners, 2 * count + k, item_at(corners, k) + wp.vec4i(k, 1, 2, -k))
     row = wp.int64(3 * count + 1)
     copy_codes(codes, wp.int64(3), count, wp.uint16(0x4000), codes, row)
-    place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), pairs, row)
+    place_legs(pairs, 5, count, wp.vec2i(7, -9), wp.vec2i(-16, 4), wp.vec2i(8, 32), 3, pairs, row)
     row = wp.int64(5 * count)
     first = wp.int64(2)
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)

@@ -158,9 +158,9 @@ def test_a_strip_of_70_000_samples_is_built_and_refined():
     triangles = update.surface.corner_verts.reshape(-1, 3)
     worst = 0.0
     for west in (0, 46_300, 69_000):  # the second one is where squares of 46,341 exceed 31 bits
-        there = Triangulation(points[:, 0] + 34_999.5, points[:, 1] + 19.5, triangles)
-        near = (there.x >= west - 100) & (there.x <= west + 1100)
-        there.set_mask(~near[triangles].any(axis=1))
+        x, y = points[:, 0] + 34_999.5, points[:, 1] + 19.5
+        near = (x >= west - 100) & (x <= west + 1100)
+        there = Triangulation(x, y, triangles[near[triangles].any(axis=1)])
         j, i = np.mgrid[0:40, west : west + 1000]
         mesh = LinearTriInterpolator(there, points[:, 2])(i, j)
         assert mesh.count() == mesh.size

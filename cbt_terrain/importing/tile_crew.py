@@ -23,7 +23,7 @@ from typing import Any
 from ..errors import TerrainError, unwritable
 from ..field.lands import LANDS
 from ..run import child, launch, stopping
-from ..tiling.tile_work import TileWork, work_in
+from ..tiling.tile_work import READ, TileWork, work_in
 from .build_store import place_of
 from .guard import VARIABLES, guard_import
 from .raster import ImportSettings, Raster
@@ -193,7 +193,10 @@ def serve_tasks(
             try:
                 if work is None:
                     raise TerrainError(f"The arrays in {folder} were removed", fix="import again")
-                if found is None:
+                if found is not None and task.step != READ:  # its caches are no longer needed
+                    found.raster.close()
+                    found = None
+                if found is None and task.step == READ:
                     raster = open_raster(settings, folder)
                     found = TileSource(raster, settings, place_of(settings, raster))
                 answer["done"] = perform(work, found, task, 1)

@@ -91,15 +91,16 @@ def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
         )
 
 
-def perform(work: TileWork, source: TileSource, task: TileTask, threads: int) -> bool:
+def perform(work: TileWork, source: TileSource | None, task: TileTask, threads: int) -> bool:
     """Do one task and write its record. Return False if its heights have to be stored as floats.
 
-    Raises TerrainError.
+    source: not needed to measure. Raises TerrainError.
     """
     if task.step == MEASURED:
         low, high, missing = task.limits
         tile_steps.measure(work, task.number, tile_steps.TerrainLimits(low, high, int(missing)), threads, task.before)
         return True
+    assert source is not None, "only the measuring of a tile needs none"
     raster, settings, place = source
     raster.moved = 0.0
     reader = HeightReader(raster, settings)

@@ -130,22 +130,28 @@ def test_every_kind_of_source_is_thinned(tmp_path, kind):
     assert quick.lattice.rectangle() == pytest.approx(full.lattice.rectangle(), rel=1e-15)
 
 
-def test_a_large_vrt_is_thinned_though_a_store_cannot_hold_it(tmp_path):
-    write_raster(tmp_path / "a.tif", np.full((64, 64), 7, np.int16))
-    side = 40_000
+def write_vrt(folder, side):
+    """Write a VRT of `side` x `side` samples over a file of 64 x 64 that are all 7, and return its path."""
+    write_raster(folder / "a.tif", np.full((64, 64), 7, np.int16))
     rectangle = f'xOff="0" yOff="0" xSize="{side}" ySize="{side}"'
-    (tmp_path / "a.vrt").write_text(
-        f'<VRTDataset rasterXSize="{side}" rasterYSize="{side}"><GeoTransform>0, 2, 0, 0, 0, -2</GeoTransform>'
+    (folder / f"{side}.vrt").write_text(
+        f'<VRTDataset rasterXSize="{side}" rasterYSize="{side}"><GeoTransform>0, 0.01, 0, 0, 0, -0.01</GeoTransform>'
         '<VRTRasterBand dataType="Int16" band="1"><SimpleSource>'
         '<SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
         f'<SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="64" ySize="64"/><DstRect {rectangle}/>'
         "</SimpleSource></VRTRasterBand></VRTDataset>"
     )
-    source = ImportSettings(str(tmp_path / "a.vrt"), quick=2_000)
-    report = import_source(source, tmp_path / "store")
-    assert report["extent_m"] == pytest.approx([79_998.0, 79_998.0]) and report["lowest_m"] == report["highest_m"] == 7
-    with pytest.raises(TerrainError, match="more than an index of 31 bits"):
-        import_source(ImportSettings(source.source), tmp_path / "full")
+    return str(folder / f"{side}.vrt")
+
+
+def test_a_large_vrt_is_thinned(tmp_path):
+    report = import_source(ImportSettings(write_vrt(tmp_path, 40_000), quick=2_000), tmp_path / "store")
+    assert report["extent_m"] == pytest.approx([399.99, 399.99]) and report["lowest_m"] == report["highest_m"] == 7
+
+
+def test_a_store_cannot_hold_more_than_2_to_the_29_a_side(tmp_path):
+    with pytest.raises(TerrainError, match="600000000 x 600000000 samples; expected at most"):
+        import_source(ImportSettings(write_vrt(tmp_path, 600_000_000)), tmp_path / "store")
 
 
 @pytest.fixture

@@ -246,7 +246,7 @@ def test_baked_land_needs_no_stack(terrain):
     assert not land_folder.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
     session.update_object(terrain)
     assert session.record_of(terrain).field.raster.digest == open_store(baked).raster.digest
-    with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
+    with pytest.raises(RuntimeError, match="nothing to bake: the list is empty"):
         bpy.ops.adaptive_terrain.bake_land()
 
 

@@ -43,7 +43,7 @@ from .tile_import import (
 )
 
 METHOD = 2  # increased when the same source gives a different store
-DOUBT = ", or check that the file's header has its true size"
+DOUBT = ", or check that the header of {} has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
 ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick")
 
@@ -110,9 +110,14 @@ def import_raster(
         raster.warnings += notes
         if part is not None:
             check_tiled(raster, lattice, settings.name)
-            return do_part(part, path, folder, TileSource(raster, settings, place), lattice, digest, DOUBT)
+            return do_part(
+                part, path, folder, TileSource(raster, settings, place), lattice, digest, DOUBT.format(settings.name)
+            )
         reader, crew = HeightReader(raster, settings), crew or Crew()
-        with open_work(path, folder, lattice, digest, is_tiled(raster, lattice), doubt=DOUBT) as (draft, work):
+        with open_work(path, folder, lattice, digest, is_tiled(raster, lattice), doubt=DOUBT.format(settings.name)) as (
+            draft,
+            work,
+        ):
             begin = 0.0
             if raster.original is not None:  # resampling mixes marks of missing samples with heights
                 begin = 0.1

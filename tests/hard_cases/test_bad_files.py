@@ -65,11 +65,11 @@ def lying_vrt(path):
 
 
 def bomb_tiff(path):
-    """Write a file of kilobytes that unpacks to 40 GB."""
+    """Write a file of megabytes that unpacks to 1 TB."""
     import rasterio
 
     options = {"tiled": True, "blockxsize": 1024, "blockysize": 1024, "compress": "deflate", "SPARSE_OK": "TRUE"}
-    with rasterio.open(path, "w", width=100_000, height=100_000, count=1, dtype="float32", **options):
+    with rasterio.open(path, "w", width=500_000, height=500_000, count=1, dtype="float32", **options):
         pass
 
 

@@ -20,8 +20,9 @@ from .bitfield import (
     page_below,
 )
 
-SlotPath = wp.types.vector(length=7, dtype=wp.int32)
-BitPath = wp.types.vector(length=7, dtype=wp.uint64)
+LEVELS = 8  # of words in the deepest tree, of 48 levels
+SlotPath = wp.types.vector(length=LEVELS, dtype=wp.int32)
+BitPath = wp.types.vector(length=LEVELS, dtype=wp.uint64)
 
 
 @wp.struct

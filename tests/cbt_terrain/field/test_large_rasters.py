@@ -198,9 +198,6 @@ def test_kernels_write_the_last_entries_of_a_large_hierarchy(tmp_path):
         finest = ranges_at(one, down + near.range_depth)
         inputs = [raster, wp.float64(0.0), wp.float64(2.0**-16), finest, flat(spans, wp.uint16)]
         launch_last(ranges.finest_ranges, 1, finest.rows, inputs)
-        before = stored_at(one, one.cell_depth)
-        items = cells.columns * cells.rows
-        launch_last(expand.raise_cells, 20, items - 20, [before, flat(out, wp.float32), cells, wp.float32(0.5), target])
     assert lattice.cells_x * lattice.cells_y > 2**31
     for depth in range(near.cell_depth - 2, near.cell_depth + 1):
         i, j = same_diamonds(near, depth)
@@ -214,6 +211,21 @@ def test_kernels_write_the_last_entries_of_a_large_hierarchy(tmp_path):
     expected = last.reshape(-1, 2)[range_index(near, near.range_depth, i, j)]
     at = range_index(lattice, near.range_depth + shift, off + i, off + j)
     assert np.array_equal(found.reshape(-1, 2)[at][1:], expected[1:]) and expected[1:, 1].all()
+
+
+def test_codes_of_the_last_cells_of_a_large_raster_are_raised(tmp_path):
+    lattice, near = fit(SIDE, SIDE), fit(33, 33)
+    j, i = np.mgrid[0:32, 0:32].reshape(2, -1)
+    values = np.random.default_rng(2).integers(0, 200, i.size).astype(np.uint8)
+    translated, results = flat(np.arange(256, dtype=np.uint8), wp.uint8), []
+    for one, off in ((near, 0), (lattice, SIDE - 33)):
+        old, new = (sparse(tmp_path / f"{name}{off}", (one.node_count,), np.uint8) for name in ("old", "new"))
+        at, cells = error_index(one, one.cell_depth, off + i, off + j), stored_at(one, one.cell_depth)
+        old[at] = values
+        inputs = [wp.int64(0), cells, flat(old, wp.uint8), cells, translated, flat(new, wp.uint8)]
+        launch_last(expand.raise_cells, 20, cells.columns * cells.rows - 20, inputs)
+        results.append(new[at].reshape(32, 32)[-1, 12:])
+    assert np.array_equal(*results) and (results[0] >= values.reshape(32, 32)[-1, 12:]).all() and results[0].any()
 
 
 def test_missing_samples_behind_2_to_the_31_are_filled(tmp_path):

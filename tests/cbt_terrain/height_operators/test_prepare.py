@@ -53,7 +53,7 @@ def test_kernels_that_stacks_launch_are_foreseen():
 def test_compiling_reports_progress_and_happens_once(monkeypatch):
     stack = Stack((Entry("scree", mask=HeightMask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
     names = [module.__name__.rpartition(".")[2] for module in kernels_of(stack)]
-    assert {"scree", "flow", "routing"} <= set(names) and "snow" not in names
+    assert {"thermal", "flow", "routing"} <= set(names) and "snow" not in names
     loaded, said = [], []
     monkeypatch.setattr(preparation.warmup, "load", loaded.append)
     monkeypatch.setattr(preparation.warmup, "compiled_file", lambda module: Path("/nowhere"))

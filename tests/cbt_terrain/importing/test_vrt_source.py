@@ -64,6 +64,5 @@ def test_an_image_that_is_too_large_is_refused_unread(tmp_path):
     (tmp_path / "a.png").write_bytes(b"a")
     raster = Raster(600_000_000, 2, read, "uint16", "PNG")
     with pytest.raises(TerrainError, match="600000000 x 2 samples; expected at most"):
-        build_store.run_import(
-            ImportSettings(str(tmp_path / "a.png")), tmp_path / "store", open_raster=lambda _settings: raster
-        )
+        settings, path = ImportSettings(str(tmp_path / "a.png")), tmp_path / "a.png"
+        build_store.import_raster(settings, path, tmp_path / "store", "data", print, lambda _settings: raster)

@@ -18,6 +18,7 @@ READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "n
 # Reads of files that no user names: of the system, of the package, or written just before; and a writer.
 OWN = {
     ("cbt_terrain/field/store_arrays.py", "np.load(file, mmap_mode='r+')"),
+    ("cbt_terrain/tiling/tile_work.py", "self.open(name)"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
     ("cbt_terrain/importing/archives.py", "gzip.open(file)"),

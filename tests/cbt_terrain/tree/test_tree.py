@@ -175,7 +175,7 @@ def test_bytes_that_are_no_tree_are_refused():
     for depths in gaps:
         with pytest.raises(TerrainError, match="do not form a tree"):
             EditedTree.from_bytes(sealed(8, depths))
-    for max_depth, version in ((5, 2), (41, 2), (8, 1)):
+    for max_depth, version in ((5, 2), (49, 2), (8, 1)):
         with pytest.raises(TerrainError, match="has version"):
             EditedTree.from_bytes(sealed(max_depth, [0], version=version))
 

@@ -311,7 +311,7 @@ def _source_max(reader: HeightReader) -> float:
         return 0.0
     scaling = scaling_of(raster, settings)
     step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
-    return step + reader.converted + raster.moved * abs(scaling[0])
+    return step + reader.converted + (raster.moved + raster.shifted) * abs(scaling[0])
 
 
 def _value_warnings(

@@ -56,6 +56,7 @@ class HeightReader:
             "largest": self.largest,
             "converted": self.converted,
             "moved": self.raster.moved,
+            "shifted": self.raster.shifted,
             "marks": list(check.marks.items()),
             "values": [check.low, check.high],
         }
@@ -66,6 +67,7 @@ class HeightReader:
         self.largest = max(self.largest, figures["largest"])
         self.converted = max(self.converted, figures["converted"])
         self.raster.moved = max(self.raster.moved, figures["moved"])
+        self.raster.shifted = max(self.raster.shifted, figures["shifted"])
         for value, count in figures["marks"]:
             self.check.marks[value] = self.check.marks.get(value, 0) + count
         low, high = figures["values"]

@@ -190,6 +190,7 @@ class Raster:
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         method: version of a method that makes the samples and that older versions lack; 0 for none.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
+        shifted: largest error of a conversion between vertical datums of samples that were read, before scale.
         details: further entries of the report.
         inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
             None if that is the whole raster.
@@ -220,6 +221,7 @@ class Raster:
     full_size: tuple[int, int] | None = None
     method: int = 0
     moved: float = 0.0
+    shifted: float = 0.0
     details: dict = field(default_factory=dict)
     inputs: Callable[[int, int, int, int], str] | None = None
     finish: Callable[[Path], None] = lambda _folder: None

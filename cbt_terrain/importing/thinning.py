@@ -64,11 +64,12 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
 
     def read(first: int, count: int) -> np.ndarray:
         """Return `count` rows from row `first` on of the coarse raster."""
-        if raster.pick is not None:
-            return raster.pick(rows[first : first + count], columns)
-        return np.concatenate(
-            [source.read(int(row), 1)[:, wanted_columns] for row in wanted_rows[first : first + count]]
-        )
+        if raster.pick is None:
+            wanted = wanted_rows[first : first + count]
+            return np.concatenate([source.read(int(row), 1)[:, wanted_columns] for row in wanted])
+        values = raster.pick(rows[first : first + count], columns)
+        coarse.shifted = raster.shifted
+        return values
 
     def close() -> None:
         """Close the file and its overview."""
@@ -79,7 +80,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
     along = (raster.width - 1) / max(len(columns) - 1, 1), (raster.height - 1) / max(len(rows) - 1, 1)
     along_x, along_y = along[::-1] if place.transposed else along
-    return replace(
+    coarse = replace(
         raster,
         width=len(columns),
         height=len(rows),
@@ -91,6 +92,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         full_size=(raster.width, raster.height),
         close=close,
     )
+    return coarse
 
 
 def scaled(samples: np.ndarray, count: int, coarse_count: int) -> np.ndarray:

@@ -102,7 +102,7 @@ def perform(work: TileWork, source: TileSource | None, task: TileTask, threads: 
         return True
     assert source is not None, "only the measuring of a tile needs none"
     raster, settings, place = source
-    raster.moved = 0.0
+    raster.moved = raster.shifted = 0.0
     reader = HeightReader(raster, settings)
     limits: list[float] = []
     for box, values in _pieces(work.grid, source, task.number):

@@ -19,6 +19,7 @@ from ...kernels.mosaic import resample
 from ..importing.archives import UnpackedFiles
 from ..importing.gdal_source import open_overview
 from ..importing.raster import NEWEST, RESOLUTION, ImportSettings, Raster
+from ..importing.source_list import file_stat
 from ..run import launch
 from ..run.buffers import flat
 from .bridges import bridge
@@ -141,8 +142,18 @@ class Composite:
                 parts += [lattice.rectangles.mean(axis=0).tolist()] if lattice.period else []
         if self.insets is not None:
             parts += [self.insets.rings, self._levels[meets].tolist()]
-        parts += [self.tiles[rank] for rank in np.flatnonzero(meets)]  # in the order of their priority
+        tiles = [self.tiles[rank] for rank in np.flatnonzero(meets)]  # in the order of their priority
+        if self.shifts is not None:
+            parts += [self.shifts.reference.datum, *map(file_stat, self.shifts.grids([self.shifts.reference, *tiles]))]
+        parts += tiles
         return hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
+
+    def shift_error(self, row: int, rows: int, column: int, columns: int) -> float:
+        """Return the largest error, metres, of shifts between vertical datums of the tiles that a window may meet."""
+        if self.shifts is None:
+            return 0.0
+        meets = self._meets(GridPiece(self.grid.column + column, self.grid.row + row, columns, rows))
+        return max((self.shifts.error_of(self.tiles[rank]) for rank in np.flatnonzero(meets)), default=0.0)
 
     def rounded(self) -> tuple:
         """Return the different roundings of the files, in units of a value."""
@@ -258,7 +269,9 @@ class Composite:
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
             return heights
-        shift = self.shifts.window(tile, row, rows, column, columns) if self.shifts is not None else 0.0
+        counts = raster.height, raster.width
+        shifts = self.shifts
+        shift = shifts.window(tile, row, rows, column, columns, counts=counts) if shifts is not None else 0.0
         return heights * tile.scale + tile.offset + shift
 
     def overview_of(self, rank: int, max_factor: int) -> Raster | None:

@@ -52,16 +52,26 @@ class ShiftNodes(NamedTuple):
     size: tuple[int, int]
     error_m: float
 
-    def window(self, row: int, rows: int, column: int, columns: int) -> np.ndarray:
-        """Return the metres at a window of samples; a sample's value does not depend on the window."""
-        (i, t), (j, s) = self._places(0, row, rows), self._places(1, column, columns)
+    def window(
+        self, row: int, rows: int, column: int, columns: int, counts: tuple[int, int] | None = None
+    ) -> np.ndarray:
+        """Return the metres at a window of samples; a sample's value does not depend on the window.
+
+        counts: rows and columns of an overview if the samples are of one.
+        """
+        counts = counts or self.size
+        (i, t), (j, s) = self._places(0, row, rows, counts[0]), self._places(1, column, columns, counts[1])
         nodes = self.metres[i] * (1.0 - t)[:, None] + self.metres[i + 1] * t[:, None]
         return nodes[:, j] * (1.0 - s) + nodes[:, j + 1] * s
 
-    def _places(self, axis: int, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nodes before samples, and the fractions of the way to the next nodes."""
-        cells = self.metres.shape[axis] - 1
-        places = np.arange(first, first + count) * cells / max(self.size[axis] - 1, 1)
+    def _places(self, axis: int, first: int, count: int, all_count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nodes before samples, and the fractions of the way to the next nodes.
+
+        all_count: samples of the raster or of its overview.
+        """
+        cells, size = self.metres.shape[axis] - 1, self.size[axis]
+        samples = (np.arange(first, first + count) + 0.5) * size / all_count - 0.5
+        places = samples * cells / max(size - 1, 1)
         nodes = np.minimum(places.astype(np.int64), cells - 1)
         return nodes, places - nodes
 
@@ -71,26 +81,36 @@ class DatumShifts:
 
     Attributes:
         reference: the first tile that names a datum.
-        error_m: largest error of the shifts that were used.
     """
 
     def __init__(self, reference: SourceTile) -> None:
         """Convert to the datum of a tile."""
-        self.reference, self.error_m = reference, 0.0
+        self.reference = reference
         self._nodes: dict[str, ShiftNodes] = {}
 
-    def window(self, tile: SourceTile, row: int, rows: int, column: int, columns: int) -> np.ndarray | float:
-        """Return metres to add to a window of a tile's heights. Raises TerrainError where a grid ends."""
-        if tile.datum in ("", self.reference.datum):
-            return 0.0
-        if tile.path not in self._nodes:
-            self._nodes[tile.path] = self._nodes_of(tile)
-        nodes = self._nodes[tile.path]
-        self.error_m = max(self.error_m, nodes.error_m)
-        return nodes.window(row, rows, column, columns)
+    def window(self, tile: SourceTile, *window: int, counts: tuple[int, int]) -> np.ndarray | float:
+        """Return metres to add to a window (row, rows, column, columns). Raises TerrainError where a grid ends.
 
-    def _nodes_of(self, tile: SourceTile) -> ShiftNodes:
-        """Return the nodes of a tile."""
+        counts: rows and columns of the tile or of its overview.
+        """
+        nodes = self._nodes_of(tile)
+        return 0.0 if nodes is None else nodes.window(*window, counts)
+
+    def error_of(self, tile: SourceTile) -> float:
+        """Return the largest error of a tile's shifts, metres. Raises TerrainError where a grid ends."""
+        nodes = self._nodes_of(tile)
+        return 0.0 if nodes is None else nodes.error_m
+
+    def _nodes_of(self, tile: SourceTile) -> ShiftNodes | None:
+        """Return the nodes of a tile, None for a tile that needs no shift."""
+        if tile.datum in ("", self.reference.datum):
+            return None
+        if tile.path not in self._nodes:
+            self._nodes[tile.path] = self._find_nodes(tile)
+        return self._nodes[tile.path]
+
+    def _find_nodes(self, tile: SourceTile) -> ShiftNodes:
+        """Return the nodes of a tile from PROJ's grids."""
         for spacing in SPACINGS:
             down, across = (
                 np.linspace(0.0, count - 1, 2 * max(math.ceil((count - 1) / spacing), 1) + 1)

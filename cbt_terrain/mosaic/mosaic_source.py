@@ -87,14 +87,11 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         close=composite.close,
     )
 
-    max_moved = 0.0
-
     def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-        """Read a window, and keep the largest difference that positions and shifts of datums have made so far."""
-        nonlocal max_moved
+        """Read a window, and keep the largest errors of positions and of shifts of datums."""
         values, moved = composite.read(first, count, column, columns)
-        max_moved = max(max_moved, moved)
-        raster.moved = max_moved + (composite.shifts.error_m if composite.shifts is not None else 0.0)
+        raster.moved = max(raster.moved, moved)
+        raster.shifted = max(raster.shifted, composite.shift_error(first, count, column, columns))
         return values
 
     def finish(folder: Path) -> None:
@@ -106,6 +103,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     def pick(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Read single samples, and note in the report if they are of overviews."""
         values = nearest_samples(composite, rows, columns)
+        raster.shifted = composite.shift_error(0, grid.height, 0, grid.width)
         raster.details.update(FROM_OVERVIEWS if composite.reads_overviews else {})
         return values
 

@@ -61,7 +61,8 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
     """Start a program as `start` does."""
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
-    environment[GRID_FOLDERS] = os.pathsep.join(filter(None, map(os.environ.get, ("PROJ_DATA", "PROJ_LIB"))))
+    folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # the first in a child that starts others
+    environment[GRID_FOLDERS] = os.pathsep.join(filter(None, folders))
     return subprocess.Popen(
         command,
         env=environment | (variables or {}),

@@ -36,7 +36,7 @@ from ..run import owned_files, partial_files
 from ..run.named_file import open_regular, read_regular
 from .tile_grid import TileBox, TileGrid
 
-VERSION = 1
+VERSION = 2
 STORED = ("samples", "error", "ranges", "borders")
 RECORDS_NAME, PREFIX = "tiles.jsonl", "tiles-"
 MAX_RECORDS = 1 << 30  # bytes

@@ -1,19 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Vertical datums: heights are converted by PROJ's grids if there are any. The grids here are planes, known exactly."""
 
+import os
 import struct
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.mosaic import datums
+from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
+from adaptive_terrain.cbt_terrain.mosaic import datums, nearest
 from adaptive_terrain.cbt_terrain.mosaic.datums import ShiftNodes
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
 from adaptive_terrain.cbt_terrain.run.child import GRID_FOLDERS
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
+from rasterio.enums import Resampling
+from tiled_stores import assert_same, tiled  # noqa: F401
 
 
 def egm96(longitude, latitude):
@@ -67,6 +73,87 @@ def test_heights_are_converted_where_proj_has_grids(files, tmp_path, monkeypatch
     # The tile in degrees is interpolated from other samples of the same ground.
     assert np.abs(heights - land.heights)[inner].max() < 1.0
     assert report["seam_max_m"] < 1.0 and report["filled"] < 300
+
+
+@pytest.fixture
+def grids(tmp_path, monkeypatch):
+    """Return a function that gives the processes of imports the grid of a plane."""
+    folders = [str(tmp_path / name) for name in ("new", "grids")]
+    monkeypatch.setenv(GRID_FOLDERS, os.pathsep.join(folders))
+
+    def give(name, plane, folder="grids"):
+        write_grid(tmp_path / folder / name, plane)
+        datums._grid_of.cache_clear()
+
+    yield give
+    datums._grid_of.cache_clear()
+
+
+def bent(longitude, latitude):
+    """Return metres of a surface that bilinear shifts do not follow."""
+    return egm2008(longitude, latitude) + 3.0 * (np.round(longitude) % 2)
+
+
+def test_processes_convert_heights_like_one(files, tmp_path, grids, tiled):  # noqa: F811
+    """Shifts and interpolated positions may have their largest errors in tiles of different processes."""
+    grids("egm96_15.gtx", egm96)
+    grids("egm08_25.gtx", bent)
+    settings = ImportSettings(str(files))
+    tiled(None)
+    run_mosaic_import(settings, tmp_path / "whole")
+    tiled(5)
+    run_mosaic_import(settings, tmp_path / "one")
+    crew = ProcessCrew("cbt_terrain.mosaic.import_child", 2)
+    try:
+        run_mosaic_import(settings, tmp_path / "two", crew=crew)
+    finally:
+        crew.close()
+    for name in ("one", "two"):
+        assert_same(tmp_path / name, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("change", ["another grid", "another first file"])
+def test_tiles_are_read_again_with_other_shifts(files, tmp_path, grids, tiled, change):  # noqa: F811
+    grids("egm96_15.gtx", egm96)
+    grids("egm08_25.gtx", egm2008)
+    settings = ImportSettings(str(files))
+    tiled(5)
+    run_mosaic_import(settings, tmp_path / "store")
+    if change == "another grid":
+        grids("egm08_25.gtx", lambda *place: egm2008(*place) + 1.5, "new")
+    else:  # whose datum all heights are converted to
+        sheet(UTM32, EAST, NORTH, 10.0, 10.0, 41, 41).write(files / "0.tif", crs="EPSG:32632+3855", kind="float64")
+    run_mosaic_import(settings, tmp_path / "store")
+    tiled(None)
+    run_mosaic_import(settings, tmp_path / "whole")
+    assert_same(tmp_path / "store", tmp_path / "whole")
+
+
+@pytest.mark.parametrize("has_overviews", [False, True])
+def test_a_quick_import_converts_heights(tmp_path, grids, monkeypatch, has_overviews):
+    """A level land above two surfaces stays level, also in means; the errors of shifts are in the bound."""
+    grids("egm96_15.gtx", lambda longitude, latitude: 40.0 + 30.0 * (longitude - 10.0))
+    grids("egm08_25.gtx", lambda longitude, latitude: 40.0 + 300.0 * (latitude - 50.0))
+    for n, crs in enumerate(["EPSG:32632+5773", "EPSG:32632+3855"]):
+        one = sheet(UTM32, EAST + 2560 * n, NORTH, 10.0, 10.0, 256, 256)
+        i, j = np.meshgrid(np.arange(256) + 0.5, np.arange(256) + 0.5)
+        longitude, latitude = moved(UTM32, DEGREES, one.west + 10.0 * i, one.north - 10.0 * j)
+        one.heights[:] = 500.0 - (300.0 * (latitude - 50.0) if n else 30.0 * (longitude - 10.0))
+        path = one.write(tmp_path / "tiles" / f"{n}.tif", crs=crs, kind="float64", tiled=True)
+        if has_overviews:
+            with rasterio.open(path, "r+") as opened:
+                opened.build_overviews([2, 4, 8], Resampling.average)
+    monkeypatch.setattr(nearest, "MAX_UNPACKED", 1)
+    report = run_mosaic_import(ImportSettings(str(tmp_path / "tiles"), quick=100), tmp_path / "store")
+    heights, steps = open_store(tmp_path / "store").heights()[::-1], report["step_m"]
+    east = EAST + 5.0 + steps[0] * np.arange(heights.shape[1])
+    north = NORTH - 5.0 - steps[1] * np.arange(heights.shape[0])
+    longitude, _ = moved(UTM32, DEGREES, *np.meshgrid(east, north))
+    # Means are off their places by 5 samples at most, and the first land falls by 0.4 mm/m.
+    assert np.abs(heights - (500.0 - 30.0 * (longitude - 10.0))).max() < (0.1 if has_overviews else 0.01)
+    assert (report.get("loaded_from") == "overviews") == has_overviews
+    run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "full")
+    assert report["source_step_m"] >= 0.9 * open_store(tmp_path / "full").source_max > 0.0
 
 
 def test_without_a_grid_heights_stay_and_a_warning_tells(files, tmp_path, monkeypatch):

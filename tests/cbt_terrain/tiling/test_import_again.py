@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.tiling import tile_steps
 from adaptive_terrain.cbt_terrain.tiling.tile_work import MEASURED, READ
-from mosaic_files import EAST, NORTH, UTM32, sheet
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasters import hills
 from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
 
@@ -175,8 +175,18 @@ def test_a_file_in_a_gap_and_a_lower_peak(tmp_path, tiled):  # noqa: F811
         patch(tmp_path, "z.tif", column=20, row=20, side=4, shift=30.0)
         patch(tmp_path, "v.tif", column=38, row=38, side=50)
 
-    crew = import_twice(tmp_path, tiled, change)
+    crew = import_twice(tmp_path, tiled, change, blend=False)
     assert len(crew.read) <= 22 and len(crew.measured) == 80, "the peak had coarser codes everywhere"
+
+
+def test_a_flat_file_replaces_a_steep_one(tmp_path, tiled):  # noqa: F811
+    """The bound of interpolated positions is that of the new file's heights alone."""
+    west, north = map(float, moved(UTM32, DEGREES, EAST + 400, NORTH - 20))
+    steep, flat = (sheet(DEGREES, west, north, 1.4e-4, 9e-5, 30, 30) for _ in range(2))
+    steep.heights *= 40.0
+    sheet(UTM32, EAST, NORTH, 10.0, 10.0, 70, 40).write(tmp_path / "tiles" / "a.tif", kind="float64")
+    steep.write(tmp_path / "tiles" / "b.tif", kind="float64")
+    import_twice(tmp_path, tiled, lambda: flat.write(tmp_path / "tiles" / "b.tif", kind="float64"))
 
 
 @pytest.mark.parametrize("name", ["tiles.jsonl", "samples.npy", "borders.npy"])

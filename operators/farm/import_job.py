@@ -20,7 +20,7 @@ from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_
 
 TIMEOUT_S = 86_400
 # Options of the verb `import` that are not spelled like their setting; a tuple is written with x.
-OPTIONS = {"raw_dtype": "raw-type", "raw_little_endian": "big-endian"}
+OPTIONS = {"raw_dtype": "raw-type", "raw_little_endian": "big-endian", "blend": "no-blend"}
 POSITIONAL = "source", "more_sources"
 
 

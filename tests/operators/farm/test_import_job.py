@@ -81,6 +81,16 @@ def test_a_job_repeats_all_options(tmp_path):
     from adaptive_terrain.operators.cli.verbs import _import_settings
 
     assert _import_settings(parsed, source=parsed.sources[0]) == settings
+    mosaic = ImportSettings(
+        settings.source,
+        more_sources=(settings.source + "b",),
+        blend=False,
+        priority="resolution",
+        step=2.5,
+        project="utm",
+    )
+    parsed = command_line.build_parser().parse_args(["import", "--store", "s", *import_job.import_arguments(mosaic)])
+    assert _import_settings(parsed, source=parsed.sources[0], more_sources=tuple(parsed.sources[1:])) == mosaic
     template = import_job.import_template(settings)
     import yaml
 

@@ -269,9 +269,8 @@ class Composite:
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
             return heights
-        counts = raster.height, raster.width
-        shifts = self.shifts
-        shift = shifts.window(tile, row, rows, column, columns, counts=counts) if shifts is not None else 0.0
+        counts, shifts = (raster.height, raster.width), self.shifts
+        shift = shifts.window(tile, counts, row, rows, column, columns) if shifts is not None else 0.0
         return heights * tile.scale + tile.offset + shift
 
     def overview_of(self, rank: int, max_factor: int) -> Raster | None:

@@ -88,13 +88,15 @@ class DatumShifts:
         self.reference = reference
         self._nodes: dict[str, ShiftNodes] = {}
 
-    def window(self, tile: SourceTile, *window: int, counts: tuple[int, int]) -> np.ndarray | float:
-        """Return metres to add to a window (row, rows, column, columns). Raises TerrainError where a grid ends.
+    def window(
+        self, tile: SourceTile, counts: tuple[int, int], row: int, rows: int, column: int, columns: int
+    ) -> np.ndarray | float:
+        """Return metres to add to a window of a tile's heights. Raises TerrainError where a grid ends.
 
         counts: rows and columns of the tile or of its overview.
         """
         nodes = self._nodes_of(tile)
-        return 0.0 if nodes is None else nodes.window(*window, counts)
+        return 0.0 if nodes is None else nodes.window(row, rows, column, columns, counts)
 
     def error_of(self, tile: SourceTile) -> float:
         """Return the largest error of a tile's shifts, metres. Raises TerrainError where a grid ends."""

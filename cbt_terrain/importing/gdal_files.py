@@ -105,12 +105,12 @@ def _check_damage(path: Path, form: SourceFormat) -> None:
         raise TerrainError(f"{shown(path)} is damaged ({damage})", expected=expected, fix="get the file again")
 
 
-def open_vrt(path: Path, any_size: bool = False) -> OpenedVrt:
-    """Open a VRT as `read_mosaic` rewrites it. any_size: whether it may be larger than a store."""
+def open_vrt(path: Path) -> OpenedVrt:
+    """Open a VRT as `read_mosaic` rewrites it."""
     import rasterio
     from rasterio.env import setenv
 
-    mosaic = read_mosaic(path, MOSAIC_SUFFIXES, any_size)
+    mosaic = read_mosaic(path, MOSAIC_SUFFIXES)
     roundings: dict[tuple[Path, int], SourceRounding] = {}
     scales: dict[tuple[Path, int], HeightScale] = {}
     for source in mosaic.sources:

@@ -78,7 +78,7 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
         if form.driver == "VRT":
-            vrt = open_vrt(path, any_size=bool(settings.quick))
+            vrt = open_vrt(path)
             return raster_of(path, vrt.dataset, settings, form.driver, vrt=vrt)
         notes = allow_aux_file(path)
         original = open_file(path, form)

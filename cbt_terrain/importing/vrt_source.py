@@ -81,26 +81,24 @@ class Mosaic:
     """A VRT with its nested VRTs.
 
     Attributes:
-        any_size: whether it may be larger than a store.
         folder: name of a folder in GDAL's memory.
         texts: XML for GDAL, the outermost last; text n becomes the file /vsimem/FOLDER/n.vrt.
         sources: all files that the VRTs name, in order and once.
         numbers: index of the text of each VRT, by its path.
     """
 
-    any_size: bool = False
     folder: str = field(default_factory=lambda: uuid.uuid4().hex)
     texts: list[str] = field(default_factory=list)
     sources: dict[Path, None] = field(default_factory=dict)
     numbers: dict[Path, int] = field(default_factory=dict)
 
 
-def read_mosaic(path: Path, suffixes: set[str], any_size: bool = False) -> Mosaic:
+def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
     """Read a VRT and all nested VRTs. Raises TerrainError.
 
-    suffixes: those that sources may have. any_size: whether it may be larger than a store.
+    suffixes: those that sources may have.
     """
-    mosaic = Mosaic(any_size)
+    mosaic = Mosaic()
     _add_file(path.absolute(), suffixes, (), mosaic)
     return mosaic
 
@@ -120,7 +118,7 @@ def _add_file(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: M
     if real not in mosaic.numbers:
         tree = _parse(path)
         width, height = (int(tree.get(side, 0)) for side in ("rasterXSize", "rasterYSize"))
-        if not (outer or mosaic.any_size) and min(width, height) > 1:  # before thousands of files are opened
+        if not outer and min(width, height) > 1:  # before thousands of files are opened
             lattice_for(width, height, name=shown(path))
         for name in tree.iter("SourceFilename"):
             source = _source_path(path, name, suffixes)

@@ -150,8 +150,10 @@ def test_a_large_vrt_is_thinned(tmp_path):
 
 
 def test_a_store_cannot_hold_more_than_2_to_the_29_a_side(tmp_path):
-    with pytest.raises(TerrainError, match="600000000 x 600000000 samples; expected at most"):
-        import_source(ImportSettings(write_vrt(tmp_path, 600_000_000)), tmp_path / "store")
+    source = write_vrt(tmp_path, 600_000_000)
+    for quick in (0, 2_000):
+        with pytest.raises(TerrainError, match="600000000 x 600000000 samples; expected at most"):
+            import_source(ImportSettings(source, quick=quick), tmp_path / "store")
 
 
 @pytest.fixture

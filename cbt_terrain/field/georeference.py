@@ -4,7 +4,7 @@
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -64,6 +64,14 @@ class Georeference:
             return None
         (a, d), (b, e) = (v / self.step_x for v in self.across), (v / self.step_y for v in self.up)
         return a, b, self.middle[0], d, e, self.middle[1]
+
+    def with_steps_times(self, along_x: float, along_y: float) -> "Georeference":
+        """Return the georeference of a coarser raster with the same middle; its samples are further apart."""
+        across, up = (
+            None if step is None else (step[0] * ratio, step[1] * ratio)
+            for step, ratio in ((self.across, along_x), (self.up, along_y))
+        )
+        return replace(self, step_x=self.step_x * along_x, step_y=self.step_y * along_y, across=across, up=up)
 
     def in_file_order(self, heights: np.ndarray) -> np.ndarray:
         """Return a view of `heights` [y, x], row 0 south, whose rows and columns are those of the file."""

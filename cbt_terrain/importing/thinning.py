@@ -88,7 +88,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         window=None,
         pick=None,
         block_rows=1,
-        georeference=replace(place, step_x=place.step_x * along_x, step_y=place.step_y * along_y),
+        georeference=place.with_steps_times(along_x, along_y),
         full_size=(raster.width, raster.height),
         close=close,
     )

@@ -41,6 +41,8 @@ def run_import(arguments) -> None:
         raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
     if arguments.chunk and not arguments.job:
         raise UsageError("--chunk belongs to --job")
+    if arguments.quick and (arguments.job or arguments.only):
+        raise UsageError("--quick loads one piece, and --job and --only are of several")
     if arguments.job:
         for line in _write_import_job(arguments, settings):
             print_line(line)

@@ -219,3 +219,13 @@ def test_a_negative_count_of_samples_is_refused(tmp_path, source):
 def test_provenance_is_plain_json(tmp_path, source):
     run_import(quick_of(source), tmp_path / "store")
     assert json.loads((tmp_path / "store" / "store.json").read_text())["provenance"]["settings"]["quick"] == 600
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_an_incomplete_store_has_the_place_of_the_complete_one(tmp_path, kind):
+    path = write_raster(tmp_path / "a.tif", hills(200, 150), transform=PLACES[kind], crs="EPSG:32632")
+    places = []
+    for quick in (600, 0):
+        run_import(ImportSettings(str(path), quick=quick), tmp_path / "store")
+        places.append(read_json(tmp_path / "store")["place"])
+    assert places[0] == pytest.approx(places[1], rel=1e-14, abs=1e-14)

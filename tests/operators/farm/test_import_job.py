@@ -113,5 +113,7 @@ def test_parts_of_a_small_import_are_refused(tmp_path, capsys):
     assert "9 x 9 samples, too few for an import in parts" in capsys.readouterr().err
     assert run("import", *where, "--only", "read") == run("import", *where, "--tiles", "0-3") == 2
     assert run("import", *where, "--only", "begin", "--tiles", "0-3") == run("import", *where, "--chunk", "3") == 2
+    assert run("import", *where, "--job", tmp_path / "job", "--quick") == 2
+    assert run("import", *where, "--only", "begin", "--quick") == 2
     assert run("import", *where, "--job", tmp_path / "job") == 1
     assert "too few for a farm" in capsys.readouterr().err and not (tmp_path / "store").exists()

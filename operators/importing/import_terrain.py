@@ -125,6 +125,7 @@ class ImportOperator(JobOperator):
     bl_label = "Import"
 
     kind = jobs.IMPORT
+    shows_first_picture = True
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store.
@@ -136,7 +137,7 @@ class ImportOperator(JobOperator):
         self.before = imported.imported_of(context.object.adaptive_terrain)
         folder = store_folder(context.object, settings)
         quick = None
-        if self.beside_window and not changed_ns(absolute_path(folder)):
+        if self.shows_first_picture and self.beside_window and not changed_ns(absolute_path(folder)):
             settings_now = dataclasses.replace(settings, quick=QUICK_SAMPLES)
             quick = yield from self._import(job, settings_now, folder)
             if "loaded" not in quick[0] or job.terrain() is None:

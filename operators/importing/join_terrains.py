@@ -19,6 +19,8 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
     bl_label = "Join Terrains"
     bl_options = {"REGISTER", "UNDO"}
 
+    shows_first_picture = False  # the other terrains stay until the import is complete
+
     @classmethod
     def poll(cls, context):
         if not super().poll(context):
@@ -36,14 +38,14 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
         first = len(_sources_of(settings))
         _set_sources(settings, list(dict.fromkeys([*paths[first:], *paths[:first]])))
         try:
-            return (yield from super().steps(context, job))
+            return (yield from ImportOperator.steps(self, context, job))
         except BaseException:
             self._restore(job.terrain())
             raise
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Give the store to the active terrain and remove the others with their meshes."""
-        super().finish(context, obj, result)
+        ImportOperator.finish(self, context, obj, result)
         for other in [other for other in session.all_terrains() if other.session_uid in self.joined]:
             mesh, scatters = other.data, scatters_of(other)
             for child in other.children:

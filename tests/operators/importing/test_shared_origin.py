@@ -2,6 +2,7 @@
 """A scene's origin on Earth: terrains of one area fit together, and BlenderGIS reads and writes the same properties."""
 
 import math
+import time
 
 import bpy
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.operators.ground import world_ground
-from adaptive_terrain.operators.importing import shared_origin
-from adaptive_terrain.operators.importing.imported import imported_of
+from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
+from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
 from adaptive_terrain.operators.importing.shared_origin import place_terrain
+from modal_runs import running, turn
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
 from rasters import hills, write_raster
@@ -150,6 +152,20 @@ def test_join_makes_one_terrain_without_a_gap(saved):
     assert found == pytest.approx(heights[14, 39:41].mean(), abs=1e-3)
     assert rock.parent == west and (rock.matrix_world.translation - stood.translation).length < 1e-4
     check_places(scene, west, Affine(10, 0, 6e5, 0, -10, 5.2e6), heights)
+
+
+def test_a_join_beside_the_window_shows_no_first_picture(saved, monkeypatch):
+    """The other terrains are removed, so the import has to be complete by then."""
+    scene, path = saved
+    monkeypatch.setattr(import_terrain, "QUICK_SAMPLES", 60)
+    west = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "west", hills(40, 30))
+    east = add(path, "EPSG:32632", Affine(10, 0, 6e5 + 400, 0, -10, 5.2e6), "east", hills(40, 30))
+    monkeypatch.setattr(join_terrains, "others_of", lambda _context: [east])
+    operator = running(join_terrains.JoinTerrains, west)
+    while turn(operator) == {"PASS_THROUGH"}:
+        assert not loaded_text(west.adaptive_terrain) and len(scene.objects) >= 2
+        time.sleep(0.01)
+    assert imported_of(west.adaptive_terrain).raster == (80, 30) and imported_of(west.adaptive_terrain).loaded_m is None
 
 
 def test_a_failed_join_changes_nothing(saved):

@@ -122,7 +122,7 @@ def mean_curvature_example(evaluate: Evaluate) -> None:
     """Assert that a summit with a radius of 50 m has a curvature of 1 / 50 m, and a hollow the negative one."""
     across = np.arange(-8, 9) * 2.0
     summit = np.add.outer(across**2, across**2) / (-2 * 50.0)
-    middle = 6, 6  # of what is evaluated
+    middle = 6, 6  # of the evaluated samples
     assert abs(evaluate("mean_curvature", summit, step=2.0)[middle] - 1 / 50.0) < 1e-6
     assert abs(evaluate("mean_curvature", -summit, step=2.0)[middle] + 1 / 50.0) < 1e-6
 

@@ -30,7 +30,7 @@ def finer_change(
 def _parts(
     source: np.ndarray, before: np.ndarray, change: np.ndarray, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the interpolated coarse ground and change, the source's height above the former, and what it loses."""
+    """Return the interpolated coarse ground and change, and the source's detail: as it is, and clipped."""
     ground, mean = interpolate(before, rows, columns), interpolate(change, rows, columns)
     low, high = (interpolate(_extreme(of, change), rows, columns) for of in (np.minimum, np.maximum))
     detail = source - ground

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Seams of a mosaic: how far the heights of two overlapping files are apart where one of them ends.
 
-They are compared as the files have them, before insets blend to what is below.
+They are compared as the files have them, before insets blend to the ones below.
 """
 
 from typing import NamedTuple

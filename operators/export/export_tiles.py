@@ -112,7 +112,7 @@ class TileExport(JobOperator, ExportHelper):
         return (yield from jobs.run_on_thread(job, write_stoppable))
 
     def finish(self, _context, _obj, line: str) -> None:
-        """Report what was written."""
+        """Report the written files."""
         self.report({"INFO"}, line)
 
 

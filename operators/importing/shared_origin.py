@@ -17,7 +17,7 @@ SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 
 
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
-    """Return whether an import may move a terrain: it stands at its coordinates, or was just added.
+    """Return whether an import may move a terrain: it is at its coordinates, or was just added.
 
     A scene without an origin gets that of the terrain. before: of the terrain's last import, None for the first one.
     """

@@ -300,7 +300,7 @@ def shown_surface(record: Record, update) -> Surface:
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
-    """Return a key that changes whenever the mesh in Blender is no longer what the record has written."""
+    """Return a key that changes whenever the mesh in Blender is no longer the one that the record has written."""
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
     attributes = tuple(name in mesh.attributes for name in record.effects)  # a user may remove some
     serials = record.serial, record.overlay_key, record.effects_serial, attributes

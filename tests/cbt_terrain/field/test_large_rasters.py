@@ -96,7 +96,7 @@ def large_store(tmp_path_factory):
             span = small.ranges[range_index(near, depth, i, j)]
             at = 2 * range_index(lattice, below, FIRST + i, FIRST + j)
             spans += [(at, span[:, 0]), (at + 1, span[:, 1])]
-    for depth in range(1, 2 * LEVELS_ABOVE + 2):  # those of the small raster's square and beside it, and above
+    for depth in range(1, 2 * LEVELS_ABOVE + 2):  # in the small raster's square, around it, and above
         errors.append((error_index(lattice, depth, *split_points(lattice, depth)), 255))
         spans.append((2 * range_index(lattice, depth, *split_points(lattice, depth)) + 1, 65535))
     path = tmp_path_factory.mktemp("large") / "store"

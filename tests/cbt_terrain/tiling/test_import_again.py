@@ -24,7 +24,7 @@ MODULES = {"file": "cbt_terrain.importing.tile_crew", "mosaic": "cbt_terrain.mos
 
 
 class CountingCrew(tile_import.Crew):
-    """Counts what is read and what is measured; raises KeyboardInterrupt after some tasks."""
+    """Counts the tiles that are read and measured; raises KeyboardInterrupt after some tasks."""
 
     def __init__(self, tasks=10**9):
         self.left, self.read, self.measured = tasks, [], []

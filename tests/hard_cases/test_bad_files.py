@@ -259,7 +259,7 @@ def test_case_20_a_full_disk(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 10**5))
-        is_kept("needs .* MB in .* MB are free: make room or choose another folder, or check that the file")
+        is_kept("needs .* MB in .* MB are free: make room or choose another folder, or check that the header of island")
     with monkeypatch.context() as patch:
         patch.setattr(stores.os, "posix_fallocate", full)
         is_kept("No space left on device.: make room")

@@ -57,7 +57,7 @@ def save_picture(folder: Path, picture: str) -> None:
     render = folder / f"{picture}.png"
     screen = Image.open(render).convert("RGB") if render.exists() else program_window.read_screen(folder)
     screen.save(ROOT / "docs" / "images" / f"{picture}.jpg", quality=88)
-    (folder / f"{picture}.ready").unlink()
+    (folder / f"{picture}.ready").rename(folder / f"{picture}.saved")
 
 
 def write_alps(path: Path) -> None:

@@ -26,6 +26,7 @@ from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat,
 from ..importing.placing import Placing, is_placed, placing_of
 from ..query.ground import ground_at
 from ..run import launch, stopping
+from ..run.owned_files import remove_file
 from ..run.partial_files import written_beside
 from .tile_grid import TileAxis, axes_of
 
@@ -199,7 +200,7 @@ def export_height_tiles(
     if any(layer.form.is_integer and not layer.has_range for layer in layers):
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
     try:
-        remove_description(out / f"{settings.name}.json")
+        remove_file(out / f"{settings.name}.json")  # of an earlier export, whose tiles are about to be replaced
         for row in tile_rows:
             for tiles in samples.groups():
                 _write_tiles(samples, out, names, tiles, row, place)
@@ -210,12 +211,6 @@ def export_height_tiles(
     except OSError as reason:
         raise unwritable(f"The tiles in {out}", reason) from reason
     return index
-
-
-def remove_description(path: Path) -> None:
-    """Remove the JSON file of an earlier export, whose tiles are about to be replaced. Raises OSError."""
-    if path.is_file():
-        path.unlink()
 
 
 def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:

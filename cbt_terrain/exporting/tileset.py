@@ -21,13 +21,14 @@ from ..field.heightfield import HeightField
 from ..field.store_folder import check_no_description
 from ..importing.placing import Placing
 from ..run import stopping
+from ..run.owned_files import remove_file
 from ..run.partial_files import remove_abandoned, written_beside
 from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.linear import length
 from .glb import glb_of
 from .globe import GlobeFrame, place_on_globe
-from .height_tiles import placing_or_middle, remove_description
+from .height_tiles import placing_or_middle
 from .mesh_tiles import TileMesh, border_edges, edge_keys, part_of, split, with_skirt
 
 MAX_LEVELS = 9
@@ -88,11 +89,11 @@ def export_tileset(
         for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
             level.bound = max(level.bound, finer.bound)
         tiles: dict[tuple[int, int, int], tuple] = {}
-        remove_description(path)
+        remove_file(path)  # of an earlier export, whose tiles are about to be replaced
         total = sum(len(level.mesh.triangles) for level in levels)
         for number, level in enumerate(levels):
             for _ in _write_level(path, number, level, levels[0].bound, tiles):
-                on_progress(0.5 + 0.5 * sum(count for _, count in tiles.values()) / total)
+                on_progress(0.5 + 0.5 * sum(int(count) for _, count in tiles.values()) / total)
         root = _tile_json(path.stem, levels, tiles, 0, 0, 0)
         if root is None:
             raise TerrainError("Nothing is left of the terrain", fix="check its holes")

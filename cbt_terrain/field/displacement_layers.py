@@ -48,7 +48,7 @@ class LayerMask:
         content.update(values.data)
         object.__setattr__(self, "digest", content.hexdigest())
         if not self.max_cells.size:
-            count = sum(rows * columns for rows, columns in level_shapes(*cells_of(values)))
+            count = sum(int(rows * columns) for rows, columns in level_shapes(*cells_of(values)))
             object.__setattr__(self, "max_cells", np.empty(count, np.uint8))
             fill_max_cells(values, self.max_cells)
 

@@ -264,8 +264,8 @@ def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
     }
     arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
     levels = level_shapes(-(-lattice.cells_y >> FINEST), -(-lattice.cells_x >> FINEST))
-    arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(rows * columns for rows, columns in levels),), np.float32))
-    coarser = sum(rows * columns for rows, columns in shapes_of_effects(lattice)[1:])
+    arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(int(rows * columns) for rows, columns in levels),), np.float32))
+    coarser = sum(int(rows * columns) for rows, columns in shapes_of_effects(lattice)[1:])
     arrays["pyramid"] = (max(coarser, 1),), np.float32
     # Six numbers, and the exponents of the groups, the cells and the curvatures.
     return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}

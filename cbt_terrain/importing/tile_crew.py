@@ -58,7 +58,7 @@ def _may_be_large(settings: ImportSettings) -> bool:
     try:
         return (
             any(file.suffix.lower() in INDEX_SUFFIXES for file in files)
-            or sum(file.stat().st_size for file in files) >= MIN_BYTES
+            or sum(int(file.stat().st_size) for file in files) >= MIN_BYTES
         )
     except OSError:
         return False

@@ -242,7 +242,7 @@ def do_part(
         _read_units(work, source, crew, lambda _share: None, numbers)
     else:
         _measure_tiles(work, source, tile_steps.limits_of(work), crew, lambda _share: None, numbers)
-    return {"tiles": len(work.grid), "done": sum(number < len(work.grid) for number in numbers)}
+    return {"tiles": len(work.grid), "done": sum(int(number < len(work.grid)) for number in numbers)}
 
 
 def _not_begun(path: Path) -> TerrainError:

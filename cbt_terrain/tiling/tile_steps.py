@@ -45,7 +45,7 @@ def limits_of(work: TileWork) -> TerrainLimits:
     known = [record["limits"] for record in records if record["limits"]]
     low = min((low for low, _ in known), default=np.nan)
     high = max((high for _, high in known), default=np.nan)
-    return TerrainLimits(low, high, sum(record["missing"] for record in records))
+    return TerrainLimits(low, high, sum(int(record["missing"]) for record in records))
 
 
 def fill(work: TileWork, threads: int) -> None:

@@ -119,7 +119,8 @@ def test_a_full_cache_needs_no_child(prepared):
 def test_what_another_processor_left_is_compiled_by_children_too(prepared):
     first, _, elsewhere = prepared
     assert elsewhere["compiled_here"] == [] and elsewhere["missing"] == []
-    assert elsewhere["folders"] == first["folders"] and len(elsewhere["fractions"]) > 3
+    assert elsewhere["folders"] == first["folders"]
+    assert len(elsewhere["fractions"]) > 1, "half of the modules are there; two children may end at once"
 
 
 @pytest.fixture

@@ -4,9 +4,7 @@
 Loading comes first, because Warp writes kernels and Python writes compiled modules.
 """
 
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ...kernels import remove_temporary_cache
@@ -82,20 +80,19 @@ def guard_import(
     from ..run import launch
     from ..run.warmup import load
 
-    with _removed_scratch():
-        for module in (
-            codes,
-            expand,
-            fill,
-            hierarchy,
-            ranges,
-            window_errors,
-            *([holes] if settings.holes else []),
-            *more_kernels,
-        ):
-            load(module)
-        if settings.source in LANDS:
-            launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
+    for module in (
+        codes,
+        expand,
+        fill,
+        hierarchy,
+        ranges,
+        window_errors,
+        *([holes] if settings.holes else []),
+        *more_kernels,
+    ):
+        load(module)
+    if settings.source in LANDS:
+        launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
     if path is not None:
         store_folder.check_target(path)
         try:
@@ -104,14 +101,3 @@ def guard_import(
         except OSError as reason:
             raise unwritable(f"The store {path}", reason) from reason
     guard(files or [Path(settings.source)], path, settings.encoding)
-
-
-@contextmanager
-def _removed_scratch() -> Iterator[None]:
-    """Remove temporary files of the block, such as Warp's precompiled headers, which is not possible later."""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
-        tempfile.tempdir = scratch
-        try:
-            yield
-        finally:
-            tempfile.tempdir = None

@@ -23,8 +23,7 @@ def describe_source(settings: ImportSettings) -> dict:
     settings.check_file()
     if settings.source not in LANDS:
         check_file(Path(settings.source))
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
-        return _ask({"settings": dataclasses.asdict(settings), "scratch": scratch}, settings.source)
+    return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
 
 
 def versions() -> dict:
@@ -60,16 +59,16 @@ def child_main() -> None:
 def _answer(request: dict, *_: object) -> dict:
     """Return the summary of a height map, or GDAL's versions without settings."""
     settings = request["settings"]
-    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings), Path(request["scratch"]))
+    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings))
 
 
-def _describe(settings: ImportSettings, scratch: Path) -> dict:
+def _describe(settings: ImportSettings) -> dict:
     """Return the facts of a height map, in a child process that first gives up its rights.
 
-    Lengths are metres, except `middle`, in the unit of the file's coordinate system. An archive is unpacked in a folder
-    of `scratch`.
+    Lengths are metres, except `middle`, in the unit of the file's coordinate system. An archive is unpacked into the
+    job's folder of temporary files.
     """
-    source = Path(settings.source)
+    source, scratch = Path(settings.source), Path(tempfile.gettempdir())
     guard([source], scratch if is_archive(source) else None, settings.encoding)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:

@@ -102,9 +102,12 @@ class ChildJob:
     def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
         """Start the child, send the request and read its answers in a thread.
 
-        Raises TerrainError. variables: additions to the child's environment.
+        Raises TerrainError. variables: additions to the child's environment. The child's temporary files are in a
+        folder of this job, because a child that has been killed, or has given up its rights, cannot remove them.
         """
         try:
+            self._temporary = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+            variables = variables | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._temporary.name)
             self._errors, pipe = tempfile.TemporaryFile(), subprocess.PIPE
             self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
             assert self._process.stdin is not None and self._process.stdout is not None  # both are pipes
@@ -199,6 +202,7 @@ class ChildJob:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)
             self._discard()
         self._errors.close()
+        self._temporary.cleanup()
 
     def _published(self) -> dict | None:
         """Return the report of finished work that the child was killed before sending."""

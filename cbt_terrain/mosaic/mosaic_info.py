@@ -23,9 +23,7 @@ def describe_sources(settings: ImportSettings) -> dict:
     """Return the report on a mosaic of the settings' sources. Raises TerrainError for files that cannot form one."""
     check_settings(settings)
     files_of(settings)
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
-        request = {"settings": dataclasses.asdict(settings), "scratch": scratch}
-        return ask("cbt_terrain.mosaic.mosaic_info", request, settings.name)
+    return ask("cbt_terrain.mosaic.mosaic_info", {"settings": dataclasses.asdict(settings)}, settings.name)
 
 
 def child_main() -> None:
@@ -35,7 +33,7 @@ def child_main() -> None:
 
 def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights."""
-    settings, scratch = ImportSettings(**request["settings"]), Path(request["scratch"])
+    settings, scratch = ImportSettings(**request["settings"]), Path(tempfile.gettempdir())
     guard_import(settings, scratch if has_archives(settings) else None, paths_of(settings), (resample,))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:

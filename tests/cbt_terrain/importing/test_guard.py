@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -160,10 +161,11 @@ def test_errors_of_a_child_have_short_fields_and_no_code():
     assert error.to_json() == {"what": "a openjd_fail: b", "where": "c" * 4000 + "...", "fix": "?[2J"}
 
 
-def test_temporary_files_of_the_compiler_are_removed(tmp_path, monkeypatch):
+def test_a_job_removes_its_childs_temporary_files(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with guard._removed_scratch():
-        tempfile.mkstemp()
-        tempfile.mkdtemp()
-        assert len(list(tmp_path.glob("*/*"))) == 2
+    request = {"settings": asdict(ImportSettings("island", size=33)), "target": str(tmp_path / "a.store")}
+    job = store_job.ChildJob("cbt_terrain.importing.source_info", request, what="a")
+    (folder,) = tmp_path.iterdir()
+    (folder / "left by a compiler").write_bytes(b"")
+    job.cancel()
     assert list(tmp_path.iterdir()) == []

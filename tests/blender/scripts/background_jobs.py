@@ -68,7 +68,7 @@ def steps():
     with bpy.context.temp_override(window=dialog, area=dialog.screen.areas[0]):
         result["proposed"] = bpy.context.space_data.params.filename
         bpy.ops.file.execute("INVOKE_DEFAULT")
-    yield from until(lambda: jobs.find(jobs.EXPORT))
+    yield from until((folder / "Terrain_tileset.json").exists)  # a job so short may never be seen running
     yield from until(lambda: not jobs.running)
     result["tileset"] = sorted(path.suffix for path in folder.glob("Terrain_tileset*"))
     run(operators.measure_accuracy)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from adaptive_terrain import __version__
 from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
-from adaptive_terrain.cbt_terrain.importing import guard, store_job
+from adaptive_terrain.cbt_terrain.importing import store_job
 from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings

@@ -14,7 +14,7 @@ __version__ = "0.3.0"
 # Name -> the module that it is from.
 _FRONT_DOOR = {
     "import_source": "importing.import_process",  # a height map to a store
-    "ImportSettings": "importing.raster",  # ... and how
+    "ImportSettings": "rasters.raster",  # ... and how
     "open_store": "field.store",  # a store to a height field
     "Terrain": "terrain",  # a height field to its mesh for
     "View": "view.view",  # what cameras see
@@ -73,12 +73,12 @@ if TYPE_CHECKING:
     from .cbt_terrain.fit.fit import bake
     from .cbt_terrain.height_operators.catalogue import register_height_operator
     from .cbt_terrain.importing.import_process import import_source
-    from .cbt_terrain.importing.raster import ImportSettings
     from .cbt_terrain.mesh.archive import read_npz, write_npz
     from .cbt_terrain.query.box import box_range
     from .cbt_terrain.query.ground import ground_at, profile
     from .cbt_terrain.query.rays import nearest, pick
     from .cbt_terrain.query.viewshed import viewshed
+    from .cbt_terrain.rasters.raster import ImportSettings
     from .cbt_terrain.scatter.points import scatter_points
     from .cbt_terrain.scatter.scatter import Scatter
     from .cbt_terrain.terrain import Terrain

@@ -19,8 +19,8 @@ from types import ModuleType
 import bpy
 
 from ..cbt_terrain.errors import TerrainError
-from ..cbt_terrain.importing.store_job import ChildJob
 from ..cbt_terrain.run import warmup
+from ..cbt_terrain.sandbox.store_job import ChildJob
 from .session import session
 from .text.translations import phrase
 

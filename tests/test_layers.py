@@ -47,8 +47,8 @@ ROOMS = {
     ],
     "cbt_terrain": [
         *("errors", "plain_numbers", "run", "view", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
-        *("query", "attributes", "scatter", "tiling", "importing", "mosaic", "height_operators", "fit", "exporting"),
-        "accuracy",
+        *("query", "attributes", "scatter", "tiling", "rasters", "formats", "sandbox", "importing", "mosaic"),
+        *("height_operators", "fit", "exporting", "accuracy"),
     ],
     "operators": [
         *("text", "bridge", FEATURES, "handlers", "registration"),

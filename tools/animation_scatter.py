@@ -7,7 +7,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.scatter.points import ScatterPoints, ScatterRequest, place_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain

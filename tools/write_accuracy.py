@@ -15,7 +15,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ISLAND, ImportSettings
 from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
 from adaptive_terrain.operators.accuracy import page as accuracy_page
 from adaptive_terrain.operators.accuracy import report as accuracy_report

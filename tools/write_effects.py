@@ -28,7 +28,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators.shape_process import shape_store
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ISLAND, ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion

@@ -13,7 +13,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.field.store_folder import remove_store
 from ...cbt_terrain.importing.import_process import import_source
-from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.run.owned_files import remove_file
 from ..rig import scenes
 from ..rig.child import run_child

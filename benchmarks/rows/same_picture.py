@@ -17,7 +17,7 @@ from PIL import Image
 
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.import_process import import_source
-from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
+from ...cbt_terrain.rasters.raster import ISLAND, ImportSettings
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow
 from . import cycles

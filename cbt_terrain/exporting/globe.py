@@ -11,9 +11,9 @@ import numpy as np
 
 from ..field.georeference import WGS84
 from ..importing.placing import Placing
-from ..importing.store_job import ask, serve
 from ..run import child
 from ..run.partial_files import private_folder
+from ..sandbox.store_job import ask, serve
 
 MODULE = "cbt_terrain.exporting.globe"
 # Metres from the middle to the point that gives the direction of the frame's x axis.

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import unwritable
-from ..importing.store_job import ask, serve
 from ..run import child
 from ..run.partial_files import written_beside
+from ..sandbox.store_job import ask, serve
 
 MODULE = "cbt_terrain.exporting.pictures"
 # By suffix of a picture: suffix of its world file.

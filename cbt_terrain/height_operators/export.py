@@ -20,9 +20,9 @@ from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
-from ..importing.store_job import ask, serve
 from ..run import child
 from ..run.partial_files import is_device, written_beside
+from ..sandbox.store_job import ask, serve
 
 MODULE = "cbt_terrain.height_operators.export"
 LINES = 256  # whole blocks of either format

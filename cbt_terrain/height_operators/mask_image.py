@@ -9,12 +9,12 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
 from ..field.store_arrays import map_array, write_array
-from ..importing.coded_heights import PLAIN
-from ..importing.guard import guard
-from ..importing.raster import ImportSettings
-from ..importing.sources import check_file, open_source
-from ..importing.store_job import ask, serve
+from ..formats.sources import check_file, open_source
+from ..rasters.coded_heights import PLAIN
+from ..rasters.raster import ImportSettings
 from ..run import child, owned_files
+from ..sandbox.guard import guard
+from ..sandbox.store_job import ask, serve
 from .tile_cache import compute_digest
 
 MODULE = "cbt_terrain.height_operators.mask_image"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..field import store_folder
 from ..importing.build_store import finished_before
-from ..importing.store_job import StoreJob, Tell, serve, wait_for
+from ..sandbox.store_job import StoreJob, Tell, serve, wait_for
 from .prepare import prepare
 from .shape_store import open_source, run_shape, shape_digest
 from .stack import Stack, stack_content, stack_from

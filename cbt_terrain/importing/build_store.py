@@ -18,17 +18,17 @@ from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
-from .archives import is_archive, unpacked
+from ..formats.archives import is_archive, unpacked
+from ..formats.sources import check_file, check_named, open_source
+from ..rasters.raster import ImportSettings, Raster
+from ..rasters.rounding import half_step, rounding_warnings
+from ..rasters.sidecars import sidecars
+from ..sandbox.store_job import READING, Tell
 from .drafts import common_report_entries
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .plausibility import ValueCheck, relief_warning
-from .raster import ImportSettings, Raster
-from .rounding import half_step, rounding_warnings
-from .sidecars import sidecars
 from .source_list import file_stat, files_of, names_several
-from .sources import check_file, check_named, open_source
-from .store_job import READING, Tell
 from .thinning import LOADED, loaded_entries, loaded_steps, thinned
 from .tile_import import (
     MEASURING,

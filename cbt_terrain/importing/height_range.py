@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.lands import LANDS
-from .raster import ImportSettings, Raster
-from .source_formats import FORMATS
+from ..rasters.raster import ImportSettings, Raster
+from ..rasters.source_formats import FORMATS
 
 IMAGES, IMAGE_TYPES = ("PNG", "GeoTIFF", "RAW"), ("uint8", "uint16")
 RELIEF = 0.25  # of the width: the range of an image's heights by default

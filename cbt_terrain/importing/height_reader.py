@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..field import cleaning
+from ..rasters.raster import ImportSettings, Raster
 from .plausibility import ValueCheck
-from .raster import ImportSettings, Raster
 
 
 @dataclass

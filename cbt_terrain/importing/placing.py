@@ -12,8 +12,8 @@ from ..errors import TerrainError, shown
 from ..field import store as stores
 from ..field.georeference import ROTATED, degree_lengths
 from ..field.heightfield import HeightField
-from .file_grid import unit_of
-from .store_job import ask, serve
+from ..rasters.file_grid import unit_of
+from ..sandbox.store_job import ask, serve
 
 MODULE = "cbt_terrain.importing.placing"
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from ..field import store_folder
 from ..field.lands import LANDS
+from ..formats.archives import is_archive, unpacked
+from ..formats.sources import check_file, open_source
+from ..rasters.raster import ImportSettings, Raster
 from ..run import child
-from .archives import is_archive, unpacked
-from .guard import guard
-from .raster import ImportSettings, Raster
-from .sources import check_file, open_source
-from .store_job import ask, serve
+from ..sandbox.guard import guard
+from ..sandbox.store_job import ask, serve
 
 
 def describe_source(settings: ImportSettings) -> dict:

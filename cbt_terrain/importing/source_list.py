@@ -8,9 +8,9 @@ from pathlib import Path
 from ..errors import TerrainError, check_path, shown
 from ..field.lands import LANDS
 from ..field.store_folder import JSON_NAME
-from .coded_heights import HALF_WORLD, tile_of
-from .raster import ImportSettings
-from .source_formats import FORMATS
+from ..rasters.coded_heights import HALF_WORLD, tile_of
+from ..rasters.raster import ImportSettings
+from ..rasters.source_formats import FORMATS
 
 # Tile indexes of GDAL: XML or a database that names files.
 INDEX_SUFFIXES = (".gti", ".gpkg", ".shp")

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..field.georeference import LARGEST_EXTENT, Georeference
-from .raster import ImportSettings, Raster
+from ..rasters.raster import ImportSettings, Raster
 
 QUICK_SAMPLES = 9 << 19  # 4.7 million: 2 s of work after they are read
 # A raster of at most this many times the samples is imported completely: 0.34 us a sample make about 24 s.

@@ -22,14 +22,14 @@ from typing import Any
 
 from ..errors import TerrainError, unwritable
 from ..field.lands import LANDS
+from ..formats.sources import open_source
+from ..rasters.raster import ImportSettings, Raster
 from ..run import child, launch, stopping
+from ..sandbox.guard import VARIABLES, guard_import
+from ..sandbox.store_job import FREE_MEMORY
 from ..tiling.tile_work import READ, TileWork, work_in
 from .build_store import place_of
-from .guard import VARIABLES, guard_import
-from .raster import ImportSettings, Raster
 from .source_list import INDEX_SUFFIXES, files_of, names_several
-from .sources import open_source
-from .store_job import FREE_MEMORY
 from .tile_import import TILED_SAMPLES, Crew, TileSource, TileTask, perform
 
 MIN_BYTES = 1 << 22  # of the files of an import, for which processes are started

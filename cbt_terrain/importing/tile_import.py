@@ -22,14 +22,14 @@ from ..field.heightfield import HeightField, HeightRaster
 from ..field.holes import holes_leave_ground
 from ..field.lattice import Lattice
 from ..field.store import Draft
+from ..rasters.raster import ImportSettings, Raster
 from ..run import launch, partial_files
+from ..sandbox.store_job import READING
 from ..tiling import tile_steps
 from ..tiling.tile_grid import TILE_BITS, TileBox, TileGrid
 from ..tiling.tile_work import MEASURED, READ, NotNumberedError, StoredHeights, TileWork, work_in
 from .drafts import open_draft
 from .height_reader import HeightReader, scaling_of
-from .raster import ImportSettings, Raster
-from .store_job import READING
 
 TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
 MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place

@@ -20,13 +20,13 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Transform, without_dust
 from ..field.store_folder import named_folder
-from ..importing.archives import UnpackedFiles
-from ..importing.coded_heights import tile_of
-from ..importing.raster import ORDER, ImportSettings, Raster
-from ..importing.rounding import SourceRounding
-from ..importing.sidecars import sidecars
+from ..formats.archives import UnpackedFiles
+from ..formats.sources import check_named, open_source
 from ..importing.source_list import INDEX_SUFFIXES, file_stat, files_of
-from ..importing.sources import check_named, open_source
+from ..rasters.coded_heights import tile_of
+from ..rasters.raster import ORDER, ImportSettings, Raster
+from ..rasters.rounding import SourceRounding
+from ..rasters.sidecars import sidecars
 from ..run.named_file import read_regular
 from .index_files import paths_in
 from .systems import names_of

@@ -16,10 +16,10 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mosaic import resample
-from ..importing.archives import UnpackedFiles
-from ..importing.gdal_source import open_overview
-from ..importing.raster import NEWEST, RESOLUTION, ImportSettings, Raster
+from ..formats.archives import UnpackedFiles
+from ..formats.gdal_source import open_overview
 from ..importing.source_list import file_stat
+from ..rasters.raster import NEWEST, RESOLUTION, ImportSettings, Raster
 from ..run import launch
 from ..run.buffers import flat
 from .bridges import bridge

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from ...kernels.mosaic import resample
 from ..field import store_folder
-from ..importing.archives import UnpackedFiles, unpacking
+from ..formats.archives import UnpackedFiles, unpacking
 from ..importing.build_store import finished_import, import_raster
-from ..importing.guard import guard_import
 from ..importing.import_process import part_of
-from ..importing.raster import ImportSettings, Raster
-from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
-from ..importing.store_job import READING, Tell, serve
 from ..importing.tile_crew import serve_tasks, start_crew
 from ..importing.tile_import import Crew, ImportPart
+from ..rasters.raster import ImportSettings, Raster
+from ..rasters.source_formats import FORMATS
+from ..sandbox.guard import guard_import
+from ..sandbox.store_job import READING, Tell, serve
 from .mosaic_source import mosaic_raster, open_composite
 from .report import IMPORT_ENTRIES, describe_mosaic
 

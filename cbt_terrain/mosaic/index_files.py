@@ -11,8 +11,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from ..errors import TerrainError, shown
-from ..importing.source_formats import FORMATS
 from ..importing.source_list import MAX_FILES
+from ..rasters.source_formats import FORMATS
 from ..run.named_file import open_regular, read_regular
 
 MAX_XML_BYTES = 1 << 20

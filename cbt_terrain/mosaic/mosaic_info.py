@@ -8,12 +8,12 @@ from typing import Any
 
 from ...kernels.mosaic import resample
 from ..field import store_folder
-from ..importing.archives import UnpackedFiles
-from ..importing.guard import guard_import
-from ..importing.raster import ImportSettings
+from ..formats.archives import UnpackedFiles
 from ..importing.source_list import files_of, has_archives
-from ..importing.store_job import READING, Tell, ask, serve
+from ..rasters.raster import ImportSettings
 from ..run import child
+from ..sandbox.guard import guard_import
+from ..sandbox.store_job import READING, Tell, ask, serve
 from .import_child import SCANNED, paths_of, unpacked_sources
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic

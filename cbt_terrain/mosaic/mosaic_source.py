@@ -9,11 +9,11 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
-from ..importing.archives import UnpackedFiles
-from ..importing.file_grid import FileGrid, unit_of
-from ..importing.length_scale import length_warnings, mirror_warnings
-from ..importing.raster import ImportSettings, Raster
+from ..formats.archives import UnpackedFiles
 from ..importing.thinning import FROM_OVERVIEWS
+from ..rasters.file_grid import FileGrid, unit_of
+from ..rasters.length_scale import length_warnings, mirror_warnings
+from ..rasters.raster import ImportSettings, Raster
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .nearest import nearest_samples

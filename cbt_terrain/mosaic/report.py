@@ -10,11 +10,11 @@ import numpy as np
 from ..errors import shown
 from ..field.build import from_array
 from ..field.lattice import fit
-from ..importing.archives import MAX_UNPACKED_BYTES, is_archive
+from ..formats.archives import MAX_UNPACKED_BYTES, is_archive
 from ..importing.drafts import store_bytes, work_bytes
-from ..importing.file_grid import unit_of
-from ..importing.raster import ImportSettings
 from ..importing.tile_import import TILED_SAMPLES
+from ..rasters.file_grid import unit_of
+from ..rasters.raster import ImportSettings
 from .composite import Composite
 from .mosaic_source import blend_metres, georeference_of
 from .seams import SeamReport, find_seams

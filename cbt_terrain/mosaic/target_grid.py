@@ -10,8 +10,8 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import degree_lengths
 from ..field.lattice import SIDE_BITS, fit
-from ..importing.file_grid import unit_of
-from ..importing.raster import ImportSettings
+from ..rasters.file_grid import unit_of
+from ..rasters.raster import ImportSettings
 from ..view.linear import length
 from .catalogue import SourceTile
 from .systems import crs_of, period_of, projected

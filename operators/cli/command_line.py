@@ -158,9 +158,9 @@ def _add_import(subparsers) -> None:
     """Add the verb `import` and its arguments."""
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
-    from ...cbt_terrain.importing.raster import ENCODINGS
-    from ...cbt_terrain.importing.source_formats import FORMATS
     from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
+    from ...cbt_terrain.rasters.raster import ENCODINGS
+    from ...cbt_terrain.rasters.source_formats import FORMATS
 
     verb = _add_verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
@@ -443,7 +443,7 @@ def _add_view_options(verb: argparse.ArgumentParser, store: str, frames_required
 
 def _add_mosaic(verb: argparse.ArgumentParser) -> None:
     """Add the options of several files."""
-    from ...cbt_terrain.importing.raster import PRIORITIES
+    from ...cbt_terrain.rasters.raster import PRIORITIES
 
     priority = "which of several files is used where they overlap: the last, the finest or the newest (order)"
     verb.add_argument("--priority", choices=PRIORITIES, help=priority)
@@ -457,7 +457,7 @@ def _add_mosaic(verb: argparse.ArgumentParser) -> None:
 
 def _add_raw_options(verb: argparse.ArgumentParser) -> None:
     """Add the options that describe the layout of a RAW file, which has no header."""
-    from ...cbt_terrain.importing.raster import RAW_TYPES
+    from ...cbt_terrain.rasters.raster import RAW_TYPES
 
     verb.add_argument(
         "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"

@@ -10,7 +10,7 @@ from ...cbt_terrain.height_operators.export import check_export, export_raster
 from ...cbt_terrain.height_operators.shape_process import ShapeJob
 from ...cbt_terrain.height_operators.stack import read_stack
 from ...cbt_terrain.height_operators.tiles import tiles_seen
-from ...cbt_terrain.importing.store_job import wait_for
+from ...cbt_terrain.sandbox.store_job import wait_for
 from ..text.console import Progress
 from .maps_command import views_along
 

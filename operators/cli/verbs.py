@@ -24,9 +24,9 @@ def run_import(arguments) -> None:
     """Run the verb `import`: turn a height map or a built-in land into a store, and print the report."""
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
     from ...cbt_terrain.importing.source_list import names_several
     from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
+    from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
 
     source = arguments.sources[0]
     if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
@@ -144,7 +144,7 @@ def _all_versions() -> dict:
 
 def _import_settings(arguments, **more):
     """Return ImportSettings from the arguments of the same names; `more` gives settings that are no arguments."""
-    from ...cbt_terrain.importing.raster import ImportSettings
+    from ...cbt_terrain.rasters.raster import ImportSettings
 
     names = {field.name for field in dataclasses.fields(ImportSettings)}
     given = {name: value for name, value in vars(arguments).items() if name in names and value is not None}

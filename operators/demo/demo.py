@@ -13,7 +13,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.height_operators.shape_process import shape_store
 from ...cbt_terrain.height_operators.tiles import whole_land
 from ...cbt_terrain.importing.import_process import import_source
-from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.view.camera_path import read_camera_path

@@ -11,9 +11,9 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.field.lattice import lattice_for
-from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.source_list import files_of
 from ...cbt_terrain.importing.tile_import import TILED_PARTS, TILED_SAMPLES
+from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.tiling.tile_grid import TileGrid
 from ..export.exporting import make_folder, write_files
 from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_json

@@ -10,8 +10,8 @@ import bpy
 from ...cbt_terrain.attributes.folder import JSON_NAME as MAPS_JSON
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.store import JSON_NAME as STORE_JSON
-from ...cbt_terrain.importing import sidecars
-from ...cbt_terrain.importing.source_formats import FORMATS
+from ...cbt_terrain.rasters import sidecars
+from ...cbt_terrain.rasters.source_formats import FORMATS
 from ...cbt_terrain.run.owned_files import LAND, real_path
 
 HEIGHT_MAP_SUFFIXES = {*FORMATS, *(Path(f"name{suffix}").suffix for suffix in sidecars.SUFFIXES)}

@@ -10,8 +10,8 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.height_operators.land_folder import folder_beside
-from ...cbt_terrain.importing.sidecars import sidecars
 from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES, files_of, names_several
+from ...cbt_terrain.rasters.sidecars import sidecars
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..export.exporting import make_folder

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.importing.source_formats import FORMATS
 from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES
+from ...cbt_terrain.rasters.source_formats import FORMATS
 from ..bridge.scene_paths import absolute_path
 from ..terrain.properties import FILE
 

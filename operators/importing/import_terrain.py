@@ -10,12 +10,12 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import changed_ns
-from ...cbt_terrain.importing.header_files import lacks_header
+from ...cbt_terrain.formats.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
-from ...cbt_terrain.importing.raster import ImportSettings
-from ...cbt_terrain.importing.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from ...cbt_terrain.importing.source_list import names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
+from ...cbt_terrain.rasters.raster import ImportSettings
+from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator

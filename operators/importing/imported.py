@@ -10,8 +10,8 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
-from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.thinning import loaded_m
+from ...cbt_terrain.rasters.raster import ImportSettings
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
 from ..bridge.scene_paths import absolute_path
 from ..text.numbers import length_text, plain

@@ -3,7 +3,7 @@
 
 import bpy
 
-from ...cbt_terrain.importing.source_formats import FORMATS
+from ...cbt_terrain.rasters.source_formats import FORMATS
 from ..layers.properties import add_default_layers
 from .add_tiles import ChosenFiles, name_of
 

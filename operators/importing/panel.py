@@ -2,7 +2,7 @@
 """The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING
+from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
 from ..terrain.properties import FILE
 from ..text.translations import phrase

@@ -17,7 +17,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
-from ...cbt_terrain.importing.store_job import ChildJob
+from ...cbt_terrain.sandbox.store_job import ChildJob
 from ..text.console import print_line
 from ..text.translations import phrase
 

@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.attributes.splat_rules import Painted
 from ...cbt_terrain.errors import TerrainError, shown
-from ...cbt_terrain.importing.png_file import png_damage
+from ...cbt_terrain.formats.png_file import png_damage
 from ...cbt_terrain.run.named_file import blocks_reader, open_regular
 from ..bridge.scene_paths import absolute_path
 

@@ -19,7 +19,7 @@ from bpy.props import (
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED
 from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
-from ...cbt_terrain.importing.raster import RAW_TYPES
+from ...cbt_terrain.rasters.raster import RAW_TYPES
 from ..attributes import properties as effect_properties
 from ..land import properties as land_properties
 from ..layers.properties import LayerSettings

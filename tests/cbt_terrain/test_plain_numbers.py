@@ -16,11 +16,11 @@ from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.fit.fit import bake
 from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.plain_numbers import plain_number
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at, profile
 from adaptive_terrain.cbt_terrain.query.viewshed import viewshed
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain

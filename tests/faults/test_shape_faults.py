@@ -13,7 +13,7 @@ from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 RELIEF = Stack((Entry("relief", seed=1), Entry("relief", seed=2)))

@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.field import store_arrays, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -238,7 +238,7 @@ def test_arrays_are_deleted_while_they_are_open(store):
 
 IMPORT = """
 import sys
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 sys.stdin.read(1)  # all begin at once
 run_import(ImportSettings(source="island", size=257, seed=int(sys.argv[2])), sys.argv[1])

@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from invariants import arrays, assert_invariants
@@ -208,7 +208,7 @@ def test_case_20_a_bad_file_is_one_error_and_the_store_stays(tmp_path, name):
 HUNGER = """
 import json, resource, sys
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 run_import(ImportSettings(source="island", size=17), sys.argv[1] + "/warm")
 usage = lambda: resource.getrusage(resource.RUSAGE_SELF)

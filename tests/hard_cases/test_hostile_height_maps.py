@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source
-from adaptive_terrain.cbt_terrain.importing.sources import open_source
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import child, stall
 from hostile_files import PART, damaged, seeds, source, vrt, write_attacks
 from rasters import hills, imported, write_raster
@@ -81,7 +81,7 @@ def test_case_63_an_attack_is_one_error_of_import_and_info(tmp_path, server):
 BARE = """
 import json, os, socket, subprocess, sys
 from pathlib import Path
-from adaptive_terrain.cbt_terrain.importing.guard import guard
+from adaptive_terrain.cbt_terrain.sandbox.guard import guard
 folder, attacked = Path(sys.argv[1]), sys.argv[2:]
 (folder / "store").mkdir()
 said = guard([folder / "a.vrt"], folder / "store")
@@ -236,9 +236,9 @@ READER = """
 import json, sys
 from pathlib import Path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing.guard import guard_import
+from adaptive_terrain.cbt_terrain.sandbox.guard import guard_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 folder, store = Path(sys.argv[1]), Path(sys.argv[2])
 files = sorted(folder.iterdir())
 guard_import(ImportSettings(source=str(files[0])), store)

@@ -12,11 +12,11 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic import composite as composites
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasterio.transform import from_origin
 from rasters import write_raster

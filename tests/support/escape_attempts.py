@@ -284,7 +284,7 @@ def new_folder(folder: Path) -> None:
 
 
 def main(folder: Path, uid: int) -> None:
-    from adaptive_terrain.cbt_terrain.importing import sandbox
+    from adaptive_terrain.cbt_terrain.sandbox import sandbox
 
     if os.getuid() == 0 and uid:
         os.setgroups([])

@@ -12,8 +12,9 @@ import numpy
 import rasterio  # without registering a driver
 from pathlib import Path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing import guard, sources
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.sandbox import guard
+from adaptive_terrain.cbt_terrain.formats import sources
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 
 def read(path):
     for descriptor in (1, 2):  # some drivers print

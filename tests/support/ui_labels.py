@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
-from adaptive_terrain.cbt_terrain.importing.store_job import READING
+from adaptive_terrain.cbt_terrain.sandbox.store_job import READING
 from adaptive_terrain.cbt_terrain.view.settings import BOUNDS, SETTINGS
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.accuracy.panel import STEPS, TERMS

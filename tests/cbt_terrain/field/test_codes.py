@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.field.domain import make_domain
 from adaptive_terrain.cbt_terrain.field.hierarchy import build_errors
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.kernels.field.domain import Domain

@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import partial_files
 
 

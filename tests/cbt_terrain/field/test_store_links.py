@@ -15,7 +15,7 @@ from adaptive_terrain.cbt_terrain.field.derived_arrays import derive
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.height_operators.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run.owned_files import NotOursError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows lets only some users make symbolic links")

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasters import imported, write_raster
 
 GREYS = np.linspace(1000, 61000, 40 * 30).reshape(30, 40)

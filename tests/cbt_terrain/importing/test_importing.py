@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import, source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasters import hills, write_exr, write_raster
 
 LONG = ImportSettings(source="island", size=4097)  # seconds of work
@@ -142,7 +142,7 @@ def test_an_import_ends_with_its_parent(tmp_path):
     script = (
         "import sys, time\n"
         "from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob\n"
-        "from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings\n"
+        "from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings\n"
         f"job = ImportJob(ImportSettings(source='island', size=4097), {str(tmp_path / 'store')!r})\n"
         "while job.poll().fraction == 0.0: time.sleep(0.01)\n"
         "print(job._process.pid, flush=True); time.sleep(60)"
@@ -194,7 +194,7 @@ def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills(33, 33))
     script = (
         "import sys\n"
-        "from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings\n"
+        "from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings\n"
         "from adaptive_terrain.cbt_terrain.importing.import_process import import_source\n"
         f"report = import_source(ImportSettings(source={str(source)!r}), {str(tmp_path / 'store')!r})\n"
         "assert report['raster'] == [33, 33]\n"

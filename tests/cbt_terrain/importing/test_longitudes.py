@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing.placing import Placing, placing_of, unit_lengths
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.importing.sources import open_source
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasterio.transform import Affine, from_origin
 from rasters import imported, write_raster
 from transverse_mercator import utm_to_degrees

@@ -12,13 +12,13 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
 from adaptive_terrain.cbt_terrain.mosaic import catalogue
 from adaptive_terrain.cbt_terrain.mosaic.catalogue import build_catalogue, keep_catalogue
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.index_files import paths_in
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, sheet
 from rasters import hills, write_raster
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic import mosaic_source, positions
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, UTM33, land, moved, sheet, top
 from rasterio.transform import Affine, from_origin
 from rasters import hills, write_raster
@@ -117,7 +117,7 @@ def test_a_store_does_not_depend_on_the_windows_that_are_read(three, tmp_path, m
     digests = set()
     for rows in (1, 37, 128):
         monkeypatch.setattr(mosaic_source, "BLOCK_ROWS", rows)
-        monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 1)
+        monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 1)
         run_mosaic_import(settings_of(files, step=20.0), tmp_path / str(rows))
         digests.add(open_store(tmp_path / str(rows)).raster.digest)
     assert len(digests) == 1

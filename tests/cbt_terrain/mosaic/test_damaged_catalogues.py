@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic import catalogue
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import describe_mosaic
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from hostile_files import damaged
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 

@@ -9,13 +9,13 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
 from adaptive_terrain.cbt_terrain.mosaic import datums, nearest
 from adaptive_terrain.cbt_terrain.mosaic.datums import ShiftNodes
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run.child import GRID_FOLDERS
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasterio.enums import Resampling

@@ -8,11 +8,11 @@ from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.importing import thinning
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic import composite as composites
 from adaptive_terrain.cbt_terrain.mosaic import nearest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, land, moved, sheet
 from rasterio.enums import Resampling
 from rasterio.transform import from_origin

@@ -9,13 +9,13 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.importing import archives
+from adaptive_terrain.cbt_terrain.formats import archives
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
 from adaptive_terrain.cbt_terrain.mosaic.catalogue import FILE_NAME
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import EAST, NORTH, UTM32, sheet
 from rasters import write_raster
 

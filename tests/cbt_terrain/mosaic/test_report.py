@@ -5,10 +5,10 @@ import json
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import coverage, datum_warnings
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line
 from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, sheet
 

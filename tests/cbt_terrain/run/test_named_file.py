@@ -21,7 +21,7 @@ OWN = {
     ("cbt_terrain/tiling/tile_work.py", "self.open(name)"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
-    ("cbt_terrain/importing/archives.py", "gzip.open(file)"),
+    ("cbt_terrain/formats/archives.py", "gzip.open(file)"),
     ("cbt_terrain/exporting/globe.py", "np.load(path)"),
     ("cbt_terrain/exporting/globe.py", "np.load(request['path'])"),
     ("cbt_terrain/exporting/height_tiles.py", "layer.form.open(partial, shape, layer.form.dtype, pool)"),

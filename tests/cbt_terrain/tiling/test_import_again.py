@@ -11,9 +11,9 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.importing import tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.tiling import tile_steps
 from adaptive_terrain.cbt_terrain.tiling.tile_work import MEASURED, READ
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
@@ -84,9 +84,10 @@ def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled):  # noqa: F811
 
 KILLED = """
 import os, sys
-from adaptive_terrain.cbt_terrain.importing import raster, tile_import
+from adaptive_terrain.cbt_terrain.rasters import raster
+from adaptive_terrain.cbt_terrain.importing import tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 raster.BLOCK_SAMPLES = 2000
 tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
 class Crew(tile_import.Crew):
@@ -106,7 +107,7 @@ run_import(ImportSettings(sys.argv[1], no_data=0.0), sys.argv[2], crew=Crew())
 
 @pytest.mark.parametrize("done", [2, 12])
 def test_a_killed_import_goes_on_where_it_was(tmp_path, tiled, monkeypatch, done):  # noqa: F811
-    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 2000)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 2000)
     heights = hills(160, 140)
     heights[30:60, 50:90] = 0.0
     np.save(tmp_path / "a.npy", heights)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import cleaning
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import EAST, NORTH, UTM32
 from rasterio import Affine
 from rasterio.transform import from_origin
@@ -70,7 +70,7 @@ ORIENTATIONS = {
 
 @pytest.mark.parametrize("name", ORIENTATIONS)
 def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, name):  # noqa: F811
-    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.raster.BLOCK_SAMPLES", 2000)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 2000)
     source = write_raster(tmp_path / "a.tif", MOUNTAINS, crs=UTM32, transform=ORIENTATIONS[name])
     for store, cut in ("whole", None), ("tiled", 5):
         tiled(cut)

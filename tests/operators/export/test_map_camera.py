@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line
 from rasterio.transform import Affine
 from rasters import hills, write_raster

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.importing.source_formats import BAND
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.source_formats import BAND
 from adaptive_terrain.operators.importing import import_terrain
 from adaptive_terrain.operators.importing.imported import (
     Imported,

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.importing.source_formats import FORMATS
 from adaptive_terrain.cbt_terrain.importing.source_list import INDEX_SUFFIXES
+from adaptive_terrain.cbt_terrain.rasters.source_formats import FORMATS
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
 from adaptive_terrain.operators.importing.imported import imported_of, loaded_text

@@ -8,7 +8,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import read_stack
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
-from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.land.presets import FOLDER, SHIPPED
 
 NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island", "light_weathering", "water_and_snow")

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Height maps in a .zip or .gz, unpacked by Python into a folder of the store while they are imported.
+
+GDAL's own reader of archives is not used, since a name in one could lead around the list of drivers. Names and sizes
+are checked before anything is unpacked. A .zip holds one height map; files with its name, such as .prj, come with it.
+"""
+
+import gzip
+import os
+import re
+import shutil
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import IO, NamedTuple
+
+from ..errors import TerrainError, shown
+from ..field import store_folder
+from ..rasters.raster import ImportSettings
+from ..rasters.sidecars import SUFFIXES
+from ..rasters.source_formats import FORMATS, SourceFormat
+from ..run import owned_files, partial_files
+from ..run.named_file import open_regular
+from ..run.owned_files import NotOursError
+
+MAX_MEMBERS = 10_000
+MAX_BYTES = 1 << 33  # of an unpacked file: more than the largest raster
+MAX_SIDECAR_BYTES = 16 << 20
+MAX_UNPACKED_BYTES = 1 << 31  # of the unpacked files of a mosaic: more than a row of tiles across the largest raster
+PIECE = 1 << 20
+IGNORED = ("__MACOSX/",)
+FAULTS = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+
+
+class Member(NamedTuple):
+    """The height map in an archive.
+
+    Attributes:
+        name: of the file, without folders.
+        sidecars: members of a .zip that belong to it.
+    """
+
+    name: str
+    info: zipfile.ZipInfo | None = None
+    sidecars: tuple[zipfile.ZipInfo, ...] = ()
+
+
+def is_archive(path: Path) -> bool:
+    """Return whether a file is an archive by its suffix."""
+    form = FORMATS.get(path.suffix.lower())
+    return form is not None and form.is_archive
+
+
+def inner_path(path: Path) -> Path:
+    """Return a path with the name of the height map in an archive. Raises TerrainError."""
+    return path.with_name(_member(path).name)
+
+
+def read_head(path: Path, count: int) -> bytes:
+    """Return the first bytes of the height map in an archive. Raises TerrainError."""
+    member = _member(path)
+    try:
+        with open_regular(path, links=True) as file:
+            if member.info is None:
+                with gzip.open(file) as source:
+                    return source.read(count)
+            with zipfile.ZipFile(file) as archive, archive.open(member.info) as source:
+                return source.read(count)
+    except FAULTS as reason:
+        raise _damaged(path, reason) from reason
+
+
+def open_archive(path: Path, _settings: ImportSettings) -> None:
+    """Refuse an archive that was not unpacked, such as one inside an archive. Raises TerrainError."""
+    raise TerrainError(f"{shown(path)} is an archive", expected="a height map here", fix="unpack it first")
+
+
+class UnpackedFiles:
+    """Height maps of archives, unpacked into a private folder when they are first needed.
+
+    Beyond `MAX_UNPACKED_BYTES` the files that were used least recently are removed, and unpacked again on demand.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Unpack into `folder`; without one, archives are not unpacked."""
+        self._folder = folder
+        self._archives: list[Path] = []  # by the number of the inner folder
+        self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
+
+    def path_of(self, path: Path) -> Path:
+        """Return the height map of an archive, unpacked; any other path as it is. Raises TerrainError."""
+        if self._folder is None or not is_archive(path):
+            return path
+        if path not in self._kept:
+            inner = self._folder / str(len(self._archives))
+            self._archives.append(path)
+            with owned_files.open_folder(inner, make=True):
+                file = _unpack(path, inner)
+            self._kept[path] = file, sum(int(entry.stat().st_size) for entry in inner.iterdir())
+            self._remove_oldest()
+        self._kept[path] = self._kept.pop(path)
+        return self._kept[path][0]
+
+    def with_names(self, text: str) -> str:
+        """Return a text in which the folders of unpacked files have the names of their archives."""
+        if self._folder is None:
+            return text
+        inner = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
+        return inner.sub(lambda found: str(self._archives[int(found[1])]), text)
+
+    def _remove_oldest(self) -> None:
+        """Remove files until at most MAX_UNPACKED_BYTES remain, but not the latest one.
+
+        A file that is open stays readable; where the system cannot remove it, it stays until the end.
+        """
+        while len(self._kept) > 1 and sum(int(size) for _, size in self._kept.values()) > MAX_UNPACKED_BYTES:
+            file, _ = self._kept.pop(next(iter(self._kept)))
+            with suppress(OSError, NotOursError):
+                owned_files.remove_tree(file.parent, may_be_link=True)
+
+
+@contextmanager
+def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
+    """Yield files that are unpacked below `folder`, a new folder of arrays that is removed after the block.
+
+    Errors of the block and names in them are those of the archives. Raises TerrainError.
+    """
+    new_folders = store_folder.missing_folders(folder.parent)
+    lock = partial_files.make_folder(folder, parents=True)
+    try:
+        with partial_files.private_folder(folder) as inner:
+            files = UnpackedFiles(inner)
+            try:
+                yield files
+            except TerrainError as error:
+                raise TerrainError(*map(files.with_names, error.args)) from error
+    finally:
+        partial_files.end_work(folder, lock)
+        with suppress(OSError, NotOursError):
+            store_folder.remove_arrays(folder)
+        with suppress(OSError, NotOursError):
+            for parent in new_folders:
+                owned_files.remove_empty(parent)
+
+
+@contextmanager
+def unpacked(path: Path, folder: Path) -> Iterator[Path]:
+    """Yield the height map of an archive, unpacked as by `unpacking`; any other path as it is."""
+    if not is_archive(path):
+        yield path
+        return
+    with unpacking(folder) as files:
+        yield files.path_of(path)
+
+
+def _unpack(path: Path, folder: Path) -> Path:
+    """Write the height map of an archive, and its sidecars, into a folder; return its path."""
+    member = _member(path)
+    target = folder / member.name
+    try:
+        with open_regular(path, links=True) as file:
+            if member.info is None:
+                with gzip.open(file) as source:
+                    _copy(path, source, target, MAX_BYTES)
+                return target
+            with zipfile.ZipFile(file) as archive:
+                for info in (member.info, *member.sidecars):
+                    with archive.open(info) as source:
+                        _copy(path, source, folder / PurePosixPath(info.filename).name, info.file_size)
+    except FAULTS as reason:
+        raise _damaged(path, reason) from reason
+    return target
+
+
+def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes: int) -> None:
+    """Copy at most `max_bytes` into a new file. Raises TerrainError for more, or for too little room."""
+    free, size = shutil.disk_usage(target.parent).free, 0
+    with target.open("xb") as file:
+        while piece := source.read(PIECE):
+            size += len(piece)
+            if size > min(max_bytes, free):
+                raise _too_large(path, target.name, min(max_bytes, free))
+            file.write(piece)
+
+
+def _damaged(path: Path, reason: Exception) -> TerrainError:
+    what = f"{shown(path)} cannot be unpacked ({shown(reason).rstrip('.') or type(reason).__name__})"
+    return TerrainError(what, expected="a whole archive, and room for its content", fix="get it again")
+
+
+def _too_large(path: Path, name: str, limit: int) -> TerrainError:
+    """Return the error for a member of an archive that is larger than `limit` bytes."""
+    return TerrainError(
+        f"{shown(path)} unpacks {shown(name)!r} to more than {limit / 1e6:,.0f} MB",
+        expected="a height map that fits on the disk of the store",
+        fix="unpack it elsewhere, and check what it holds",
+    )
+
+
+def _member(path: Path) -> Member:
+    """Return the one height map in an archive, from names and sizes alone. Raises TerrainError."""
+    if path.suffix.lower() == ".gz":
+        if _importable(path.with_suffix("")) is None:
+            raise _not_one(path, [])
+        return Member(path.stem)
+    try:
+        with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+    except FAULTS as reason:
+        raise _damaged(path, reason) from reason
+    if len(members) > MAX_MEMBERS:
+        raise TerrainError(f"{shown(path)} holds {len(members):,} files", expected=f"{MAX_MEMBERS:,} at most")
+    return _choose(path, [info for info in members if not info.is_dir() and not info.filename.startswith(IGNORED)])
+
+
+def _choose(path: Path, members: list[zipfile.ZipInfo]) -> Member:
+    """Return the only height map of a .zip and its sidecars. Raises TerrainError for unsafe members."""
+    for info in members:
+        _check_member(path, info)
+    maps = [info for info in members if _importable(PurePosixPath(info.filename))]
+    if len(maps) != 1:
+        raise _not_one(path, [info.filename for info in maps])
+    place = PurePosixPath(maps[0].filename)
+    if maps[0].file_size > MAX_BYTES:
+        raise _too_large(path, place.name, MAX_BYTES)
+    starts = place.name.lower(), place.stem.lower()
+    wanted = {start + suffix for start in starts for suffix in SUFFIXES}
+    beside = {}
+    for info in members:
+        other = PurePosixPath(info.filename)
+        if other.parent == place.parent and other.name.lower() in wanted and info.file_size <= MAX_SIDECAR_BYTES:
+            beside[other.name] = info
+    return Member(place.name, maps[0], tuple(beside.values()))
+
+
+def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
+    """Refuse a link, an encrypted file, and a name that leads out of its folder. Raises TerrainError."""
+    name = PurePosixPath(info.filename)
+    problem = ""
+    if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
+        problem = "whose name leads out of its folder"
+    elif stat.S_ISLNK(info.external_attr >> 16):
+        problem = "which is a link"
+    elif info.flag_bits & 1:
+        problem = "which is encrypted"
+    if problem:
+        raise TerrainError(f"{shown(path)} holds {shown(info.filename)!r}, {problem}", fix="unpack it yourself first")
+
+
+def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
+    """Return the format of a height map by its name; None for others, for mosaics and for archives."""
+    form = FORMATS.get(name.suffix.lower())
+    return None if form is None or form.is_archive or form.driver == "VRT" or name.name.startswith(".") else form
+
+
+def _not_one(path: Path, names: list[str]) -> TerrainError:
+    """Return the error about an archive without a height map, or with several."""
+    found = f"{len(names)} height maps ({shown(', '.join(names), 120)})" if names else "no height map"
+    fix = "unpack it, and import one of them, or a VRT of all (gdalbuildvrt)" if names else "unpack it first"
+    return TerrainError(f"{shown(path)} holds {found}", expected="one height map in an archive", fix=fix)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The format of a file: by its suffix and, where several formats share one, by its first bytes."""
+
+from pathlib import Path
+
+from ..rasters.source_formats import FORMATS, SourceFormat
+from ..run.named_file import open_regular
+from . import archives
+
+HEAD_BYTES = 1024  # the first record of a USGS DEM, which is text
+
+
+def format_of(path: Path) -> SourceFormat | None:
+    """Return the format of a file, None for an unknown suffix."""
+    form = FORMATS.get(path.suffix.lower())
+    if form is None or not form.others:
+        return form
+    try:
+        with open_regular(path, links=True) as file:
+            return _choose(form, file.read(HEAD_BYTES))
+    except OSError:  # opening it reports that
+        return form
+
+
+def inner_format(path: Path) -> SourceFormat | None:
+    """Return the format of a file, or of the height map in an archive. Raises TerrainError for an unusable archive."""
+    if not archives.is_archive(path):
+        return format_of(path)
+    form = FORMATS[archives.inner_path(path).suffix.lower()]
+    return _choose(form, archives.read_head(path, HEAD_BYTES)) if form.others else form
+
+
+def _choose(form: SourceFormat, head: bytes) -> SourceFormat:
+    """Return the format, or one of its others, by the first bytes of a file."""
+    is_text = head.isascii() and head.decode("ascii").replace("\r", "").replace("\n", "").isprintable()
+    return next((other for other in form.others if (head.startswith(other.starts) if other.starts else is_text)), form)

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rasters through rasterio (GDAL), each format by its own driver (source_formats.py).
+
+Functions import rasterio, because its libraries must not meet those of Blender. They run in the import's child process,
+which first calls `keep_only_drivers`.
+"""
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.georeference import Georeference, from_transform
+from ..rasters.band_notes import band_notes, content_hint, float_alpha
+from ..rasters.coded_heights import decoded
+from ..rasters.driver_gaps import band_facts
+from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
+from ..rasters.length_scale import length_warnings, mirror_warnings
+from ..rasters.raster import ImportSettings, Raster, blank, cause
+from ..rasters.rasterio_types import DatasetReader
+from ..rasters.rounding import SourceRounding, band_rounding
+from ..rasters.sidecars import allow_aux_file, named_crs
+from ..rasters.source_formats import SourceFormat
+from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
+from ..rasters.units import height_unit
+from .format_choice import format_of
+from .gdal_files import OpenedVrt, open_file, open_vrt, start_gdal
+from .vrt_rounding import mosaic_roundings
+from .vrt_units import mosaic_notes
+
+
+def keep_only_drivers(wanted: set[str]) -> list[str]:
+    """Remove all other GDAL drivers from this process, and return those that remain.
+
+    Raises TerrainError if more drivers remain, because files could use them.
+    """
+    import rasterio
+    from rasterio import _env
+
+    with rasterio.Env() as env:
+        known = set(env.drivers())
+    os.environ["GDAL_SKIP"] = ",".join(sorted(known - wanted))  # is read when drivers are registered
+    _env._have_registered_drivers = False
+    _env.GDALEnv().start()
+    with rasterio.Env() as env:
+        left = sorted(env.drivers())
+    if set(left) != wanted:
+        raise TerrainError(
+            f"GDAL {rasterio.__gdal_version__} keeps the drivers {shown(', '.join(left))}, so no file is opened",
+            expected=f"only {', '.join(sorted(wanted))}",
+            fix="install rasterio 1.4",
+        )
+    return left
+
+
+def open_raster(path: Path, settings: ImportSettings) -> Raster:
+    """Open a raster file. Raises TerrainError if GDAL cannot."""
+    form = format_of(path)
+    assert form is not None, "the file has the suffix of a format"
+    driver = form.driver
+    try:
+        return _open_raster(path.absolute(), form, settings)
+    except TerrainError:
+        raise
+    except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
+        raise TerrainError(
+            f"{shown(path)} cannot be read as {driver} ({cause(reason)})", **content_hint(path, driver)
+        ) from reason
+
+
+def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
+    """Open a file with GDAL and return its band `settings.band` as a raster, which its `close` closes."""
+    start_gdal()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
+        if form.driver == "VRT":
+            vrt = open_vrt(path)
+            return raster_of(path, vrt.dataset, settings, form.driver, vrt=vrt)
+        notes = allow_aux_file(path)
+        original = open_file(path, form)
+        dataset = decoded(path, original, settings)
+    if dataset is not original:
+        settings = dataclasses.replace(settings, band=1)
+    return raster_of(path, dataset, settings, form.driver, notes)
+
+
+def raster_of(
+    path: Path,
+    dataset: DatasetReader,
+    settings: ImportSettings,
+    driver: str,
+    notes: Sequence[str] = (),
+    vrt: OpenedVrt | None = None,
+) -> Raster:
+    """Return the band `settings.band` of an open rasterio dataset as a raster.
+
+    The georeference, the unit of heights and the rounding of stored values come from the dataset; a VRT's from its
+    sources. The raster is reprojected if the settings request it or its grid is sheared. notes: warnings so far. Raises
+    TerrainError for a missing band or complex values.
+    """
+    band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
+    if not 1 <= band <= dataset.count:
+        raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
+    if dataset.dtypes[band - 1].startswith("complex"):
+        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
+    stored = np.dtype(dataset.dtypes[band - 1])
+    facts = band_facts(path, dataset, band, _grid_of(dataset, settings))
+    grid = facts.grid
+    if grid.transform is not None and grid.crs is None and driver != "VRT":
+        grid = grid._replace(crs=named_crs(path, notes))
+    in_metres, unit_warnings = height_unit(facts.unit, grid.crs or dataset.crs)
+    in_metres *= facts.factor
+    notes += [*band_notes(dataset, band, driver), *facts.notes, *unit_warnings]
+    found: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
+    if vrt is not None:
+        found = mosaic_roundings(vrt.mosaic, band, str(stored), lambda *of: vrt.roundings.get(of))
+        notes += mosaic_notes(vrt.mosaic, band, lambda *of: vrt.scales.get(of))
+    if grid.problem and settings.extent is None:
+        notes.append(
+            f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
+            f"metres (--extent), or place the raster first ({grid.tool})."
+        )
+    window, is_plain = _reader_of(path, dataset, settings), driver == "GTiff" and dataset.name == str(path)
+    raster = Raster(
+        width=dataset.width,
+        height=dataset.height,
+        read=lambda first, count: window(first, count, 0, dataset.width),
+        window=window,
+        grid=grid,
+        block_rows=dataset.block_shapes[band - 1][0],
+        stored=str(stored),
+        format=driver,
+        overview=lambda factor: open_overview(path, settings, dataset.width, str(stored), factor) if is_plain else None,
+    )
+    view, projected_from = None, ""
+    sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
+    if settings.project or sheared:
+        from ..rasters.reproject import reproject
+
+        projected_from = grid.name if settings.project else "a sheared grid"
+        view, grid = reproject(path, dataset, grid, stored, settings)
+        if not settings.project:
+            notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
+        if float_alpha(dataset, band):
+            notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
+    placed = raster if view is None else _resampled(path, raster, view, band)
+    georeference = _georeference(grid, placed.width, placed.height, settings)
+    is_sized = georeference is not None
+    if georeference is None and driver == "GTiff":
+        georeference = orientation_georeference(orientation_of(path))
+    if georeference is None and mosaic is not None:
+        notes += orientation_notes(mosaic.sources)
+    return dataclasses.replace(
+        placed,
+        georeference=georeference,
+        is_sized=is_sized,
+        has_unit=bool(facts.unit),
+        projected_from=projected_from,
+        scale=dataset.scales[band - 1] * in_metres,
+        offset=dataset.offsets[band - 1] * in_metres,
+        roundings=found,
+        warnings=notes,
+        sources=tuple(mosaic.sources) if mosaic is not None else (),
+        close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
+    )
+
+
+def _close(*files: DatasetReader) -> None:
+    for file in files:
+        file.close()
+
+
+def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> Raster:
+    """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
+    window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
+    return dataclasses.replace(
+        original,
+        width=view.width,
+        height=view.height,
+        read=lambda first, count: window(first, count, 0, view.width),
+        window=None,
+        overview=lambda _max_factor: None,
+        grid=None,
+        block_rows=view.block_shapes[band - 1][0],
+        original=original,
+    )
+
+
+def _window_reader(
+    path: Path, dataset: DatasetReader, band: int, masked: bool, no_data: float | None, alpha: int
+) -> Callable[[int, int, int, int], np.ndarray]:
+    """Return the function `window` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
+    from rasterio.windows import Window
+
+    def read(first: int, count: int, column: int, columns: int) -> np.ndarray:
+        """Return `columns` samples from `column` on of `count` rows from row `first` on; missing samples are NaN.
+
+        Integers of more than 16 bits and float64 stay float64 in a masked raster. Raises TerrainError for damaged rows.
+        """
+        window = Window(column, first, columns, count)
+        try:
+            rows = dataset.read(band, window=window)
+            mask = dataset.read_masks(band, window=window) if masked else None
+            mask = dataset.read(alpha, window=window) if alpha else mask
+        except Exception as reason:
+            raise TerrainError(
+                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)})",
+                fix="get the file again",
+            ) from reason
+        if mask is not None:
+            rows = rows.astype(np.float64 if rows.itemsize > 2 and rows.dtype != np.float32 else np.float32)
+            rows[mask == 0] = np.nan
+            return rows
+        return blank(rows, no_data)
+
+    return read
+
+
+def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
+    """Open the coarsest overview of a GeoTIFF with samples over at most `max_factor` samples a side; None without one.
+
+    The file was opened and checked before. width: its columns. stored: type of its samples.
+    """
+    import rasterio
+
+    level = max_factor.bit_length() - 2  # overviews are 2, 4, 8, ... times coarser
+    if level < 0:
+        return None
+    try:
+        small = rasterio.open(path, driver="GTiff", sharing=False, OVERVIEW_LEVEL=level)
+    except rasterio.errors.RasterioIOError:
+        return None
+    if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
+        small.close()
+        return None
+    window = _reader_of(path, small, settings)
+    return Raster(
+        width=small.width,
+        height=small.height,
+        read=lambda first, count: window(first, count, 0, small.width),
+        window=window,
+        stored=stored,
+        format="GTiff",
+        close=small.close,
+    )
+
+
+def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Callable:
+    """Return the function `window` of a Raster for the band of the settings, with the mask that applies."""
+    from rasterio.enums import MaskFlags
+
+    flags, no_data = dataset.mask_flag_enums[settings.band - 1], settings.no_data
+    masked = no_data is None and MaskFlags.all_valid not in flags
+    alpha = float_alpha(dataset, settings.band) if no_data is None else 0
+    return _window_reader(path, dataset, settings.band, masked, no_data, alpha)
+
+
+def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
+    """Return the grid of a dataset, an empty one for an invalid geotransform if the user gives an extent."""
+    try:
+        return grid_of(dataset)
+    except TerrainError:
+        if settings.extent is None:
+            raise
+        return FileGrid()
+
+
+def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
+    """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it.
+
+    It is also None if its place cannot be used and the settings give the extent.
+    """
+    if grid.transform is None:
+        return None
+    try:
+        georeference = from_transform(grid.transform, width, height, crs=grid.name, **unit_of(grid.crs))
+    except TerrainError:
+        if settings.extent is None:
+            raise
+        return None
+    return dataclasses.replace(
+        georeference,
+        warnings=(*georeference.warnings, *mirror_warnings(grid, width, height)),
+        size_warnings=(*georeference.size_warnings, *length_warnings(grid, width, height, georeference)),
+    )

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ground points of LAS, LAZ and COPC files, gridded: each cell has the mean height of its points.
+
+The file is read twice in pieces, first for the extent and the density, then for the heights, so that memory depends on
+the number of cells alone. Cells without a point in gaps of at most 2 * REACH cells are filled from the gap's border
+inwards, each with the mean of its filled neighbours. Wider gaps, such as lakes, stay without data.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..rasters.file_grid import FileGrid
+from ..rasters.raster import ImportSettings, Raster, cause
+from ..rasters.rasterio_types import DatasetReader
+from ..rasters.rounding import SourceRounding
+from ..run.named_file import open_regular
+from .las_header import las_damage
+
+GROUND = 2  # class of points, by the ASPRS
+PIECE = 1 << 20  # points read at a time
+POINTS_A_CELL = 4.0  # in the mean, with the default cell
+NICE = (1.0, 2.0, 5.0, 10.0)  # first digits of a default cell
+MAX_CELLS = 1 << 26
+REACH = 16  # cells
+NO_DATA = -3.0e38
+PROJECTED_KEY, VERTICAL_KEY, GEOGRAPHIC_KEY, USER_DEFINED = 3072, 4096, 2048, 32767
+
+
+@dataclass
+class GroundExtent:
+    """Number and bounding box of ground points, in the file's unit."""
+
+    count: int = 0
+    low: np.ndarray | float = math.inf
+    high: np.ndarray | float = -math.inf
+
+
+def open_points(path: Path, settings: ImportSettings) -> Raster:
+    """Grid the ground points of a file. Raises TerrainError if it has none or cannot be read."""
+    from .gdal_files import start_gdal
+
+    start_gdal()
+    try:
+        return _open(path.absolute(), settings)
+    except TerrainError:
+        raise
+    except MemoryError:
+        raise
+    except Exception as reason:  # laspy raises many classes for a damaged file
+        what = f"{shown(path)} cannot be read as LAS ({cause(reason)})"
+        fix = 'get the file again; for .laz install pip\'s "laspy[lazrs]"'
+        raise TerrainError(what, expected="a whole LAS, LAZ or COPC file", fix=fix) from reason
+
+
+def _open(path: Path, settings: ImportSettings) -> Raster:
+    """Return the ground points of a LAS or LAZ file as a raster.
+
+    Raises TerrainError for a damaged file or one in degrees.
+    """
+    from ..rasters.file_grid import FileGrid, unit_of
+    from .gdal_source import raster_of
+
+    with open_regular(path, links=True) as file:
+        damage = las_damage(file)
+    if damage:
+        raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole LAS or LAZ", fix="get it again")
+    crs, z_step = _header(path)
+    unit = unit_of(crs)
+    if "degrees" in unit:
+        what = f"{shown(path)} has its points in degrees"
+        raise TerrainError(what, expected="metres or feet", fix="reproject it first (pdal translate)")
+    extent = _extent(path)
+    if not extent.count:
+        raise TerrainError(
+            f"{shown(path)} has no points of class {GROUND}",
+            expected="classified ground points",
+            fix="classify the ground first (pdal with filters.smrf)",
+        )
+    metres = unit.get("metres", 1.0)
+    cell = settings.cell / metres if settings.cell is not None else _default_cell(extent)
+    heights, west, north, num_filled = _grid(path, extent, cell)
+    transform = (cell, 0.0, west, 0.0, -cell, north)
+    raster = raster_of(path, _in_memory(heights, FileGrid(crs, transform)), settings, "GTiff")
+    empty = int(np.isnan(heights).sum())
+    note = (
+        f"{extent.count:,} ground points became {heights.shape[1]} x {heights.shape[0]} cells of {cell * metres:.6g} "
+        f"m. {num_filled:,} cells in gaps of at most {2 * REACH} cells were interpolated; {empty:,} in wider gaps and "
+        "beyond the points have no data."
+    )
+    rounding = SourceRounding("float32", error=z_step / 2)
+    return replace(raster, format="LAS ground points", roundings=(rounding,), warnings=[note, *raster.warnings])
+
+
+def _header(path: Path) -> tuple[object, float]:
+    """Return the coordinate system of a file, a rasterio CRS or None, and the step of its heights."""
+    import laspy
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
+        header = reader.header
+    records = [*header.vlrs, *(header.evlrs or [])]
+    keys = {}
+    for record in records:
+        text = getattr(record, "string", "")
+        if type(record).__name__ == "WktCoordinateSystemVlr" and text.strip("\0 "):
+            try:
+                return CRS.from_wkt(text.strip("\0 ")), abs(float(header.scales[2]))
+            except CRSError:
+                continue
+        if type(record).__name__ == "GeoKeyDirectoryVlr":
+            keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
+    codes = [keys.get(name, 0) for name in (PROJECTED_KEY, VERTICAL_KEY)]
+    codes[0] = codes[0] or keys.get(GEOGRAPHIC_KEY, 0)
+    usable = [code for code in codes if 0 < code < USER_DEFINED]
+    try:
+        crs = CRS.from_user_input("EPSG:" + "+".join(map(str, usable))) if codes[0] in usable else None
+    except CRSError:
+        crs = None
+    return crs, abs(float(header.scales[2]))
+
+
+def _pieces(path: Path) -> Iterator[np.ndarray]:
+    """Yield x, y and z of ground points, float64 [3, n], in pieces."""
+    import laspy
+
+    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
+        for points in reader.chunk_iterator(PIECE):
+            is_ground = np.asarray(points.classification) == GROUND
+            if "withheld" in points.point_format.dimension_names:
+                is_ground &= np.asarray(points.withheld) == 0
+            found = np.stack([np.asarray(axis)[is_ground] for axis in (points.x, points.y, points.z)])
+            yield found[:, np.isfinite(found).all(axis=0)]
+
+
+def _extent(path: Path) -> GroundExtent:
+    """Return the number and the bounding box of a file's ground points."""
+    extent = GroundExtent()
+    for points in _pieces(path):
+        if points.shape[1]:
+            extent.count += points.shape[1]
+            extent.low = np.minimum(extent.low, points[:2].min(axis=1))
+            extent.high = np.maximum(extent.high, points[:2].max(axis=1))
+    return extent
+
+
+def _default_cell(extent: GroundExtent) -> float:
+    """Return a cell, in the file's unit, that holds POINTS_A_CELL points in the mean: 1, 2 or 5 times a power of 10."""
+    width, height = np.maximum(extent.high - extent.low, 1e-3)
+    side = math.sqrt(POINTS_A_CELL * width * height / extent.count)
+    power = 10.0 ** math.floor(math.log10(side))
+    return float(f"{power * next(digit for digit in NICE if digit * power >= side * (1 - 1e-9)):.6g}")
+
+
+def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, float, float, int]:
+    """Return mean heights, float32 [rows, columns], row 0 north; the west; the north; the number of filled cells."""
+    first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
+    columns, rows = (last - first).astype(np.int64) + 1
+    if columns * rows > MAX_CELLS or min(columns, rows) < 2:
+        raise TerrainError(
+            f"{shown(path)} would have {columns:,} x {rows:,} cells of {cell:g} units",
+            expected=f"at least 2 x 2 and at most {MAX_CELLS:,} cells",
+            fix="give another cell size (--cell)",
+        )
+    total, count = np.zeros(columns * rows), np.zeros(columns * rows, np.uint32)
+    for points in _pieces(path):
+        column, row = (np.floor(points[:2] / cell) - first[:, None]).astype(np.int64)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)  # of a file that changes meanwhile
+        at = ((rows - 1 - row) * columns + column)[inside]
+        np.add.at(total, at, points[2][inside])
+        np.add.at(count, at, 1)
+    with np.errstate(invalid="ignore"):
+        heights = (total / count).astype(np.float32).reshape(rows, columns)
+    filled = fill_gaps(heights, REACH)
+    north = float((last[1] + 1) * cell)
+    return filled, float(first[0] * cell), north, int(np.isnan(heights).sum() - np.isnan(filled).sum())
+
+
+def fill_gaps(heights: np.ndarray, reach: int) -> np.ndarray:
+    """Return heights in which gaps (NaN) of at most 2 * `reach` cells are filled from their borders inwards."""
+    padded = np.pad(heights, reach, constant_values=np.nan)
+    valid = np.isfinite(padded)
+    narrow = ~_spread(~_spread(valid, reach), reach)  # the morphological closing of `valid`
+    for _ in range(reach):
+        empty = np.isnan(padded)
+        if not (empty & narrow).any():
+            break
+        known = np.where(empty, 0.0, padded)
+        total, count = _sum_around(known), _sum_around((~empty).astype(np.float32))
+        with np.errstate(invalid="ignore"):
+            padded = np.where(empty & (count > 0), total / count, padded).astype(np.float32)
+    inner = slice(reach, -reach)
+    return np.where(narrow, padded, np.nan)[inner, inner].astype(np.float32)
+
+
+def _spread(mask: np.ndarray, steps: int) -> np.ndarray:
+    """Return whether a cell of a mask is set within `steps` cells in each direction."""
+    for axis in (0, 1):
+        for _ in range(steps):
+            mask = _joined(mask, axis)
+    return mask
+
+
+def _joined(mask: np.ndarray, axis: int) -> np.ndarray:
+    """Return a mask united with itself one cell before and after along an axis."""
+    turned = np.moveaxis(mask, axis, 0)
+    found = turned.copy()
+    found[1:] |= turned[:-1]
+    found[:-1] |= turned[1:]
+    return np.moveaxis(found, 0, axis)
+
+
+def _sum_around(values: np.ndarray) -> np.ndarray:
+    """Return the sums over 3 x 3 cells."""
+    rows = values.copy()
+    rows[1:] += values[:-1]
+    rows[:-1] += values[1:]
+    found = rows.copy()
+    found[:, 1:] += rows[:, :-1]
+    found[:, :-1] += rows[:, 1:]
+    return found
+
+
+def _in_memory(heights: np.ndarray, grid: FileGrid) -> DatasetReader:
+    """Return a rasterio dataset of heights in memory."""
+    import rasterio
+    from rasterio.transform import Affine
+
+    rows, columns = heights.shape
+    shape = {"width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": NO_DATA}
+    memory = rasterio.MemoryFile(ext=".tif")
+    assert grid.transform is not None
+    with memory.open(driver="GTiff", crs=grid.crs, transform=Affine(*grid.transform), **shape) as copy:
+        copy.write(np.where(np.isnan(heights), NO_DATA, heights).astype(np.float32), 1)
+    return memory.open(driver="GTiff")

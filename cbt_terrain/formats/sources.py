@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sources of heights, files and built-in terrains, opened as rasters."""
+
+import functools
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.georeference import Georeference
+from ..field.lands import LANDS
+from ..rasters.raster import ImportSettings, Raster, blank
+from ..rasters.source_formats import FORMATS
+from ..run.named_file import blocks_reader
+from .format_choice import format_of
+from .header_files import headless_warning, lacks_header
+
+ORDER_ROWS = 256  # rows that are compared in both byte orders
+SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likelier
+
+
+def open_source(settings: ImportSettings) -> Raster:
+    """Open the source that the settings name, in the import's child process. Raises TerrainError."""
+    settings.check()
+    settings.check_file()
+    if settings.source in LANDS:
+        return _open_land(settings)
+    path = Path(settings.source)
+    check_file(path)
+    try:
+        if lacks_header(path):
+            return open_raw(path, settings)
+        form = format_of(path)
+        if form is not None:
+            return form.load()(path, settings)
+    except OSError as reason:
+        raise TerrainError(f"{path} cannot be read ({reason.strerror or reason})", fix="check the file") from reason
+    raise TerrainError(
+        f"{path} is of no known kind of height map",
+        expected=f"one of {', '.join(FORMATS)}",
+        fix="unpack an archive, and convert other kinds to GeoTIFF (gdal_translate)",
+    )
+
+
+def check_file(path: Path, kind: str = "height map") -> None:
+    """Raise TerrainError unless `path` is a readable, non-empty file. kind: purpose of the file, in errors."""
+    check_named(path, kind)
+    check_neighbours(path)
+
+
+def check_named(path: Path, kind: str = "height map") -> None:
+    """Check a file as `check_file` does, without its neighbours."""
+    expected = f"the file of a {kind}"
+    try:
+        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
+        regular = path.is_file()
+    except (OSError, ValueError) as reason:
+        message = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
+    if not regular:
+        raise TerrainError(f"{shown(path)} {what}", expected=expected)
+    if not os.access(path, os.R_OK):
+        raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
+    if path.stat().st_size == 0:
+        raise TerrainError(f"{path} is empty", expected=expected)
+
+
+def check_neighbours(path: Path) -> None:
+    """Raise TerrainError for a pipe, socket or device beside a file whose name begins like the file's.
+
+    GDAL would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait.
+    """
+    stem, folder = path.stem.casefold(), path.absolute().parent
+    parts = f"{stem}.", f"{stem}_"
+    try:
+        blocking = _blocking_in(str(folder), folder.stat().st_mtime_ns)
+    except OSError:
+        return
+    found = next((other for other in blocking if os.path.basename(other).casefold().startswith(parts)), None)
+    if found is not None:
+        raise TerrainError(
+            f"{shown(found)}, beside {shown(path.name)}, is a pipe, a socket or a device",
+            expected="a file",
+            fix="remove or rename it",
+        )
+
+
+@functools.lru_cache(maxsize=4)
+def _blocking_in(folder: str, _changed_ns: int) -> list[str]:
+    """Return the pipes, sockets and devices in a folder; a mosaic of n tiles would search its folder n times."""
+    with os.scandir(folder) as entries:
+        return [e.path for e in entries if not e.is_file(follow_symlinks=False) and blocks_reader(e.path)]
+
+
+def _open_land(settings: ImportSettings) -> Raster:
+    """Return the built-in land that the settings name as a raster of `settings.size` samples a side."""
+    land, size = LANDS[settings.source], settings.size
+
+    def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on, float32 metres."""
+        rows = np.empty((count, size), np.float32)
+        land.rows(size, first, rows, settings.seed)
+        return rows
+
+    step = land.side / (size - 1)
+    place = Georeference(step, step, first_row_south=True)
+    return Raster(size, size, read, "float32", land.name, georeference=place, block_rows=64)
+
+
+def open_raw(path: Path, settings: ImportSettings) -> Raster:
+    """Open samples without a header.
+
+    Size, type and byte order are those of the settings. A suffix that implies a type, as .r32 does, wins over a type of
+    another length. Raises TerrainError.
+    """
+    if settings.project:
+        raise TerrainError(
+            f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
+            fix="put its header there, or import it as it is",
+        )
+    kind = np.dtype(settings.raw_dtype)
+    usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)
+    kind = (kind if kind.itemsize == usual.itemsize else usual).newbyteorder("<" if settings.raw_little_endian else ">")
+    size = path.stat().st_size
+    samples, rest = divmod(size, kind.itemsize)
+    width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
+    if width * height * kind.itemsize != size or rest:
+        needed = f"{width} x {height} samples of {kind.name} need {width * height * kind.itemsize}"
+        hint = f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if lacks_header(path) else ""
+        raise TerrainError(
+            f"{path} has {size} bytes, but {needed}",
+            fix=f"give its true size and type (on the command line --raw-size WxH and --raw-type){hint}",
+        )
+    values = np.memmap(path, kind, "r", shape=(height, width))
+    raster = _from_array(values, settings, "RAW")
+    if lacks_header(path):
+        raster.warnings.append(headless_warning(path))
+    raster.warnings += _byte_order_warnings(values)
+    return raster
+
+
+def _byte_order_warnings(values: np.ndarray) -> list[str]:
+    """Return a warning about samples that are far smoother with their bytes in the other order."""
+    if values.dtype.kind not in "iu" or values.itemsize != 2 or values.shape[1] < 2:
+        return []
+    rows = np.asarray(values[:: -(-len(values) // ORDER_ROWS)])
+    given, other = (
+        np.abs(np.diff(r.astype(np.int64), axis=1)).mean() for r in (rows, rows.view(rows.dtype.newbyteorder()))
+    )
+    if given <= SMOOTHER * other:
+        return []
+    order = "big-endian" if values.dtype.newbyteorder("=") == values.dtype else "little-endian"
+    return [
+        f"Neighbouring samples differ by {given:,.0f} in the mean, and by {other:,.0f} if the file is {order}: if the "
+        "ground is rough where it should be smooth, change the byte order (--big-endian)."
+    ]
+
+
+def open_npy(path: Path, settings: ImportSettings) -> Raster:
+    """Open an array of numpy. Raises TerrainError."""
+    try:
+        values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
+    except Exception as reason:  # the parser of headers raises errors of many classes
+        message = shown(reason).rstrip(".") or type(reason).__name__
+        what = f"{path} is not a whole .npy file of numbers ({message})"
+        raise TerrainError(what, fix="get the file again") from reason
+    if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
+        raise TerrainError(f"{path} holds {values.dtype} {values.shape}", expected="a 2-D array of real numbers")
+    return _from_array(values, settings, "NumPy")
+
+
+def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) -> Raster:
+    """Return an array, [rows, columns] with the north first, as a raster that is read in bands."""
+
+    def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on, in the array's type; NaN for the no-data value."""
+        rows = np.asarray(values[first : first + count])
+        return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)
+
+    height, width = values.shape
+    return Raster(width, height, read, values.dtype.name, format_name, block_rows=64)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rounding of a mosaic's samples, from its sources and the scale that the VRT applies to each."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ..rasters.rounding import SourceRounding
+from .vrt_source import Mosaic
+
+# Returns the rounding of a band of a file, None if it is unknown.
+RoundingOf = Callable[[Path, int], SourceRounding | None]
+SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
+
+
+def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: RoundingOf) -> tuple[SourceRounding, ...]:
+    """Return the different roundings of the sources of one band of a mosaic. stored: type of the band's values."""
+    found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
+    is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
+    return tuple(
+        rounding if exact else SourceRounding(stored, before=rounding, lossy=rounding.lossy)
+        for rounding, exact in zip(found, is_exact, strict=True)
+    )
+
+
+def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) -> dict[SourceRounding, None]:
+    """Return the roundings of a band's sources, each once, in order, as keys of a dictionary.
+
+    number: of the VRT's text in `mosaic`. rounding_of: returns the rounding of a file's band, None if unknown.
+    """
+    found: dict[SourceRounding, None] = {}
+    for source, source_band, scaling in sources_of(mosaic, number, band):
+        if isinstance(source, int):
+            inner: Iterable[SourceRounding | None] = _roundings(mosaic, source, source_band, rounding_of)
+        else:
+            inner = [rounding_of(source, source_band)]
+        found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
+    return found
+
+
+def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:
+    """Return the XML element of a band, None if there is none. number: of the VRT's text in `mosaic`."""
+    bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
+    return next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
+
+
+def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | int, int, tuple[float, float]]]:
+    """Yield the sources of band `band` of text `number`, in order and once.
+
+    Each is a file or the number of a text, its band, and the scale and the offset of its values.
+    """
+    element = band_element(mosaic, number, band)
+    numbers = {f"/vsimem/{mosaic.folder}/{n}.vrt": n for n in range(len(mosaic.texts))}
+    seen = set()
+    for source in element if element is not None else ():
+        if source.tag not in SOURCES:
+            continue
+        name, source_band = source.findtext("SourceFilename", ""), source.findtext("SourceBand", "1")
+        scaling = _scaling(source)
+        if not source_band.isdigit() or (name, source_band, scaling) in seen:
+            continue
+        seen.add((name, source_band, scaling))
+        yield numbers.get(name, Path(name)), int(source_band), scaling
+
+
+def _scaling(source: ElementTree.Element) -> tuple[float, float]:
+    """Return scale and offset that a source's values get.
+
+    For a lookup table they are bounds: those of its steepest segment.
+    """
+    pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
+    if not pairs:
+        return float(source.findtext("ScaleRatio", "1")), float(source.findtext("ScaleOffset", "0"))
+    slopes = [abs((y2 - y1) / (x2 - x1)) for (x1, y1), (x2, y2) in zip(pairs, pairs[1:], strict=False) if x2 != x1]
+    slope = max(slopes, default=0.0)
+    return slope, slope * max(abs(x) for x, _ in pairs)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Preparation of a child process before it opens a height map: load libraries and kernels, then drop rights.
+
+Loading comes first, because Warp writes kernels and Python writes compiled modules.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from ...kernels import remove_temporary_cache
+from ..errors import TerrainError, shown, unwritable
+from ..field import store_folder
+from ..formats.format_choice import inner_format
+from ..formats.gdal_source import keep_only_drivers
+from ..rasters.coded_heights import PLAIN, may_be_coded
+from ..rasters.raster import ImportSettings
+from ..rasters.source_formats import SourceFormat, drivers_of
+from ..run.memory import physical_memory
+from ..run.owned_files import open_folder
+from . import sandbox
+
+# The child's environment: no network for PROJ, and no other threads, which would keep their rights.
+VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
+    """Drop this process's rights before files are opened, and return the report of `sandbox.enter`.
+
+    folder: where this process may still write. encoding: see ImportSettings.
+
+    Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
+    right remains.
+    """
+    forms: dict[str, tuple[SourceFormat, Path]] = {}
+    drivers: set[str] = set()
+    for path in paths:
+        form = inner_format(path)
+        if form is None:
+            continue
+        forms[form.title] = form, path
+        if form.driver and may_be_coded(path, encoding):
+            drivers.add("GTiff")  # for decoded heights
+    for form, _path in forms.values():
+        form.load()
+        drivers |= drivers_of(form) if form.driver else set()
+    if drivers:
+        keep_only_drivers(drivers)
+    remove_temporary_cache()  # not possible later
+    rights = sandbox.enter(folder)
+    for form, path in forms.values():
+        if form.is_large:
+            _check_rights(path, form, rights)
+    return {**rights, "memory": sandbox.limit_memory(physical_memory() // 2)}
+
+
+def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> None:
+    """Raise TerrainError if this process keeps a right, since the parser of the format is too large to trust."""
+    right = next((f"{name} {text}" for name, text in rights.items() if text != "dropped"), "")
+    if right:
+        raise TerrainError(
+            f"{shown(path)} is not read here, because the parser of {form.title} is large and runs only in a process "
+            f"without any rights ({right})",
+            expected="Linux 5.19 or later with Landlock and seccomp",
+            fix="import it there, or convert it to a GeoTIFF (gdal_translate) if you trust it",
+        )
+
+
+def guard_import(
+    settings: ImportSettings, path: Path | None, files: Sequence[Path] = (), more_kernels: tuple = ()
+) -> None:
+    """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError.
+
+    Args:
+        path: None for a process that writes nothing.
+        files: the files of a mosaic; by default that of the settings.
+        more_kernels: further modules of kernels to load.
+    """
+    from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges, window_errors
+    from ..field.lands import LANDS
+    from ..run import launch
+    from ..run.warmup import load
+
+    for module in (
+        codes,
+        expand,
+        fill,
+        hierarchy,
+        ranges,
+        window_errors,
+        *([holes] if settings.holes else []),
+        *more_kernels,
+    ):
+        load(module)
+    if settings.source in LANDS:
+        launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
+    if path is not None:
+        store_folder.check_target(path)
+        try:
+            with open_folder(path, make=True):
+                pass
+        except OSError as reason:
+            raise unwritable(f"The store {path}", reason) from reason
+    guard(files or [Path(settings.source)], path, settings.encoding)

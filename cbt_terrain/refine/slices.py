@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.refine.coherence import Motion, Subtree
-from ...kernels.refine.interval import LodInterval
+from ...kernels.refine.interval import LodInterval, MeasuredDiamond
 from ...kernels.refine.reuse_state import Reuse, ReuseCursor
 from ...kernels.refine.runs import Run, Runs
 from ...kernels.refine.walk_state import STACK, Walk
@@ -55,6 +55,7 @@ class Slices:
             "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
             "aside": scratch.get("walk_aside", count * STACK, wp.int32),
             "intervals": scratch.get("walk_intervals", count * STACK, LodInterval),
+            "diamonds": scratch.get("walk_diamonds", count * STACK, MeasuredDiamond),
             "blocks": block_table(),
             "sides": scratch.get("sides", count * 4 * squares, wp.int32),
             "counts": scratch.get("counts", count * 4, wp.int64),

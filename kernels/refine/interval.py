@@ -41,6 +41,7 @@ class Limits:
 class MeasuredDiamond:
     """A diamond as the views see it."""
 
+    middle: wp.vec2i  # the vertex at which it is split
     diamond: Diamond
     pixel2: wp.float64  # squared metres of height that a pixel spans at least
     edge2: wp.float64  # ... of an edge, which has no slant
@@ -50,6 +51,7 @@ class MeasuredDiamond:
     long2: wp.float64  # of level triangles, see `sizes`
     legs2: wp.float64
     climb2: wp.float64  # how far edges climb, squared metres
+    verdict: wp.int32  # SPLIT or LEAF, as the walk judges it
 
 
 @wp.struct
@@ -101,6 +103,7 @@ def measure_diamond(
     error: stored error, metres before scaling. in_frame: 1 if all frustums are known to contain its box.
     """
     m = MeasuredDiamond()
+    m.middle = wp.vec2i(x, y)
     m.diamond = diamond_at(domain, x, y, depth)
     pixel2, edge2 = finest(criterion, m.diamond, in_frame)
     m.pixel2 = pixel2

@@ -4,7 +4,8 @@
 plain.py is the same method without shortcuts. Here the leaves below a triangle may be *reused* from the last frame
 (reuse.py); otherwise its diamond is *judged*. A split diamond gives an *interval* (interval.py), which decides most
 diamonds below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval
-for those below it. Leaves of one depth are written as an even block.
+for those below it. The curve often crosses from one triangle of a diamond to the other: the last measure of each depth
+is kept, so the second one need not be measured. Leaves of one depth are written as an even block.
 """
 
 import warp as wp
@@ -53,7 +54,8 @@ def judge(
 ):
     """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the interval for its children.
 
-    The interval from above decides if it can; otherwise the diamond is measured and gives a new interval.
+    The interval from above decides if it can; otherwise the diamond is measured, unless its other triangle was just
+    before this one, and gives a new interval.
     """
     middle = middle_of(c)
     above = w.intervals[c.held]
@@ -74,18 +76,22 @@ def judge(
     elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
         verdict = LEAF  # its measure can add nothing
     if verdict == DOUBT:
-        if min_error < wp.float64(1.0):
-            error = error_at(domain, middle[0], middle[1], c.depth)
-        m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
-        verdict = LEAF
-        if too_coarse(criterion, criterion.limit, m):
-            verdict = SPLIT
-            if c.depth < w.max_depth:
-                interval = interval_below(domain, criterion, limits, limits, m, c.depth, w.max_depth, above.in_frame)
-                held = w.slot * STACK + c.top
-                w.intervals[held] = interval
-                open_subtree(criterion, w, r, q, c, m, interval, n)
-        note_turning(criterion, limits, w, r, m)
+        here = w.slot * STACK + c.depth
+        if not (w.diamonds[here].middle == middle):
+            if min_error < wp.float64(1.0):
+                error = error_at(domain, middle[0], middle[1], c.depth)
+            m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
+            m.verdict = wp.where(too_coarse(criterion, criterion.limit, m), SPLIT, LEAF)
+            w.diamonds[here] = m
+            if m.verdict == SPLIT and c.depth < w.max_depth:
+                w.intervals[here] = interval_below(
+                    domain, criterion, limits, limits, m, c.depth, w.max_depth, above.in_frame
+                )
+        verdict = w.diamonds[here].verdict
+        if verdict == SPLIT and c.depth < w.max_depth:
+            held = here
+            open_subtree(criterion, w, r, q, c, w.diamonds[here], w.intervals[here], n)
+        note_turning(criterion, limits, w, r, w.diamonds[here])
     if c.depth == w.max_depth and verdict == SPLIT:
         w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF
@@ -124,6 +130,8 @@ def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
     n = Written()
     end = w.first_cell
     begin_reuse(r, w.slot)
+    for depth in range(STACK):
+        w.diamonds[w.slot * STACK + depth].middle = wp.vec2i(-1, -1)
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
         q = square_at(domain, w, square)

@@ -4,9 +4,9 @@
 import warp as wp
 
 from .block import BlockTable
-from .interval import LodInterval
+from .interval import LodInterval, MeasuredDiamond
 
-STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
+STACK = wp.constant(64)  # entries of a slice's stacks and of its arrays by depth: more than the deepest tree has levels
 
 
 @wp.struct
@@ -35,7 +35,8 @@ class Walk:
     point: wp.array(dtype=wp.vec2i)
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
-    intervals: wp.array(dtype=LodInterval)
+    intervals: wp.array(dtype=LodInterval)  # by depth: below the last measured diamond that was split
+    diamonds: wp.array(dtype=MeasuredDiamond)  # ... and the last measured diamond
     blocks: BlockTable
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, and 1 if a leaf is too coarse at max_depth

@@ -24,9 +24,9 @@ from figure_shapes import WIDTH, arrow, lines, tint
 # classic update, most passes and time until nothing changes in the next frame, the same after a cut. The last number is
 # libcbt's split pass and decoding at depth 27, see docs/method.md.
 PASSES = {
-    "50,000": (3.07, 15.5, 4, 60.6, 12, 174.0, 26.1),
-    "500,000": (15.6, 149.0, 7, 1_042.0, 13, 1_863.0, 283.0),
-    "1,000,000": (19.2, 380.0, 8, 2_592.0, 12, 4_173.0, 590.0),
+    "50,000": (2.14, 9.1, 5, 35.0, 13, 112.0, 26.1),
+    "500,000": (10.4, 93.8, 8, 572.0, 13, 1_231.0, 283.0),
+    "1,000,000": (16.6, 279.0, 8, 1_890.0, 12, 2_915.0, 590.0),
 }
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender as a Python module, ready for terrains."""
 
-from .export.frame_sources import import_bpy
+from .export.blend_files import import_bpy
 
 
 def need_bpy(what: str):

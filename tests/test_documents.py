@@ -79,7 +79,7 @@ def test_the_panels_have_every_label_of_their_pages(page, labels):
 
 
 def test_the_page_of_a_command_has_its_options():
-    from adaptive_terrain.operators.cli.command_line import build_parser
+    from adaptive_terrain.operators.cli.parser import build_parser
 
     verbs = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     pages = {page.stem: page for page in pages_of("reference/commands")}

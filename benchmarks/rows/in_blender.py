@@ -79,7 +79,7 @@ def flight_scene(resolution: tuple[int, int] = RESOLUTION):
     import bpy
     from mathutils import Vector
 
-    from ...operators.export.frame_sources import open_empty_file
+    from ...operators.export.blend_files import open_empty_file
 
     open_empty_file()
     scene = bpy.context.scene

@@ -8,7 +8,7 @@ import bpy
 
 from ...cbt_terrain.accuracy import Measurement, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
-from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
+from ...cbt_terrain.accuracy.rows import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
 from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest_run, timed_runs
 from ...cbt_terrain.errors import TerrainError

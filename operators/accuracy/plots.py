@@ -3,7 +3,7 @@
 
 import math
 
-from ...cbt_terrain.accuracy.sweep import Row, pareto, unsteady_row
+from ...cbt_terrain.accuracy.rows import Row, pareto, unsteady_row
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.view.criterion import LARGEST

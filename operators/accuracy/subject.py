@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cbt_terrain.accuracy.crops import Crop
-from ...cbt_terrain.accuracy.sweep import Row
+from ...cbt_terrain.accuracy.rows import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import TimedFrame
 from ...cbt_terrain.attributes.plan import AttributePlan, plan
@@ -20,7 +20,8 @@ from ...cbt_terrain.view.camera_path import read_camera_path
 from ...cbt_terrain.view.criterion import Criterion, requested_unit
 from ...cbt_terrain.view.linear import length
 from ...cbt_terrain.view.view import View
-from ..export.frame_sources import SceneFrames, file_name
+from ..export.blend_files import file_name
+from ..export.frame_sources import SceneFrames
 from ..session.pauses import paused
 
 # Number of frames of a camera path that are measured if none are named.

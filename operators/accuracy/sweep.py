@@ -11,7 +11,7 @@ from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.scene_paths import absolute_path
-from ..export.frame_sources import file_name
+from ..export.blend_files import file_name
 from ..jobs import BackgroundJob
 from ..session import session
 from ..session.pauses import paused

@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from ...cbt_terrain.accuracy.sweep import Row
+from ...cbt_terrain.accuracy.rows import Row
 from ..text.log_plot import Curve, draw
 from ..text.page_blocks import Heading, Plot, Table, Text
 from ..text.svg import BLUE, RED

@@ -9,6 +9,7 @@ from ...cbt_terrain.errors import TerrainError, path_fault, shown
 from ...cbt_terrain.view.settings import SETTINGS, CriterionSetting
 
 MAX_INT = 2**31 - 1
+MAX_ERROR_M = 1e9
 METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
 
 

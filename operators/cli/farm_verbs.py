@@ -13,7 +13,7 @@ def run_prepare(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
-    from ..export.frame_sources import open_scene
+    from ..export.blend_files import open_scene
     from ..export.preparing import PARTS, prepare
     from ..session.shot import frames_of
 
@@ -62,7 +62,7 @@ def run_submit(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
-    from ..export.frame_sources import open_scene
+    from ..export.blend_files import open_scene
     from ..farm.submit import submit
 
     scene, objects = open_scene(arguments.scene)

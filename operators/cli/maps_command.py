@@ -12,7 +12,8 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.view.camera_path import read_camera_path
 from ...cbt_terrain.view.view import View
-from ..export.frame_sources import SceneFrames, StoreFrames, file_name
+from ..export.blend_files import file_name
+from ..export.frame_sources import SceneFrames, StoreFrames
 from ..maps.baking import MapRequest, bake_maps, check_names, summary
 from ..text.console import Progress
 

@@ -107,7 +107,7 @@ def run_map(arguments) -> None:
     from ..blender import need_bpy
 
     bpy = need_bpy("A .blend file")
-    from ..export.frame_sources import open_scene
+    from ..export.blend_files import open_scene
     from ..export.map_camera import add_map_camera, render_map
 
     scene, objects = open_scene(arguments.scene)

@@ -13,7 +13,7 @@ from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import written_beside
 from ...cbt_terrain.view.linear import inverse
 from ..bridge.demand.trees import tree_of_new
-from ..export.frame_sources import open_empty_file
+from ..export.blend_files import open_empty_file
 from ..layers.material import dress
 from ..layers.terrain_material import sources_of
 from ..maps.properties import SHOT

@@ -11,7 +11,7 @@ import numpy as np
 from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeRequest
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.plan import plan
-from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, anchored, with_detail
@@ -19,8 +19,6 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.thinning import loaded_text
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.contract import ReportedBounds
-from ...cbt_terrain.run.named_file import blocks_reader
-from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import ScatterPoints
 from ...cbt_terrain.terrain import Terrain, Update
 from ...cbt_terrain.view.camera_path import read_camera_path
@@ -30,10 +28,8 @@ from ...cbt_terrain.view.view import View
 from ..bridge.scene_paths import absolute_path
 from ..session.pauses import paused
 from ..terrain.overrides import NO_OVERRIDES, Overrides
-from ..text.console import quiet
+from .blend_files import check_distinct_names, file_name, new_object, open_scene
 from .summaries import content_digest
-
-MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
 
 
 @dataclass(frozen=True)
@@ -144,9 +140,9 @@ class SceneFrames:
 
         self.name, self.with_scatters = Path(blend).stem, with_scatters
         self.resolution, self.overrides = resolution, overrides
-        _check_distinct_names(self.objects)
+        check_distinct_names(self.objects)
         if with_scatters:
-            _check_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
+            check_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
         self.camera = None
         if camera is not None:
             local = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
@@ -297,105 +293,6 @@ def _view_to_json(view: View) -> dict:
     }
 
 
-def open_scene(blend: Path) -> tuple:
-    """Open a .blend file; returns its scene and the scene's terrains, one at least. Raises TerrainError."""
-    bpy = import_bpy("A .blend file")
-    from ..session import session
-
-    if not Path(blend).is_file():
-        raise TerrainError(f"There is no scene at {blend}", expected="a .blend file")
-    try:
-        with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(real_path(blend)), load_ui=False)
-    except RuntimeError as error:
-        raise TerrainError(
-            f"Blender cannot open {blend} ({str(error).strip()})",
-            expected=f"a file that Blender {bpy.app.version_string} or an older version saved",
-        ) from None
-    check_named_files(blend)
-    scene = bpy.context.scene
-    objects = session.terrains_of(scene)
-    if not objects:
-        raise TerrainError(
-            f"The scene {scene.name!r} in {blend} has no adaptive terrain", fix="add one and save the file"
-        )
-    return scene, objects
-
-
-def check_named_files(blend: Path) -> None:
-    """Raise TerrainError if the open scene names a pipe, a socket or a device as a file: Blender would wait for it."""
-    import bpy
-
-    from ..layers.images import numbered_files
-
-    paths = {Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)}
-    for path in sorted(paths):
-        waiting = next(filter(blocks_reader, [path, *numbered_files(path, "TILED")]), None)
-        if waiting is not None:
-            raise TerrainError(
-                f"The scene {shown(blend)} names {shown(waiting)}, a pipe, a socket or a device",
-                expected="a file",
-                fix="choose another in Blender",
-            )
-
-
-def import_bpy(what: str):
-    """Return the bpy module.
-
-    Raises TerrainError if it is missing.
-
-    what: what needs it, for the error.
-    """
-    try:
-        with quiet():
-            import bpy
-    except ImportError:
-        raise TerrainError(
-            f"{what} needs Blender's Python module",
-            fix="run `pip install bpy` (the version that is made for this Python), or `blender --command "
-            "adaptive_terrain`",
-        ) from None
-    return bpy
-
-
-def new_object(name: str):
-    """Open an empty Blender file and add a mesh object to it; return the object."""
-    bpy = import_bpy("This format")
-    open_empty_file()
-    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
-    bpy.context.collection.objects.link(obj)
-    return obj
-
-
-def open_empty_file() -> None:
-    """Open an empty file, and keep the preferences.
-
-    Factory settings would disable this extension, and Blender would delete its wheels.
-    """
-    import bpy
-
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-
-
 def field_identity(field) -> list:
     """Return the properties of a height field that an export depends on, for the summaries' digests."""
     return [str(field.key), field.origin.tolist(), field.crs]
-
-
-def file_name(obj) -> str:
-    """Return an object's name as the start of a file name: shortened, without characters that files cannot have."""
-    import bpy
-
-    return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
-
-
-def _check_distinct_names(objects) -> None:
-    """Raise TerrainError if two objects would get the same file name, upper and lower case being equal."""
-    seen = {}
-    for obj in objects:
-        other = seen.setdefault(file_name(obj).casefold(), obj)
-        if other != obj:
-            raise TerrainError(
-                f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files",
-                fix="rename one of them",
-            )

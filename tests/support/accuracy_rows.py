@@ -2,7 +2,7 @@
 """Rows of a sweep whose figures are known, for what reports make of them."""
 
 from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
-from adaptive_terrain.cbt_terrain.accuracy.sweep import Row
+from adaptive_terrain.cbt_terrain.accuracy.rows import Row
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 
 

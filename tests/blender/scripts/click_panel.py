@@ -25,8 +25,8 @@ HUD_S = 30.0  # an interface that is drawn at all is drawn within this
 [measuring] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.measure")]
 [session] = [module for name, module in sys.modules.items() if name.endswith("operators.session.session")]
 [jobs] = [module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.jobs")]
-[sweep] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.sweep")]
-sweep.MAX_SPREAD = math.inf  # of times that other programs disturb: there is a curve all the same
+[rows] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.rows")]
+rows.MAX_SPREAD = math.inf  # of times that other programs disturb: there is a curve all the same
 settings_for = subjects.settings_for
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
 # Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.

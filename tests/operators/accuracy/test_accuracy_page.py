@@ -8,7 +8,8 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.accuracy import Errors, sweep
+from adaptive_terrain.cbt_terrain.accuracy import Errors
+from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -133,7 +134,7 @@ def test_a_plot_draws_from_the_fastest_to_the_slowest_run():
 
 
 def test_the_times_of_a_row_have_their_extremes():
-    assert sweep.spread_of([3.0, 1.0, 2.0]) == (1.0, 3.0) and sweep.spread_of([3.0]) is None
+    assert rows_of_sweep.spread_of([3.0, 1.0, 2.0]) == (1.0, 3.0) and rows_of_sweep.spread_of([3.0]) is None
 
 
 def test_curves_without_a_place_on_logarithmic_axes_are_left_out():

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import sweep
+from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS
 from adaptive_terrain.operators import handlers, jobs
@@ -42,7 +42,7 @@ def terrain(scene, add_terrain):
 @pytest.fixture(autouse=True)
 def undisturbed(monkeypatch):
     """Accept any spread of the times, which other programs may disturb."""
-    monkeypatch.setattr(sweep, "MAX_SPREAD", math.inf)
+    monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", math.inf)
 
 
 @pytest.fixture
@@ -246,7 +246,7 @@ def disturbed(monkeypatch, factors):
         factor = factors.pop(0) if len(factors) > 1 else factors[0]
         return [{"total": 5.0, "cpu": 10.0}, {"total": 5.0, "cpu": 10.0 * factor}]
 
-    monkeypatch.setattr(sweep, "MAX_SPREAD", 2.0)
+    monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", 2.0)
     monkeypatch.setattr(measure_accuracy, "timed_runs", timed_runs)
 
 

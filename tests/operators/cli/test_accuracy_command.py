@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.accuracy import sweep
+from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
-from adaptive_terrain.cbt_terrain.accuracy.sweep import TERMS
+from adaptive_terrain.cbt_terrain.accuracy.rows import TERMS
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -95,7 +95,7 @@ def rows_of(folder):
 
 
 def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy, monkeypatch):
-    monkeypatch.setattr(sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
+    monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
     code, printed, folder = accuracy("--resolution", "320x180")
     assert code == 0, printed.err
     rows = rows_of(folder)

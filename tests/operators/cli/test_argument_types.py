@@ -9,7 +9,8 @@ from adaptive_terrain.cbt_terrain.errors import MAX_NAME_BYTES, MAX_PATH_BYTES, 
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.operators.cli.argument_types import path, path_text
-from adaptive_terrain.operators.cli.command_line import _with_negatives_joined, build_parser, main
+from adaptive_terrain.operators.cli.command_line import _with_negatives_joined, main
+from adaptive_terrain.operators.cli.parser import build_parser
 
 IMPOSSIBLE = {
     "NUL": "a\0b",

@@ -155,11 +155,11 @@ def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, ca
 
 LATE = """
 import os, signal, sys, time
-from adaptive_terrain.operators.cli import command_line, verbs
+from adaptive_terrain.operators.cli import command_line, import_verbs
 def late(*_):
     signal.raise_signal(number)
     time.sleep(0.1)
-verbs.run_info = late
+import_verbs.run_info = late
 number, sys.argv[1:] = int(sys.argv[1]), ["info", "x"]
 command_line.program()
 """

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators import derived_store
-from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.cli import parser
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.farm import bundle
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
@@ -317,9 +317,9 @@ def test_a_movie_is_refused(shot, tmp_path, capsys):
 
 def test_parts_of_preparing_are_those_of_the_command():
     with pytest.raises(SystemExit):
-        command_line.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", "nothing"])
+        parser.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", "nothing"])
     for part in preparing.PARTS:
-        command_line.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", part])
+        parser.build_parser().parse_args(["prepare", "--scene", "a.blend", "--only", part])
 
 
 def movie_formats(image_settings) -> set[str]:

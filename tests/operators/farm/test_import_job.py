@@ -11,7 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.cli import command_line, parser
 from adaptive_terrain.operators.farm import import_job
 from openjd.model import decode_job_template
 from rasters import hills
@@ -75,10 +75,10 @@ def test_a_job_repeats_all_options(tmp_path):
         height_scale=0.5,
     )
     arguments = import_job.import_arguments(settings)
-    parsed = command_line.build_parser().parse_args(
+    parsed = parser.build_parser().parse_args(
         command_line._with_negatives_joined(["import", "--store", "s", *arguments])
     )
-    from adaptive_terrain.operators.cli.verbs import _import_settings
+    from adaptive_terrain.operators.cli.import_verbs import _import_settings
 
     assert _import_settings(parsed, source=parsed.sources[0]) == settings
     mosaic = ImportSettings(
@@ -89,7 +89,7 @@ def test_a_job_repeats_all_options(tmp_path):
         step=2.5,
         project="utm",
     )
-    parsed = command_line.build_parser().parse_args(["import", "--store", "s", *import_job.import_arguments(mosaic)])
+    parsed = parser.build_parser().parse_args(["import", "--store", "s", *import_job.import_arguments(mosaic)])
     assert _import_settings(parsed, source=parsed.sources[0], more_sources=tuple(parsed.sources[1:])) == mosaic
     template = import_job.import_template(settings)
     import yaml

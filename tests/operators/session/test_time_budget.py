@@ -8,7 +8,7 @@ from unittest.mock import Mock
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import sweep
+from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.terrain.overrides import Overrides
@@ -128,7 +128,7 @@ def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
     from adaptive_terrain.operators.accuracy.measure import read_measured
 
     monkeypatch.setattr(measure_accuracy, "PIXELS", (16.0, 4.0, 1.0))
-    monkeypatch.setattr(sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
+    monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
     assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
     detail = terrain.adaptive_terrain.viewport
     assert detail.curve != CURVE.to_json()

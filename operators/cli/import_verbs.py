@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs `import` and `info`."""
+
+import dataclasses
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+from ..text.console import Progress, duration, print_line
+from .verbs import UsageError, print_fields
+
+
+def run_import(arguments) -> None:
+    """Run the verb `import`: turn a height map or a built-in land into a store, and print the report."""
+    from ...cbt_terrain.field.lands import LANDS
+    from ...cbt_terrain.importing.import_process import import_source
+    from ...cbt_terrain.importing.source_list import names_several
+    from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
+    from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
+
+    source = arguments.sources[0]
+    if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of built-in lands; {source} is taken as it is")
+    settings = _import_settings(arguments, source=source, more_sources=arguments.sources[1:])
+    several = names_several(settings)
+    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
+        wrong = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
+        if getattr(arguments, option) is not None and wrong:
+            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
+    if bool(arguments.tiles) != (arguments.only in TILED_PARTS):
+        raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
+    if arguments.chunk and not arguments.job:
+        raise UsageError("--chunk belongs to --job")
+    if arguments.quick and (arguments.job or arguments.only):
+        raise UsageError("--quick loads one piece, and --job and --only are of several")
+    if arguments.job:
+        for line in _write_import_job(arguments, settings):
+            print_line(line)
+        return
+    part = ImportPart(arguments.only, frozenset(arguments.tiles)) if arguments.only else None
+    start = time.monotonic()
+    bar = Progress(1.0, "import", arguments.progress)
+    previews: list[dict] = []
+
+    def on_preview(preview: dict) -> None:
+        previews.append(preview)
+        print_fields(preview)
+
+    try:
+        report = import_source(settings, arguments.store, lambda fraction, _message: bar.to(fraction), on_preview, part)
+    finally:
+        bar.close()
+    if part is not None:
+        print_fields(report)
+        return
+    before = previews[0] if previews else {}
+    print_fields({name: value for name, value in report.items() if before.get(name) != value})
+    print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def _write_import_job(arguments, settings) -> list[str]:
+    """Write the job of an import for a farm, and return lines about it."""
+    from ..farm.import_job import write_import_job
+
+    described = describe_heights(settings)
+    return write_import_job(settings, described["raster"], arguments.store, arguments.job, arguments.chunk or 4)
+
+
+def run_info(arguments) -> None:
+    """Run the verb `info`: print the versions, or describe or check a store, a height map or an exported .npz."""
+    if arguments.versions == bool(arguments.paths):
+        raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
+    is_store = len(arguments.paths) == 1 and _is_store(arguments.paths[0])
+    if arguments.verify:
+        if not is_store:
+            raise UsageError(f"--verify checks a store, and {', '.join(arguments.paths)} is none")
+        _verify_store(arguments.paths[0])
+    fields = _all_versions() if arguments.versions else _described(arguments, is_store)
+    if arguments.as_json:
+        print_line(json.dumps(fields))
+    else:
+        print_fields(fields)
+
+
+def _is_store(path: str) -> bool:
+    """Return whether a path is a folder, but not one of height maps: a store that is missing or damaged is reported."""
+    from ...cbt_terrain.importing.source_list import holds_height_maps
+
+    return os.path.isdir(path) and not holds_height_maps(path)
+
+
+def _described(arguments, is_store: bool) -> dict:
+    """Return the description of a store, an exported mesh, a height map or a mosaic of several."""
+    paths = arguments.paths
+    if is_store:
+        from ...cbt_terrain.importing.build_store import describe
+
+        return describe(Path(paths[0]))
+    if len(paths) == 1 and Path(paths[0]).suffix == ".npz":
+        from ...cbt_terrain.mesh.archive import read_npz
+
+        return read_npz(Path(paths[0]))["info"]
+    return describe_heights(_import_settings(arguments, source=paths[0], more_sources=paths[1:]))
+
+
+def describe_heights(settings) -> dict:
+    """Return the description of a height map or of a mosaic of several."""
+    from ...cbt_terrain.importing.source_list import names_several
+
+    if names_several(settings):
+        from ...cbt_terrain.mosaic.mosaic_info import describe_sources
+
+        return describe_sources(settings)
+    from ...cbt_terrain.importing.source_info import describe_source
+
+    return describe_source(settings)
+
+
+def _verify_store(path) -> None:
+    """Check every block of a store against its checksum, and print the number of blocks of each array."""
+    from ...cbt_terrain.field.store import verify
+
+    blocks = verify(path)
+    print_line(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
+
+
+def _all_versions() -> dict:
+    """Return the versions of the program's parts by name, with Blender's if it is loaded."""
+    from ...cbt_terrain.importing.source_info import versions
+
+    bpy = sys.modules.get("bpy")
+    return versions() | ({"Blender": bpy.app.version_string} if bpy is not None else {})
+
+
+def _import_settings(arguments, **more):
+    """Return ImportSettings from the arguments of the same names; `more` gives settings that are no arguments."""
+    from ...cbt_terrain.rasters.raster import ImportSettings
+
+    names = {field.name for field in dataclasses.fields(ImportSettings)}
+    given = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
+    return ImportSettings(**given, **more)

@@ -6,6 +6,7 @@ One kernel computes all requested ones, since they share the derivatives.
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -23,7 +24,6 @@ KERNELS = (kernels, pyramid_kernels)
 SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
 HORN = 'Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE
 EVANS = 'Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE
-HALO = "2 samples of the level"
 # Attribute -> field of the kernel's Values, Warp's type and numpy's shape of an element, and the bit that requests it.
 OUTPUTS = {
     "height": ("height", wp.float32, (), kernels.HEIGHT),
@@ -56,20 +56,20 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     return arrays
 
 
+_declared = partial(AttributeDeclaration, make=make, kernels=KERNELS, halo="2 samples of the level")
+
+
 def height_example(evaluate: Evaluate) -> None:
     """Assert that the mean around a point of a plane is its height."""
     heights = np.add.outer(np.arange(17) * 3.0, np.arange(17) * 5.0)
     assert abs(evaluate("height", heights, step=10.0) - heights[2:-2, 2:-2]).max() < 1e-4
 
 
-HEIGHT = AttributeDeclaration(
+HEIGHT = _declared(
     name="height",
     about="Height of the ground with displacement, averaged over the smallest forms that are shown there",
     unit="m",
-    make=make,
-    kernels=KERNELS,
     example=height_example,
-    halo=HALO,
     cost_ns=50,
     source=SOURCE,
 )
@@ -82,14 +82,11 @@ def slope_example(evaluate: Evaluate) -> None:
     assert abs(slope - math.radians(30)).max() < 1e-5
 
 
-SLOPE = AttributeDeclaration(
+SLOPE = _declared(
     name="slope",
     about="Angle of the ground: 0 is level, pi / 2 is upright",
     unit="rad",
-    make=make,
-    kernels=KERNELS,
     example=slope_example,
-    halo=HALO,
     span=(0.0, math.pi / 2),
     cost_ns=70,
     source=HORN,
@@ -102,16 +99,13 @@ def aspect_example(evaluate: Evaluate) -> None:
     assert abs(aspect - np.array([1.0, 0.0])).max() < 1e-6
 
 
-ASPECT = AttributeDeclaration(
+ASPECT = _declared(
     name="aspect",
     about="Compass direction in which the ground falls, as its sine (to the east) and cosine (to the north); (0, 0) on "
     "level ground",
     unit="",
-    make=make,
-    kernels=KERNELS,
     example=aspect_example,
     width=2,
-    halo=HALO,
     span=(-1.0, 1.0),
     cost_ns=55,
     source=HORN,
@@ -127,14 +121,11 @@ def mean_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("mean_curvature", -summit, step=2.0)[middle] + 1 / 50.0) < 1e-6
 
 
-MEAN_CURVATURE = AttributeDeclaration(
+MEAN_CURVATURE = _declared(
     name="mean_curvature",
     about="How the ground bends: positive on summits and ridges, negative in hollows and channels",
     unit="1/m",
-    make=make,
-    kernels=KERNELS,
     example=mean_curvature_example,
-    halo=HALO,
     cost_ns=55,
     source='Shary 1995, "Land surface in gravity points classification"; ' + SOURCE,
 )
@@ -149,14 +140,11 @@ def profile_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("profile_curvature", -heights, step=2.0) + expected).max() < 1e-6
 
 
-PROFILE_CURVATURE = AttributeDeclaration(
+PROFILE_CURVATURE = _declared(
     name="profile_curvature",
     about="How the slope changes downhill: positive where it gets steeper, negative at its foot, 0 on level ground",
     unit="1/m",
-    make=make,
-    kernels=KERNELS,
     example=profile_curvature_example,
-    halo=HALO,
     cost_ns=60,
     source=EVANS,
 )
@@ -172,15 +160,12 @@ def plan_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("plan_curvature", -hill, step=2.0)[away] + 1 / radius[away]).max() < 1e-5
 
 
-PLAN_CURVATURE = AttributeDeclaration(
+PLAN_CURVATURE = _declared(
     name="plan_curvature",
     about="How contour lines bend: positive on ridges, negative in valleys, 0 on level ground; at most 1 / the "
     "distance of samples at the scale",
     unit="1/m",
-    make=make,
-    kernels=KERNELS,
     example=plan_curvature_example,
-    halo=HALO,
     cost_ns=60,
     source=EVANS,
 )
@@ -192,17 +177,14 @@ def normal_example(evaluate: Evaluate) -> None:
     assert abs(normal - np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)])).max() < 1e-6
 
 
-DETAIL_NORMAL = AttributeDeclaration(
+DETAIL_NORMAL = _declared(
     name="detail_normal",
     about="Direction in which the ground faces, in the terrain's own space: with displacement close to the camera, "
     "without it far away",
     unit="",
-    make=make,
-    kernels=KERNELS,
     example=normal_example,
     width=3,
     parameters=(DECALS,),
-    halo=HALO,
     span=(-1.0, 1.0),
     cost_ns=60,
     source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,

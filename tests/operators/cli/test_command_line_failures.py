@@ -184,10 +184,11 @@ def printed(store: str, redirected: str, **environment) -> subprocess.CompletedP
 @posix
 def test_stdout_that_takes_no_more_is_one_sentence(store):
     for redirected, why in (("> /dev/full", "No space left on device"), ("| exit", "Broken pipe")):
-        told = printed(store, redirected).stderr.splitlines()
+        done = printed(store, redirected)
+        told = done.stderr.splitlines()
         assert len(told) == 2 and told[0].startswith("2 places"), told
         assert told[1].startswith(f"adaptive-terrain: error: stdout cannot be written ({why})"), told
-    assert printed(store, "> /dev/full").returncode == 1
+        assert "|" in redirected or done.returncode == 1
 
 
 @posix

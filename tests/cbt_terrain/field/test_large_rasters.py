@@ -229,7 +229,7 @@ def test_codes_of_the_last_cells_of_a_large_raster_are_raised(tmp_path):
 
 
 def test_missing_samples_behind_2_to_the_31_are_filled(tmp_path):
-    width, height = 1 << 20, 2100
+    width, height = 1 << 12, 525_000
     heights = sparse(tmp_path / "heights", (height, width), np.float32)
     heights[-2:, -40:] = 9.0
     heights[-3, -20] = 7.0

@@ -40,15 +40,18 @@ def check_what_is_seen(scene) -> tuple[int, int]:
     With several views they are at least as fine as for each view alone. Returns the triangle counts of both meshes.
     """
     field, criterion, *rest = scene
-    whole = updated(Terrain(field, 1), criterion, *rest)
+    alone = Terrain(field, 1)
+    whole = updated(alone, criterion, *rest)
     culled = updated(Terrain(field, 1), replace(criterion, hidden_factor=50.0), *rest)
     known = as_keys(whole.surface, np.arange(whole.triangles))
     for view in rest[0]:
         seen = first_hits(culled.surface, view, rest[1])
         if len(rest[0]) == 1:
             assert as_keys(culled.surface, seen) <= known, criterion
-        alone = Terrain(field, 1)
-        levels = updated(alone, criterion, [view], *rest[1:]).surface.level
+            levels = whole.surface.level
+        else:
+            alone = Terrain(field, 1)
+            levels = updated(alone, criterion, [view], *rest[1:]).surface.level
         middles = culled.surface.positions[culled.surface.triangles[seen]].astype(np.float64).mean(axis=1)
         assert (culled.surface.level[seen] >= levels[alone.triangles_at(middles[:, :2])]).all(), criterion
     assert culled.triangles <= whole.triangles and culled.bound_px <= whole.bound_px

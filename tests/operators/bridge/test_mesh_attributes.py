@@ -16,13 +16,6 @@ from mesh_files import read_glb_attributes, read_ply_fields
 PROPERTY = {"FLOAT2": "vector", "FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}
 
 
-@pytest.fixture
-def mesh():
-    mesh = bpy.data.meshes.new("Terrain")
-    yield mesh
-    bpy.data.meshes.remove(mesh)
-
-
 def every_kind(surface) -> dict[str, Attribute]:
     """Return an attribute of each type in each domain, with different values by element and column."""
     attributes = {}

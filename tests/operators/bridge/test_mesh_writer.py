@@ -16,13 +16,6 @@ from adaptive_terrain.operators.bridge.cleanup import Cleanup, clean_up, plan_tr
 from adaptive_terrain.operators.bridge.writer import UV_LAYER, write_mesh
 
 
-@pytest.fixture
-def mesh():
-    mesh = bpy.data.meshes.new("Terrain")
-    yield mesh
-    bpy.data.meshes.remove(mesh)
-
-
 def read(collection, name, width, dtype=np.float32):
     array = np.empty(len(collection) * width, dtype)
     collection.foreach_get(name, array)

@@ -208,6 +208,7 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     far = add_terrain("Far")
     far.location.y = 1500
     far.adaptive_terrain.render.error_px, far.adaptive_terrain.render.meshlet = 3.0, 2
+    scene.render.resolution_x, scene.render.resolution_y = 160, 90
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     code, printed, folder = accuracy("--frames", "1-2", source=("--scene", tmp_path / "scene.blend"))
     assert code == 0, printed.err
@@ -218,7 +219,7 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     assert {row["popping_px_max"] for row in rows if row["unit"] == "px"} == {"0.0"}  # the camera stands
     terrains = json.loads((folder / "accuracy.json").read_text())["terrains"]
     assert [terrain["current"] for terrain in terrains] == ["3 px, meshlet 2", "1 px"]
-    assert terrains[0]["seen"] == "through the camera of scene.blend, 640 x 360 pixels"
+    assert terrains[0]["seen"] == "through the camera of scene.blend, 160 x 90 pixels"
 
 
 def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNamespace:

@@ -9,22 +9,12 @@ import numpy as np
 import pytest
 from adaptive_terrain.operators.scatter import fitting
 from adaptive_terrain.operators.scatter.instancing import MODIFIER, collection_of, set_collection
-from adaptive_terrain.operators.scatter.operators import new_scatter, on_load
+from adaptive_terrain.operators.scatter.operators import on_load
 from adaptive_terrain.operators.scatter.panel import ScatterPanel, size_lines
 from adaptive_terrain.operators.session import session
 from mathutils import Euler
 
 LAND_M = 1280.0  # side of the fixture's land
-
-
-@pytest.fixture
-def terrain(scene, add_terrain):
-    return add_terrain()
-
-
-@pytest.fixture
-def scatter(terrain):
-    return new_scatter(terrain, 12.0)
 
 
 def block(name, size, scale=1.0):

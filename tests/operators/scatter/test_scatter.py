@@ -38,16 +38,6 @@ def record_of(terrain, scatter):
     return session.record_of(terrain).scatters[scatter.session_uid]
 
 
-@pytest.fixture
-def terrain(scene, add_terrain):
-    return add_terrain()
-
-
-@pytest.fixture
-def scatter(terrain):
-    return new_scatter(terrain, 12.0)
-
-
 @pytest.mark.parametrize("camera", ["shifted", "small", "orthographic", "in a scaled rig"])
 def test_unusual_cameras_see_points_that_keep_their_places(scene, terrain, scatter, camera):
     """None loses all its points, and what two cameras see has the same number at the same place."""

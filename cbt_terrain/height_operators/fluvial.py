@@ -158,14 +158,16 @@ def _draw(bed: Bed, number: int) -> Draw:
 def _incise(
     bed: Bed, drainage: Drainage, years: float, values: Mapping[str, float]
 ) -> tuple[kernels.River, np.ndarray | None]:
-    """Incise the bed for some years, and return the kernels' state and the water's surface, float32 [n] m.
+    """Lower the bed's heights by stream-power incision over `years`; return the kernels' state and the water surface.
 
-    The surface is None without deposition. values: parameters of the operator. The bed's heights change.
+    The state is an input of `_deposit`. The water surface, float32 [n] in metres, is computed only with deposition,
+    otherwise it is None. values: the operator's parameters by name.
     """
     r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
     r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
     r.cell, r.hillslope, r.strength = bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years
+    # Largest height above the receiver, metres, by direction: the steepest slope times the distance, 1 / nearness.
     r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.nearness])))
     r.to, r.order = flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
     r.area = flat(drainage.catchments, wp.float64)

@@ -118,7 +118,8 @@ def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
 def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
     """Return the lowest and highest control height of the patch between columns b and c: a bound of its heights.
 
-    a .. d: columns from west to east, see `column`.
+    a .. d: results of `column` for four columns of samples from west to east. Their values 0 .. 3 are control heights
+    of a curve along the column, from south to north.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)

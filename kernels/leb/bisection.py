@@ -163,9 +163,10 @@ def edge_neighbour(grid: SquareGrid, node: LebNode) -> LebNode:
 def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
     """Split a leaf, the other half of its diamond, and the coarser neighbours of both.
 
-    A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). Threads may split
-    neighbours at once: the one that splits a parent goes on from there. A parent comes before its half, for the bits
-    of a half may be the parent's.
+    A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). tree_id: the leaf
+    in the tree of the grid. Threads may split neighbours at once. `split` returns whether a node was already split, so
+    only the thread that is first to split a parent continues with the parent's neighbour. A parent is split before its
+    child: splitting a second child can set the parent's bit too, and the parent would look as if it were already split.
     """
     split(t, tree_id)
     node = node_of(grid, tree_id)

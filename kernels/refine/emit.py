@@ -97,10 +97,12 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
-    """Return whether a triangle's leaves can be copied: all are in this slice and have no special bits.
+    """Return whether all leaves below the cursor's triangle can be copied as one block.
 
-    Such bits are the flags of a square's first and last leaf, and border roles.
+    All of them must be in the walk's slice, and none may have special bits. Special are the first and the last leaf of
+    a square and, if the walk has several squares (`w.grid` is 1), the leaves on a square's border.
     """
+    # c.cell, q.start and `end` are counted from the square's first cell (q.base), w.end_cell over all squares.
     end = c.cell + size_of(w, c.depth)
     inside = c.cell > wp.uint64(0) and end < size_of(w, 0) and c.cell >= q.start and q.base + end <= w.end_cell
     return inside and (w.grid == 0 or not touches_border(c.left, c.apex, c.right, q.corner, q.side))

@@ -237,9 +237,10 @@ def reach2_of(view: LocalView) -> wp.float64:
 def ground_near(
     domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32
 ):
-    """Return the highest ground (metres) within `reach` lattice units of (x, y); infinity if that crosses the border.
+    """Return an upper bound of the ground's height around the eye, metres; infinity if the border is too near.
 
-    grown: lattice units to add on all sides.
+    The ground is that of a square with the eye (x, y) in its middle, lattice units. `reach`: half of the square's side;
+    infinity is returned if this square crosses the raster's border. `grown`: lattice units to add on each side.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
@@ -258,6 +259,7 @@ def ground_near(
                     z += domain.max_detail * domain.error_scale
                 high = z + domain.height_offset
             else:
+                # With the sign -1, `min_over` returns the negated maximum.
                 high = -min_over(domain, blocks, x0, y0, x1, y1, wp.float64(-1.0))
     return high
 

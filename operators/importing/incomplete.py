@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Terrains whose store is incomplete: a render waits for their running import, or else its summary says so."""
+"""Terrains whose store is incomplete: a render waits for a running import or reports them; packing refuses them."""
 
 from ...cbt_terrain.errors import TerrainError
 from .. import jobs
@@ -35,7 +35,7 @@ def note_incomplete(scene, terrains: list) -> None:
 
 
 def check_complete(obj, remedy: str) -> None:
-    """Raise TerrainError if the store of a terrain is incomplete. remedy: how to complete it, in the error."""
+    """Raise TerrainError if the store of a terrain to be packed is incomplete. remedy: what the user should do."""
     text = loaded_text(obj.adaptive_terrain)
     if text:
         what = f"The store of {obj.name!r} is incomplete ({text[0].lower()}{text[1:]})"

@@ -114,9 +114,10 @@ def _lands_of(obj, target: str) -> dict[str, str]:
 
 
 def _maps_of(obj, target: str) -> dict[str, str]:
-    """Return the folder of a terrain's maps with the folder of its copy; {} if the maps are elsewhere or not baked.
+    """Return {folder of a terrain's maps: folder of their copy}; {} if nothing is to be copied.
 
-    target: new path of the terrain's store.
+    That is the case if the user chose a folder for the maps (`maps.folder`), or no maps have been baked. `maps.mark`
+    is the name of the terrain's folder, which the first baking sets. target: new path of the terrain's store.
     """
     maps, folder = obj.adaptive_terrain.maps, real_path(map_folder(obj))
     if maps.folder or not maps.mark or not folder.is_dir():

@@ -66,15 +66,17 @@ def _visit_views(obj, scene, land: Land, frames: list[int]):
 
 
 def next_unshaped(context, done: Container[str] = ()):
-    """Return the first terrain that a render may wait for; None if there is none.
+    """Return the first terrain whose land may have to be shaped before a render, None if there is none.
 
-    Its land is not shaped, or shaped only where shots look: whether tiles are missing takes too long to say here. done:
-    names of terrains to leave out.
+    Its land is not shaped yet, or is shaped only in the parts that cameras see (`of_views`). Tiles for the next render
+    may be missing in the second case; to find out would take too long here. Terrains hidden in renders are left out.
+    done: names of other terrains to leave out.
     """
     depsgraph = context.evaluated_depsgraph_get()
     for obj in session.terrains_of(context.scene):
         with suppress(TerrainError):  # the render reports it
             land = None if obj.hide_render else land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+            # waits=True: the render waits for shaped land, a preview is not enough
             if land is not None and obj.name not in done and (land.of_views or not land.is_shaped):
                 return obj
     return None

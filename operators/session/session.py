@@ -61,7 +61,11 @@ def all_terrains() -> list:
 
 
 def shown_terrain(context):
-    """Return the terrain that panels show: the active one, else the scene's last active or only one; None without."""
+    """Return the terrain that panels show, None if there is none.
+
+    It is the active object if that is a terrain; otherwise the terrain last shown, if it is in the scene; otherwise the
+    scene's only terrain. If the active terrain is linked from a library or an override, panels show none.
+    """
     global _last_shown
     obj, scene = context.object, getattr(context, "scene", None)
     if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:

@@ -27,7 +27,7 @@ from .text.translations import phrase
 POLL_S = 0.1
 CALL_S = 0.02  # between looks for calls that a thread waits for
 TURN_S = 0.05  # for which frames are visited before the window has its turn
-STARTING, LOOKING = "Starting", "Looking at frames"
+STARTING, LOOKING, CHECKING = "Starting", "Looking at frames", "Checking the shaped land"
 PREPARING = "Preparing kernels (first use)"
 SHOWN_STEPS = 200  # a progress bar is redrawn when it has grown by one
 Steps = Generator[None, None, object]
@@ -57,8 +57,9 @@ PACK = JobKind("PACK", "Packing stores", "every store stays where it was", alone
 BAKE = JobKind("BAKE", "Baking maps", "the maps stay as they were", alone=True)
 MEASURE = JobKind("MEASURE", "Measuring", "earlier measurements are kept", alone=True)  # two would slow each other
 WATER = JobKind("WATER", "Adding water", "the water stays as it was")
+BAKE_LAND = JobKind("BAKE_LAND", "Baking to a store", "its list and its heights stay as they were")
 EXPORT = JobKind("EXPORT", "Exporting", "files that are complete stay, without the JSON file that lists them")
-KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, EXPORT)}
+KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, BAKE_LAND, EXPORT)}
 
 
 class JobStopped(Exception):
@@ -194,6 +195,17 @@ def draw_progress(layout, job: BackgroundJob, text: str = ""):
     row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
     row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
     return row
+
+
+def draw_button(layout, kind: JobKind, obj, operator: str, **options) -> None:
+    """Draw the button of an operator, or the progress of its job in the same row, so that no row moves.
+
+    obj: the terrain of the job. options: of the button.
+    """
+    if job := find(kind, obj):
+        draw_progress(layout, job, job.text)
+    else:
+        layout.operator(operator, **options)
 
 
 def redraw_panels() -> None:

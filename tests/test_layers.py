@@ -22,7 +22,7 @@ MAY_IMPORT = {
 # Rooms of operators: a feature has its settings below the session and its panel above it, so they form one layer.
 FEATURES = frozenset(
     "terrain assets importing land layers maps scatter overlay attributes accuracy export ground farm session ui jobs "
-    "scene job_operator".split()
+    "scene job_operator kernel_operator".split()
 )
 # The rooms and single modules of each house; each may import from those before it.
 ROOMS = {

@@ -36,7 +36,7 @@ from numpy.typing import DTypeLike
 
 from ...kernels.effects.horizon import FINEST
 from ..errors import TerrainError, check_path
-from ..run import owned_files, partial_files
+from ..run import owned_files, partial_files, stopping
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
 from . import codes
@@ -215,6 +215,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     arrays |= {layer_name(name): field.layers[name] for name in field.layers}
     for name, array in arrays.items():
+        stopping.check()
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}

@@ -6,7 +6,7 @@ a sample, holes are NaN. GDAL writes in a child process, since it clashes with B
 """
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,20 +21,25 @@ from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
 from ..run import child
-from ..run.partial_files import is_device, written_beside
-from ..sandbox.store_job import ask, serve
+from ..run.partial_files import is_device, remove_abandoned, written_beside
+from ..sandbox.store_job import Tell, ask, serve
 
 MODULE = "cbt_terrain.height_operators.export"
 LINES = 256  # whole blocks of either format
 HEIGHTS = "heights"
+OnProgress = Callable[[float], None]
 
 
 def export_raster(
-    store: str | os.PathLike, file: str | os.PathLike, names: tuple[str, ...] | None = None
+    store: str | os.PathLike,
+    file: str | os.PathLike,
+    names: tuple[str, ...] | None = None,
+    on_progress: OnProgress = lambda _fraction: None,
 ) -> list[Path]:
     """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
-    names: HEIGHTS and names of layers, None for all.
+    names: HEIGHTS and names of layers, None for all. on_progress(fraction) is called repeatedly; an exception from it
+    stops the export, and the file that it writes is not left.
     """
     file = check_export(file)
     field = open_store(store)
@@ -45,7 +50,7 @@ def export_raster(
     files = {name: _file_of(file, name) for name in names or known}
     if HEIGHTS in files:
         field.raster.check_samples()
-    WRITERS[file.suffix.lower()](field, Path(store), files)
+    WRITERS[file.suffix.lower()](field, Path(store), files, on_progress)
     return list(files.values())
 
 
@@ -77,21 +82,32 @@ def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
     return found[::-1]
 
 
-def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path]) -> None:
+def _bands(field: HeightField, names: Sequence[str], number: int, on_progress: OnProgress) -> Iterator[np.ndarray]:
+    """Yield the rows of the layer names[number] in bands of LINES, from the north.
+
+    on_progress(fraction) is called after each band with the fraction of all layers.
+    """
+    firsts = range(0, field.lattice.height, LINES)
+    for k, first in enumerate(firsts):
+        yield _rows(field, names[number], first)
+        on_progress((number + (k + 1) / len(firsts)) / len(names))
+
+
+def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
     """Write heights and layers as OpenEXR files. files: by name of the layer."""
-    for name, path in files.items():
-        _write_exr(field, name, path)
+    for number, path in enumerate(files.values()):
+        _write_exr(field, _bands(field, list(files), number, on_progress), path)
 
 
-def _write_exr(field: HeightField, name: str, path: Path) -> None:
-    """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits."""
+def _write_exr(field: HeightField, bands: Iterable[np.ndarray], path: Path) -> None:
+    """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits. bands: its rows."""
     lattice = field.lattice
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
             exr = ExrFile(partial, lattice.width, channels=1, depth=32, text="", pool=pool, lines=lattice.height)
             try:
-                for first in range(0, lattice.height, LINES):
-                    exr.add(_rows(field, name, first)[..., None])
+                for rows in bands:
+                    exr.add(rows[..., None])
                 exr.close()
             finally:
                 exr.abandon()
@@ -99,13 +115,18 @@ def _write_exr(field: HeightField, name: str, path: Path) -> None:
         raise unwritable(str(path), reason) from reason
 
 
-def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> None:
+def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
     """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
 
     files: by name of the layer.
     """
     request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
-    ask(MODULE, request, f"the store {store}")
+    try:
+        ask(MODULE, request, f"the store {store}", lambda fraction, _message: on_progress(fraction))
+    except BaseException:  # a killed child leaves its partial file
+        for folder in {path.parent for path in files.values()}:
+            remove_abandoned(folder)
+        raise
 
 
 @dataclass(frozen=True)
@@ -183,14 +204,15 @@ class RasterFormat:
         open: open(path, shape, dtype, pool) returns a RowFile.
         finish: finish(paths, shapes) completes files that `open` has written, None if nothing is left to do.
         keeps_missing: whether NaN marks missing samples; they are filled in other formats.
-        export: export(field, store, files) writes rasters of a whole store, None if `export_raster` does not offer it.
+        export: export(field, store, files, on_progress) writes rasters of a whole store, None if `export_raster` does
+            not offer it.
     """
 
     dtype: np.dtype
     open: Callable[[Path, RasterShape, np.dtype, Executor], RowFile]
     finish: Callable[[Iterable[Path], Iterable[RasterShape]], None] | None = None
     keeps_missing: bool = False
-    export: Callable[[HeightField, Path, dict[str, Path]], None] | None = None
+    export: Callable[[HeightField, Path, dict[str, Path], OnProgress], None] | None = None
 
     @property
     def is_integer(self) -> bool:
@@ -217,7 +239,7 @@ def child_main() -> None:
     serve(_answer, lambda request: f"Reading the store {request['store']}")
 
 
-def _answer(request: dict, *_: object) -> list[str]:
+def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -> list[str]:
     """Write the requested GeoTIFFs in the child process, since rasterio must not be loaded into Blender.
 
     A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers.
@@ -232,10 +254,10 @@ def _answer(request: dict, *_: object) -> list[str]:
         return []
     field = open_store(request["store"])
     transform, crs = _georeference(field, request["store"])
-    for name, path in request["files"].items():
-        lattice, missing = field.lattice, field.valid is not None
+    names, lattice, missing = list(request["files"]), field.lattice, field.valid is not None
+    for number, (name, path) in enumerate(request["files"].items()):
         shape = RasterShape(lattice.width, lattice.height, transform[:6], crs, missing, name)
-        bands = (_rows(field, name, first) for first in range(0, lattice.height, LINES))
+        bands = _bands(field, names, number, lambda fraction: tell(fraction, "Writing"))
         _write_tiff(Path(path), bands, shape)
     return list(request["files"].values())
 

@@ -291,10 +291,13 @@ def wait_for(
     return progress.report
 
 
-def ask(module: str, request: dict, what: str) -> Any:
-    """Return the report of a child that opens a file from outside. what: the file, in errors. Raises TerrainError."""
+def ask(module: str, request: dict, what: str, on_progress: Tell = lambda _fraction, _message: None) -> Any:
+    """Return the report of a child that opens a file from outside. what: the file, in errors. Raises TerrainError.
+
+    on_progress(fraction, message) is called repeatedly; an exception from it stops the child.
+    """
     job = partial(ChildJob, what=f"Reading {what}", fix=CHECK_FILE, reading=what, watched=(JobProgress.message,))
-    return wait_for(lambda: job(module, request, variables=VARIABLES))
+    return wait_for(lambda: job(module, request, variables=VARIABLES), on_progress)
 
 
 # Arguments: a request, a function for progress, and a function to call when the process may start threads. Result: the

@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake a static mesh: one vertical error everywhere, no camera."""
 
+from types import ModuleType
+
 import bpy
 
 from ...cbt_terrain.fit.fit import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
+from ...cbt_terrain.run.warmup import modules_of
 from ...cbt_terrain.view.criterion import Criterion
+from ...kernels import fitting
 from ..bridge.cleanup import clean_up
 from ..bridge.writer import write_mesh
+from ..kernel_operator import KernelOperator
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
+from ..terrain.overrides import Overrides
 from ..terrain.request import gather
+from ..terrain.request_kernels import kernels_for
 from ..text.shown_bounds import bound_text, limit_text
 
 
@@ -56,13 +63,19 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
     return baked, update
 
 
-class BakeTerrain(TerrainObjectOperator, bpy.types.Operator):
+class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
     """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees. Use it to edit the
     terrain by hand or for other programs"""
 
     bl_idname = "adaptive_terrain.bake"
     bl_label = "Bake Static Mesh"
     bl_options = {"REGISTER", "UNDO"}
+
+    def kernels(self, context) -> list[ModuleType]:
+        """Return the modules of the terrain's surface, and of the fit if the mesh is to be fitted."""
+        obj, depsgraph = context.object, context.evaluated_depsgraph_get()
+        found = kernels_for(gather(obj, depsgraph, overrides=Overrides(effects=())))
+        return found + modules_of(fitting) if obj.adaptive_terrain.bake_fit else found
 
     @cancelled_by_errors
     def execute(self, context):

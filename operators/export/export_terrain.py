@@ -2,21 +2,24 @@
 """Export the terrain of the current frame, at the detail of the render."""
 
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
-from ..bridge.scene_paths import propose_file
+from ..bridge.scene_paths import invoke_with_file, propose_file
+from ..kernel_operator import KernelOperator
 from ..session import session
 from ..session.polls import TerrainObjectOperator
-from ..terrain.request import RENDER
+from ..terrain.request import RENDER, gather
+from ..terrain.request_kernels import kernels_for
 from .formats import FORMATS, format_of
 
 GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_whole_scene)
 
 
-class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
+class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, ExportHelper):
     """Write the terrain of this frame to a file, as detailed as in a render. The ending of the file name is the
     format"""
 
@@ -27,12 +30,22 @@ class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
+    is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
+
+    def kernels(self, context) -> list[ModuleType]:
+        return kernels_for(gather(context.object, context.evaluated_depsgraph_get(), RENDER))
+
     def invoke(self, context, event):
+        """Ask for a file, or write once it is chosen and the kernels are ready."""
+        if self.is_chosen:
+            return KernelOperator.invoke(self, context, event)
         propose_file(self, context.object)
         return ExportHelper.invoke(self, context, event)
 
     def execute(self, context):
         """Write the terrain to the chosen file, and restore the viewport's detail even after an error."""
+        if self.options.is_invoke and not self.is_chosen:
+            return invoke_with_file(self)
         try:
             self._write(context, Path(self.filepath))
         except (TerrainError, OSError) as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export the land in tiles for other programs."""
+"""Export the land for other programs: its heights as one raster or in tiles, or as 3D Tiles."""
 
 from pathlib import Path
 
@@ -14,13 +14,13 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.exporting.height_tiles import PATTERN, HeightTiles, export_height_tiles
 from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
-from ...cbt_terrain.height_operators.export import FORMATS
+from ...cbt_terrain.height_operators.export import FORMATS, WRITERS, check_export, export_raster
 from ...cbt_terrain.run import stopping
 from ...kernels.query import ground
 from .. import jobs
 from ..attributes.request import gather_effects
 from ..bridge.evaluated import raster_placement_of
-from ..bridge.scene_paths import propose_file
+from ..bridge.scene_paths import invoke_with_file, propose_file
 from ..job_operator import JobOperator
 from ..land.bake_land import shaped_field
 from ..land.shape_land import check_is_shaped
@@ -51,8 +51,8 @@ def mask_requests(obj, depsgraph, field) -> tuple:
     )
 
 
-class TileExport(JobOperator, ExportHelper):
-    """Base of operators that write tiles of a terrain's shaped land beside the window.
+class LandExport(JobOperator, ExportHelper):
+    """Base of operators that write a terrain's shaped land to files beside the window.
 
     A subclass has `prepare(obj, depsgraph, field)`, which returns the modules of kernels that the export needs and a
     function that writes on any thread: it gets a function for the progress, and returns the line to report. The dialog
@@ -87,13 +87,15 @@ class TileExport(JobOperator, ExportHelper):
         """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
         if not self.options.is_invoke:
             return JobOperator.execute(self, context)
-        operator = getattr(bpy.ops.adaptive_terrain, type(self).bl_idname.partition(".")[2])
-        operator("INVOKE_DEFAULT", is_chosen=True, **self.as_keywords(ignore=("is_chosen",)))
-        return {"FINISHED"}
+        return invoke_with_file(self)
+
+    def check_file(self) -> None:
+        """Raise TerrainError, before any work, if the chosen file cannot be written."""
+        check_target(Path(self.filepath))
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Open the shaped land and write on a thread; return the line to report."""
-        check_target(Path(self.filepath))
+        self.check_file()
         land = shaped_field(context.object, context.evaluated_depsgraph_get())
 
         def open_land():
@@ -116,7 +118,34 @@ class TileExport(JobOperator, ExportHelper):
         self.report({"INFO"}, line)
 
 
-class ExportHeightTiles(TileExport, bpy.types.Operator):
+class ExportHeights(LandExport, bpy.types.Operator):
+    """Write the heights of the shaped land as a 32-bit GeoTIFF or EXR with its place on Earth, and each by-product as
+    another file"""
+
+    bl_idname = "adaptive_terrain.export_heights"
+    bl_label = "Export Heights"
+
+    name_end = "_heights"
+    filename_ext = ".tif"
+    check_extension = None  # the suffix that the user types is the format
+    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in WRITERS), options={"HIDDEN"})
+
+    def check_file(self) -> None:
+        """Raise TerrainError if the file is of no format for heights, or cannot be written."""
+        check_export(self.filepath)
+
+    def prepare(self, _obj, _depsgraph, field):
+        """Prepare to write the heights and the layers of the shaped land as rasters named after the chosen file."""
+
+        def write(on_progress) -> str:
+            """Write the files, and return their names."""
+            files = export_raster(field.path, self.filepath, on_progress=on_progress)
+            return f"Written: {', '.join(file.name for file in files)}"
+
+        return [], write
+
+
+class ExportHeightTiles(LandExport, bpy.types.Operator):
     """Write the heights of the land as tiles for game engines, its layers as masks, and their scale and position as a
     JSON file"""
 
@@ -197,7 +226,7 @@ class ExportHeightTiles(TileExport, bpy.types.Operator):
         return [ground, *kernels_of(plan(masks))], write
 
 
-class ExportTileset(TileExport, bpy.types.Operator):
+class ExportTileset(LandExport, bpy.types.Operator):
     """Write the land as 3D Tiles for viewers of globes and maps: glb files in levels of detail, each with the largest
     error that it has"""
 

@@ -3,8 +3,8 @@
 
 from .bake_terrain import BakeTerrain
 from .export_terrain import ExportTerrain
-from .export_tiles import ExportHeightTiles, ExportTileset
+from .export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
 from .map_camera import MapCamera, RenderMap
 
-CLASSES = (BakeTerrain, ExportTerrain, ExportHeightTiles, ExportTileset, MapCamera, RenderMap)
+CLASSES = (BakeTerrain, ExportTerrain, ExportHeights, ExportHeightTiles, ExportTileset, MapCamera, RenderMap)
 HANDLERS = ()

@@ -12,17 +12,20 @@ from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
 from ..text.shown_bounds import limit_text
 from . import world_ground
+from .chosen import GroundOperator
 
 MARK = "adaptive_terrain_collider"  # custom property of a collider: its bound in metres
 
 
-class AddCollider(TerrainObjectOperator, bpy.types.Operator):
+class AddCollider(GroundOperator, TerrainObjectOperator, bpy.types.Operator):
     """Add a coarse mesh for physics that stays within Collider Error of the ground and is not rendered. Press it again
     after the terrain has changed"""
 
     bl_idname = "adaptive_terrain.add_collider"
     bl_label = "Add Collider"
     bl_options = {"REGISTER", "UNDO"}
+
+    modules = ()
 
     rigid_body: bpy.props.BoolProperty(
         name="Rigid Body", description="Make it a passive rigid body, and add a rigid body world if the scene has none"

@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The terrains and objects that an operator of the ground acts on."""
 
+from types import ModuleType
+
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
+from ...kernels.query import ground, rays
+from ..kernel_operator import KernelOperator
 from ..session import session
 from ..session.polls import IN_A_MODE
+from ..terrain.overrides import Overrides
+from ..terrain.request import gather
+from ..terrain.request_kernels import kernels_for
 from . import world_ground
 
 NO_TERRAIN = "The scene has no terrain; add one"
@@ -20,6 +27,21 @@ def has_ground(cls, context) -> bool:
         return True
     cls.poll_message_set(NO_TERRAIN)
     return False
+
+
+class GroundOperator(KernelOperator):
+    """Base of operators that measure the ground of the scene's terrains. `modules`: kernels of the measurement."""
+
+    modules: tuple[ModuleType, ...] = (ground, rays)
+
+    def kernels(self, context) -> list[ModuleType]:
+        """Return the modules of the measurement, and those of the terrains' surfaces."""
+        depsgraph, found = context.evaluated_depsgraph_get(), list(self.modules)
+        for obj in session.terrains_of(context.scene):
+            if obj.adaptive_terrain.store:
+                request = gather(obj, depsgraph, criterion=world_ground.ANY, overrides=Overrides(effects=()))
+                found += kernels_for(request)
+        return found
 
 
 def active_terrain(context):

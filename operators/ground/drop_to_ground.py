@@ -13,7 +13,7 @@ from ..session.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
 from .bounds import corners_of
-from .chosen import active_terrain, chosen_grounds, has_ground, objects_to_move, selected_objects
+from .chosen import GroundOperator, active_terrain, chosen_grounds, has_ground, objects_to_move, selected_objects
 from .drop_points import drop_points
 from .properties import ON
 
@@ -29,7 +29,7 @@ class RestPose:
     turn: Quaternion
 
 
-class DropToGround(bpy.types.Operator):
+class DropToGround(GroundOperator, bpy.types.Operator):
     """Move the selected objects straight up or down onto the ground; of a curve, each control point. The active terrain
     counts if it is selected, otherwise the highest ground there"""
 

@@ -10,11 +10,11 @@ from ..bridge import camera as cameras
 from ..session.polls import cancelled_by_errors
 from . import keep_ground
 from . import vertical_moves as moves
-from .chosen import active_terrain, has_ground, objects_to_move, selected_objects
+from .chosen import GroundOperator, active_terrain, has_ground, objects_to_move, selected_objects
 from .properties import ABOVE
 
 
-class KeepAboveGround(bpy.types.Operator):
+class KeepAboveGround(GroundOperator, bpy.types.Operator):
     """Keep the selected objects, or the scene's camera, at least Clearance above the ground in every frame. It uses the
     delta transforms"""
 

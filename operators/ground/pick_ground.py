@@ -7,6 +7,8 @@ import bpy
 from bpy_extras import view3d_utils
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import warmup
+from ...kernels.query import ground, rays
 from ..bridge import camera as cameras
 from ..session.polls import cancelled_by_errors
 from ..text.numbers import plain
@@ -45,6 +47,7 @@ class PickGround(bpy.types.Operator):
         if context.area is None or context.area.type != "VIEW_3D":
             self.report({"ERROR"}, "Pick from a 3D viewport, or give the ray's origin and direction.")
             return {"CANCELLED"}
+        warmup.ask([ground, rays])  # before the click
         context.window_manager.modal_handler_add(self)
         context.window.cursor_modal_set("EYEDROPPER")
         context.workspace.status_text_set("Click on the terrain; Esc: cancel")

@@ -16,13 +16,13 @@ from ..bridge.scene_paths import absolute_path
 from ..session.polls import cancelled_by_errors
 from ..text import profile_plot
 from ..text.numbers import length_text
-from .chosen import has_ground, terrain_at
+from .chosen import GroundOperator, has_ground, terrain_at
 
 SUFFIXES = ".csv", ".svg"
 PATH_OPTIONS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
 
-class ProfileCurve(bpy.types.Operator):
+class ProfileCurve(GroundOperator, bpy.types.Operator):
     """Add a copy of the selected curve that follows the ground. With a file name, also write its heights as a table
     (CSV) and a picture (SVG)"""
 

@@ -5,23 +5,26 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.query.viewshed import viewshed
+from ...kernels.query import viewshed as viewshed_kernels
 from ..bridge import camera as cameras
 from ..bridge.writer import UV_LAYER
 from ..session.polls import cancelled_by_errors
-from .chosen import has_ground, selected_objects, terrain_at
+from .chosen import GroundOperator, has_ground, selected_objects, terrain_at
 
 NAME = "viewshed"
 MARK = "adaptive_terrain_viewshed"  # custom property of the image and the node group: the name of their terrain
 MAX_PIXELS = 4096  # along a side; Blender needs 16 bytes per pixel for writing
 
 
-class Viewshed(bpy.types.Operator):
+class Viewshed(GroundOperator, bpy.types.Operator):
     """Find the ground that the active object sees, or the scene's camera if a terrain is active: makes an image of the
     whole terrain, white where it is seen"""
 
     bl_idname = "adaptive_terrain.viewshed"
     bl_label = "Viewshed"
     bl_options = {"REGISTER", "UNDO"}
+
+    modules = (*GroundOperator.modules, viewshed_kernels)
 
     target_height: bpy.props.FloatProperty(
         name="Target Height",

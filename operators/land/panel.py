@@ -51,6 +51,7 @@ class LandPresets(PresetPanel, bpy.types.Panel):
     def draw(self, context):
         """Draw the shipped presets in groups, then the user's: Blender would sort them all by their file names."""
         layout = self.layout
+        show_terrain(layout, context)
         layout.emboss, layout.operator_context = "PULLDOWN_MENU", "EXEC_DEFAULT"
         for heading, group in SHIPPED.items():
             column = layout.column(align=True)
@@ -232,10 +233,11 @@ class LandOutputPanel(TerrainSubpanel):
     bl_label = "Export and Cache"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
 
-    def draw(self, _context):
-        column = self._columns()
-        column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
-        column.operator("adaptive_terrain.export_heights", icon="EXPORT")
+    def draw(self, context):
+        """Draw the buttons, or the progress of their jobs in the same rows."""
+        column, terrain = self._columns(), session.shown_terrain(context)
+        jobs.draw_button(column, jobs.BAKE_LAND, terrain, "adaptive_terrain.bake_land", icon="FILE_TICK")
+        jobs.draw_button(column, jobs.EXPORT, terrain, "adaptive_terrain.export_heights", icon="EXPORT")
         column.operator("adaptive_terrain.land_clear", icon="TRASH")
 
 

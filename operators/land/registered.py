@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Classes and handlers of land, in the order of their registration."""
 
-from .bake_land import BakeLand, ExportHeights
+from .bake_land import BakeLand
 from .cache import ClearLandCache
 from .panel import AddLandMenu, LandList, LandPresets
 from .presets import AddLandPreset, ApplyLandPreset
@@ -15,6 +15,6 @@ CLASSES = (
     *(*GROUPS.values(), *OTHER_RULES, LandMask, LandEntry, LandSettings),
     *(AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect, AddLandRule),
     *(ApplyLandPreset, AddLandPreset, ClearLandCache, ShapeLand, ShapeAndRender, FinishShaping, CancelWaiting),
-    *(BakeLand, ExportHeights, AddWaterSurface, LandList, LandPresets, AddLandMenu),
+    *(BakeLand, AddWaterSurface, LandList, LandPresets, AddLandMenu),
 )
 HANDLERS = ()

@@ -122,11 +122,8 @@ def _with_vertical_scale(surface: Surface, settings) -> Surface:
 
 def draw_button(layout, terrain) -> None:
     """Draw the button, or the progress of its job in the same row."""
-    if job := jobs.find(jobs.WATER, terrain):
-        jobs.draw_progress(layout, job, job.text)
-        return
     text = phrase("Add Water") if existing_water(terrain) is None else phrase("Update Water")
-    layout.operator(AddWaterSurface.bl_idname, text=text, icon="MOD_OCEAN")
+    jobs.draw_button(layout, jobs.WATER, terrain, AddWaterSurface.bl_idname, text=text, icon="MOD_OCEAN")
 
 
 def _add_water(terrain):

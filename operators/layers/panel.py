@@ -35,6 +35,11 @@ class LayerPresets(PresetPanel, bpy.types.Panel):
     preset_operator = "script.execute_preset"
     preset_add_operator = "adaptive_terrain.layer_preset_add"
 
+    def draw(self, context):
+        """Draw the presets, whose buttons act on the shown terrain."""
+        show_terrain(self.layout, context)
+        PresetPanel.draw(self, context)
+
 
 # Blender finds the panel by the name of its class.
 LayerPresets.__name__ = LayerPresets.bl_idname = PRESET_PANEL

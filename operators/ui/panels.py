@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab "Terrain" in the sidebar of the 3D viewport, and the same panels in the Properties editor."""
 
-from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..accuracy import panel as statistics_panel
 from ..attributes import panel as effects_panel
@@ -118,16 +117,6 @@ class AdvancedPanel(TerrainSubpanel):
         column.operator("adaptive_terrain.freeze", icon="FREEZE", depress=bool(obj.adaptive_terrain.frozen))
 
 
-def _waiting_row(layout):
-    """Return a row for an operator that needs the kernels.
-
-    It is greyed out while they are compiled, because the operator would block the window.
-    """
-    row = layout.row()
-    row.enabled = not warmup.preparing()
-    return row
-
-
 class CameraPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_camera"
     bl_label = "Camera"
@@ -167,14 +156,12 @@ class OutputPanel(TerrainSubpanel):
         column = self._columns()
         column.prop(session.shown_terrain(context).adaptive_terrain, "bake_error_m")
         column.prop(session.shown_terrain(context).adaptive_terrain, "bake_fit")
-        _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
+        column.operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
-        _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
-        if job := jobs.find(jobs.EXPORT, session.shown_terrain(context)):
-            jobs.draw_progress(column, job, job.text)  # in place of a button, so that no row moves
-        else:
-            _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
-        _waiting_row(column).operator("adaptive_terrain.export_tileset", icon="WORLD")
+        column.operator("adaptive_terrain.export", icon="EXPORT")
+        terrain = session.shown_terrain(context)
+        jobs.draw_button(column, jobs.EXPORT, terrain, "adaptive_terrain.export_tiles", icon="TEXTURE")
+        column.operator("adaptive_terrain.export_tileset", icon="WORLD")
         row = column.row(align=True)
         row.operator("adaptive_terrain.map_camera", icon="CAMERA_DATA")
         row.operator("adaptive_terrain.render_map", icon="RENDER_STILL")

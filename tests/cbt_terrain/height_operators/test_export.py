@@ -134,3 +134,19 @@ def test_exports_that_cannot_be_written_are_refused(shaped, tmp_path):
         with pytest.raises(TerrainError, match="cannot be written"):
             export_raster(store, tmp_path / "nowhere" / name)
     assert not list(tmp_path.glob(".partial*"))
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".exr"])
+def test_an_export_reports_rising_fractions(shaped, tmp_path, suffix):
+    (_, store), fractions = shaped("utm"), []
+    export_raster(store, tmp_path / f"land{suffix}", on_progress=fractions.append)
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".exr"])
+def test_an_export_that_is_stopped_leaves_no_file(shaped, tmp_path, suffix):
+    _, store = shaped("utm")
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(ZeroDivisionError):
+        export_raster(store, tmp_path / f"land{suffix}", on_progress=lambda _fraction: 1 / 0)
+    assert sorted(tmp_path.iterdir()) == before

@@ -13,9 +13,8 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
-from adaptive_terrain.operators.export.export_tiles import ExportHeightTiles, ExportTileset
+from adaptive_terrain.operators.export.export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
 from adaptive_terrain.operators.export.map_camera import RenderMap
-from adaptive_terrain.operators.land.bake_land import ExportHeights
 from land_scenes import add
 from modal_runs import RunningOperator, running, to_the_end
 from tilesets import read_tileset
@@ -125,3 +124,25 @@ def test_an_export_stops_within_a_level(export, monkeypatch):
     operator = export()
     monkeypatch.setattr(tileset.Terrain, "update", lambda *_some: [operator.job.stop(), launch.stopping.check()])
     assert to_the_end(operator) == {"CANCELLED"}
+
+
+@pytest.fixture
+def heights(terrain, tmp_path):
+    """Return a function that starts the export of heights in a window, to a file with a suffix."""
+    return lambda suffix: running(ExportHeights, terrain, filepath=str(tmp_path / f"land{suffix}"), is_chosen=True)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".exr"])
+def test_a_window_exports_heights_beside_its_work(heights, tmp_path, suffix):
+    operator = heights(suffix)
+    assert operator.began == {"RUNNING_MODAL"} and jobs.running == [operator.job]
+    assert to_the_end(operator) == {"FINISHED"} and (tmp_path / f"land{suffix}").stat().st_size > 1000
+    assert operator.report.call_args.args[1] == f"Written: land{suffix}" and operator.job.fraction == 1.0
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".exr"])
+def test_a_cancelled_export_of_heights_leaves_no_file(heights, tmp_path, suffix, monkeypatch):
+    before = sorted(tmp_path.iterdir())
+    operator = heights(suffix)
+    monkeypatch.setattr(operator.job, "progress", lambda _fraction: (operator.job.stop(), launch.stopping.check()))
+    assert to_the_end(operator) == {"CANCELLED"} and sorted(tmp_path.iterdir()) == before

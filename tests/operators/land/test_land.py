@@ -16,6 +16,7 @@ from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.land import cache as land_cache
 from adaptive_terrain.operators.land import shape_land, shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
+from adaptive_terrain.operators.land.bake_land import BakeLand
 from adaptive_terrain.operators.land.panel import NOTE_LINES, status_lines, time_text
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.request import gather
@@ -248,6 +249,43 @@ def test_baked_land_needs_no_stack(terrain):
     assert session.record_of(terrain).field.raster.digest == open_store(baked).raster.digest
     with pytest.raises(RuntimeError, match="nothing to bake: the list is empty"):
         bpy.ops.adaptive_terrain.bake_land()
+
+
+@pytest.fixture
+def bake(terrain):
+    """Return a function that starts to bake shaped land in a window."""
+    add("scree", depth=80.0)
+    bpy.ops.adaptive_terrain.shape()
+    return lambda: running(BakeLand, terrain)
+
+
+def test_a_window_bakes_land_beside_its_work(bake, terrain):
+    source, operator = terrain.adaptive_terrain.store, bake()
+    assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.BAKE_LAND, terrain).text.endswith(jobs.CHECKING)
+    assert terrain.adaptive_terrain.land.entries and not BakeLand.poll(operator.context)
+    assert to_the_end(operator) == {"FINISHED"} and not terrain.adaptive_terrain.land.entries
+    assert open_store(terrain.adaptive_terrain.store).path == Path(source + "_baked")
+
+
+def test_a_cancelled_bake_leaves_list_and_store(bake, terrain):
+    source, operator = terrain.adaptive_terrain.store, bake()
+    operator.job.stop()
+    assert to_the_end(operator) == {"CANCELLED"} and len(terrain.adaptive_terrain.land.entries) == 1
+    assert terrain.adaptive_terrain.store == source and not Path(source + "_baked").exists()
+
+
+def test_a_list_that_changes_during_a_bake_stays(bake, terrain):
+    source, operator = terrain.adaptive_terrain.store, bake()
+    add("relief")
+    to_the_end(operator)
+    assert operator.report.call_args.args[0] == {"WARNING"} and len(terrain.adaptive_terrain.land.entries) == 2
+    assert terrain.adaptive_terrain.store == source and open_store(source + "_baked")
+
+
+def test_a_window_refuses_to_bake_unshaped_land(terrain):
+    add("scree")
+    operator = running(BakeLand, terrain)
+    assert operator.began == {"CANCELLED"} and "press Shape Now" in operator.report.call_args.args[1]
 
 
 def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):

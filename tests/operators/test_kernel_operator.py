@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that wait for their kernels after a click, beside the window."""
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+from adaptive_terrain.cbt_terrain.run import launch, warmup
+from adaptive_terrain.operators.export.bake_terrain import BakeTerrain
+from adaptive_terrain.operators.export.export_terrain import ExportTerrain
+from adaptive_terrain.operators.ground.add_collider import AddCollider
+from adaptive_terrain.operators.ground.drop_to_ground import BOUNDS, DropToGround
+from adaptive_terrain.operators.ground.keep_above import KeepAboveGround
+from adaptive_terrain.operators.ground.viewshed import Viewshed
+from ground_scenes import askew, cube, hills_store, only  # noqa: F401
+from modal_runs import running, to_the_end
+
+DROP = {"anchor": BOUNDS, "offset": 0.0, "align": True, "keep": False}
+OPERATORS = {
+    DropToGround: DROP,
+    KeepAboveGround: {"clearance": 2.0},
+    Viewshed: {"target_height": 0.0, "radius": 0.0, "attribute": False},
+    AddCollider: {"rigid_body": False},
+    BakeTerrain: {},
+    ExportTerrain: {"is_chosen": True, "options": SimpleNamespace(is_invoke=True)},
+}
+
+
+@pytest.fixture
+def click(askew, tmp_path, monkeypatch):  # noqa: F811
+    """Return a function that clicks on an operator while `ask` says that kernels are missing twice."""
+    rock, answers, asked = cube("Rock", (80.0, -20.0, 0.0)), iter([False, False]), set()
+    only(rock)
+
+    def ask(modules):
+        asked.update(module.__name__ for module in modules)
+        return next(answers, True)
+
+    def start(operator_class):
+        is_ground = operator_class in (DropToGround, KeepAboveGround, Viewshed)
+        bpy.context.view_layer.objects.active = obj = rock if is_ground else askew
+        askew.adaptive_terrain.bake_fit = True
+        operator = running(operator_class, obj, filepath=str(tmp_path / "a.ply"), **OPERATORS[operator_class])
+        return operator, asked
+
+    monkeypatch.setattr(warmup, "ask", ask)
+    return start
+
+
+@pytest.mark.parametrize("operator_class", OPERATORS)
+def test_a_click_waits_for_kernels_beside_the_window(click, operator_class, monkeypatch):
+    """Whatever it launches was prepared before: nothing is compiled in the window's thread."""
+    known = {module.__name__ for module in [*warmup.kernel_modules(), *warmup.overlay_modules()]}
+    launched, load = set(), launch._load
+    monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
+    operator, asked = click(operator_class)
+    assert operator.began == {"RUNNING_MODAL"} and not launched
+    assert to_the_end(operator) == {"FINISHED"} and launched and launched <= known | asked
+
+
+def test_a_second_click_does_not_carry_out_twice(click):
+    first, _ = click(BakeTerrain)
+    second, _ = click(BakeTerrain)
+    assert (first.began, second.began) == ({"RUNNING_MODAL"}, {"CANCELLED"})
+    assert to_the_end(first) == {"FINISHED"}
+    assert [obj.name for obj in bpy.data.objects if "baked" in obj.name] == ["Askew baked"]

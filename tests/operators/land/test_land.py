@@ -261,7 +261,7 @@ def bake(terrain):
 
 def test_a_window_bakes_land_beside_its_work(bake, terrain):
     source, operator = terrain.adaptive_terrain.store, bake()
-    assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.BAKE_LAND, terrain).text.endswith(jobs.CHECKING)
+    assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.BAKE_LAND, terrain) == operator.job
     assert terrain.adaptive_terrain.land.entries and not BakeLand.poll(operator.context)
     assert to_the_end(operator) == {"FINISHED"} and not terrain.adaptive_terrain.land.entries
     assert open_store(terrain.adaptive_terrain.store).path == Path(source + "_baked")

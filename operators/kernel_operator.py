@@ -5,6 +5,7 @@ from types import ModuleType
 
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import warmup
+from .session.polls import remember_object, remembered_object
 
 WAIT_S = 0.1
 _waiting: set[str] = set()  # bl_idname of operators that wait: a second click would carry them out twice
@@ -27,6 +28,7 @@ class KernelOperator:
             return {"CANCELLED"}
         if self._has_kernels(context):
             return self.execute(context)
+        remember_object(self, context)
         _waiting.add(self.bl_idname)
         self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -36,11 +38,16 @@ class KernelOperator:
         """Execute the operator once the kernels are ready; the timer calls this until then."""
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if can_run := self.poll(context):
-            if not self._has_kernels(context):
-                return {"PASS_THROUGH"}
-        self.cancel(context)
-        return self.execute(context) if can_run else {"CANCELLED"}
+        try:
+            with remembered_object(self, context):
+                if can_run := self.poll(context):
+                    if not self._has_kernels(context):
+                        return {"PASS_THROUGH"}
+                self.cancel(context)
+                return self.execute(context) if can_run else {"CANCELLED"}
+        except TerrainError:  # the object is gone
+            self.cancel(context)
+            return {"CANCELLED"}
 
     def cancel(self, context):
         """Stop waiting, also because another file is opened."""

@@ -45,10 +45,13 @@ def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: W
 
 
 def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, part: float = 1.0) -> bool:
-    """Return whether the whole land costs less than a part of the tiles with their margins."""
+    """Return whether the whole land costs at most as much as a part of the tiles with their margins.
+
+    They are equal where a raster is a single tile; the whole land then serves exports, too.
+    """
     if max(lattice.width, lattice.height) > MAX_WHOLE:
         return False
-    return _plan_levels(lattice, stack, whole_land(lattice)).total < part * _plan_levels(lattice, stack, tiles).total
+    return _plan_levels(lattice, stack, whole_land(lattice)).total <= part * _plan_levels(lattice, stack, tiles).total
 
 
 def lattice_of(source: str) -> Lattice:

@@ -48,18 +48,6 @@ def propose_file(operator, obj, name_end: str = "") -> None:
     operator.filepath = str(Path(beside).with_name(name)) if beside else name
 
 
-def invoke_with_file(operator) -> set[str]:
-    """Invoke an operator anew with the file that its dialog has chosen: a dialog calls `execute`, which cannot wait.
-
-    The operator has a property `is_chosen`. Return Blender's result set.
-    """
-    import bpy
-
-    again = getattr(bpy.ops.adaptive_terrain, type(operator).bl_idname.partition(".")[2])
-    again("INVOKE_DEFAULT", is_chosen=True, **operator.as_keywords(ignore=("is_chosen",)))
-    return {"FINISHED"}
-
-
 def no_heights(obj) -> TerrainError:
     """Return the error for a terrain without a store."""
     what = f"The terrain {obj.name!r} has no height field"

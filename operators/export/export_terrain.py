@@ -8,10 +8,10 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
-from ..bridge.scene_paths import invoke_with_file, propose_file
+from ..bridge.scene_paths import propose_file
 from ..kernel_operator import KernelOperator
 from ..session import session
-from ..session.polls import TerrainObjectOperator
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors, invoke_with_file, remember_object
 from ..terrain.request import RENDER, gather
 from ..terrain.request_kernels import kernels_for
 from .formats import FORMATS, format_of
@@ -39,18 +39,17 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
         """Ask for a file, or write once it is chosen and the kernels are ready."""
         if self.is_chosen:
             return KernelOperator.invoke(self, context, event)
+        remember_object(self, context)
         propose_file(self, context.object)
         return ExportHelper.invoke(self, context, event)
 
+    @cancelled_by_errors
     def execute(self, context):
         """Write the terrain to the chosen file, and restore the viewport's detail even after an error."""
         if self.options.is_invoke and not self.is_chosen:
-            return invoke_with_file(self)
+            return invoke_with_file(self, context)
         try:
             self._write(context, Path(self.filepath))
-        except (TerrainError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         finally:
             self._restore_viewport(context.object)
         return {"FINISHED"}

@@ -20,12 +20,12 @@ from ...kernels.query import ground
 from .. import jobs
 from ..attributes.request import gather_effects
 from ..bridge.evaluated import raster_placement_of
-from ..bridge.scene_paths import invoke_with_file, propose_file
+from ..bridge.scene_paths import propose_file
 from ..job_operator import JobOperator
 from ..land.bake_land import shaped_field
 from ..land.shape_land import check_is_shaped
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import cancelled_by_errors, invoke_with_file, on_terrain_object, remember_object
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
 from .exporting import check_target
@@ -80,14 +80,16 @@ class LandExport(JobOperator, ExportHelper):
             check_is_shaped(context.object, context.evaluated_depsgraph_get())
         except TerrainError as error:
             return self.fail(context.object, str(error))
+        remember_object(self, context)
         propose_file(self, context.object, self.name_end)
         return ExportHelper.invoke(self, context, event)
 
+    @cancelled_by_errors
     def execute(self, context):
         """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
         if not self.options.is_invoke:
             return JobOperator.execute(self, context)
-        return invoke_with_file(self)
+        return invoke_with_file(self, context)
 
     def check_file(self) -> None:
         """Raise TerrainError, before any work, if the chosen file cannot be written."""

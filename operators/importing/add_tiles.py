@@ -9,6 +9,7 @@ import bpy
 from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES
 from ...cbt_terrain.rasters.source_formats import FORMATS
 from ..bridge.scene_paths import absolute_path
+from ..session.polls import cancelled_by_errors, remember_object, remembered_object
 from ..terrain.properties import FILE
 
 FILTER = ";".join(f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES))
@@ -30,6 +31,7 @@ class ChosenFiles:
     def invoke(self, context, _event):
         if self.filepath or len(self.files):  # dropped
             return self.execute(context)
+        remember_object(self, context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -48,8 +50,13 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
         cls.poll_message_set("Select a terrain whose source is a file")
         return settings is not None and settings.enabled and settings.source == FILE and bool(settings.source_path)
 
+    @cancelled_by_errors
     def execute(self, context):
-        settings = context.object.adaptive_terrain
+        with remembered_object(self, context):
+            return self._add(context.object.adaptive_terrain)
+
+    def _add(self, settings):
+        """Add the chosen files to a terrain's settings and import all; remove them again if that fails."""
         before = len(settings.more_sources)
         known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
         for path in self.chosen():

@@ -15,7 +15,7 @@ from ...cbt_terrain.run.owned_files import check_folder
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session import session
-from ..session.polls import cancelled_by_errors, on_terrain
+from ..session.polls import cancelled_by_errors, on_terrain, remember_object, remembered_object
 from ..text.numbers import plain
 from ..text.translations import phrase
 
@@ -88,6 +88,7 @@ class ClearLandCache(bpy.types.Operator):
 
     def invoke(self, context, _event):
         """Ask before anything is removed, in a dialog with the sizes."""
+        remember_object(self, context)
         try:
             self.messages = describe_cache(self._store(context))
         except TerrainError as error:
@@ -102,8 +103,9 @@ class ClearLandCache(bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Remove tiles and the land that no terrain shows, and report the freed megabytes."""
-        freed = 0
-        for what, folder, size in stored_land(self._store(context)):
+        with remembered_object(self, context):
+            store, freed = self._store(context), 0
+        for what, folder, size in stored_land(store):
             if what == "tiles":
                 store_folder.remove_tiles(folder)
             elif what != "shown":

@@ -45,7 +45,7 @@ def check_is_shaped(obj, depsgraph) -> None:
     if land is not None and not land.is_shaped:
         raise TerrainError(
             f"The land of {obj.name!r} is not shaped at all its levels yet",
-            fix="press Shape Now first, which runs beside the window",
+            fix="press Shape Now in the panel Land first, which runs beside the window",
         )
 
 

@@ -2,7 +2,10 @@
 """Polls of operators that act on the active terrain, with the reason for the tooltip, and their errors."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from . import session
@@ -52,6 +55,39 @@ class TerrainObjectOperator:
     @classmethod
     def poll(cls, context):
         return on_terrain_object(cls, context)
+
+
+def remember_object(operator, context) -> None:
+    """Keep which object an operator acts on: a panel's button names it only until a dialog or a wait begins."""
+    operator.object_uid = None if context.object is None else context.object.session_uid
+
+
+@contextmanager
+def remembered_object(operator, context) -> Iterator[None]:
+    """Make the remembered object the context's `object` inside the block; change nothing for an operator without one.
+
+    Raises TerrainError if it is gone.
+    """
+    uid = getattr(operator, "object_uid", None)
+    if uid is None:
+        yield
+        return
+    obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+    if obj is None:
+        raise TerrainError("The object is gone", fix="try again with another one")
+    with context.temp_override(object=obj):
+        yield
+
+
+def invoke_with_file(operator, context) -> set[str]:
+    """Invoke an operator anew with the file that its dialog has chosen: a dialog calls `execute`, which cannot wait.
+
+    The operator has a property `is_chosen`, and has remembered its object. Return Blender's result set.
+    """
+    again = getattr(bpy.ops.adaptive_terrain, type(operator).bl_idname.partition(".")[2])
+    with remembered_object(operator, context):
+        again("INVOKE_DEFAULT", is_chosen=True, **operator.as_keywords(ignore=("is_chosen",)))
+    return {"FINISHED"}
 
 
 def cancelled_by_errors(execute: Callable) -> Callable:

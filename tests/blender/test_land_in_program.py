@@ -21,7 +21,7 @@ def test_land_is_shaped_in_the_background(program, tmp_path):
     assert report["previews_a_step"] == 1 and report["tiles"] is None
     assert report["progress"] and report["after_cancel"] == "Preview"
     assert report["tiles_shaped"][0] == report["tiles_shaped"][1] > 1, "without views all tiles are built"
-    assert "press Shape Now first" in report["not_baked"], "it would block the window"
+    assert "press Shape Now" in report["not_baked"], "it would block the window"
     assert report["baked"] == [True, 0] and report["baked_differs_m"] == 0.0
     assert report["stores_for_undo"] == 0, "what was shaped before is found again"
     assert report["hidden_cost"] == [0, 0] and report["shown_cost"] == [1, 0]

@@ -64,3 +64,17 @@ def test_a_second_click_does_not_carry_out_twice(click):
     assert (first.began, second.began) == ({"RUNNING_MODAL"}, {"CANCELLED"})
     assert to_the_end(first) == {"FINISHED"}
     assert [obj.name for obj in bpy.data.objects if "baked" in obj.name] == ["Askew baked"]
+
+
+def test_it_acts_on_the_object_of_the_click(click):
+    """A panel's button names the terrain though another object is active, but only during the click."""
+    operator, _ = click(BakeTerrain)
+    operator.context.object = bpy.data.objects["Rock"]
+    assert to_the_end(operator) == {"FINISHED"} and "Askew baked" in bpy.data.objects
+
+
+def test_a_removed_object_ends_the_wait(click, askew):  # noqa: F811
+    operator, _ = click(AddCollider)
+    bpy.data.objects.remove(askew)
+    operator.context.object = None
+    assert to_the_end(operator) == {"CANCELLED"}

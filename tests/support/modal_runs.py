@@ -3,6 +3,8 @@
 
 import inspect
 import time
+from contextlib import contextmanager
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -13,6 +15,14 @@ class RunningOperator(SimpleNamespace):
     def __getattr__(self, name):
         value = getattr(self.operator_class, name)
         return value.__get__(self) if inspect.isfunction(value) else value
+
+
+@contextmanager
+def _overridden(context, object):
+    """Make another object the context's inside the block."""
+    before, context.object = context.object, object
+    yield
+    context.object = before
 
 
 def running(operator_class, obj, **properties):
@@ -31,6 +41,7 @@ def running(operator_class, obj, **properties):
         view_layer=bpy.context.view_layer,
         evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
     )
+    operator.context.temp_override = partial(_overridden, operator.context)
     operator.began = operator.invoke(operator.context, None)
     return operator
 

@@ -14,6 +14,7 @@ from adaptive_terrain.cbt_terrain.height_operators.derived_store import Land
 from adaptive_terrain.cbt_terrain.height_operators.preview import preview
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
+from adaptive_terrain.cbt_terrain.height_operators.tiles import all_tiles
 from land_effects import bumpy
 
 FACTOR = 4.0  # between estimate and measurement, while other tests share the cores
@@ -83,3 +84,10 @@ def test_nothing_is_estimated_without_measurement(source, tmp_path):
     lonely.mkdir()
     (lonely / "store.json").write_bytes((Path(source) / "store.json").read_bytes())
     assert shaping_cost.estimate_seconds(str(lonely), RELIEF, None, in_tiles=False) is None
+
+
+def test_a_raster_of_one_tile_is_made_whole(tmp_path):
+    """The tile costs the same, and exports need the whole land."""
+    lattice = fit(257, 257, 24.0, 24.0)
+    folder = str(tmp_path / "land")
+    assert shaping_cost.costs_less_whole_than(lattice, RELIEF, folder, all_tiles(lattice))

@@ -3,6 +3,7 @@
 
 import re
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import pytest
@@ -11,10 +12,13 @@ from adaptive_terrain.cbt_terrain.rasters.source_formats import FORMATS
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain
+from adaptive_terrain.operators.importing.add_tiles import AddTiles
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, info_lines
+from adaptive_terrain.operators.session.polls import remember_object
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
 from drawn_panels import DrawnLayout
+from modal_runs import RunningOperator
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
@@ -122,6 +126,21 @@ def test_tiles_are_added_to_a_terrain(scene, tmp_path):
     assert len(settings.more_sources) == 2 and imported_of(settings).raster == (60, 20)
     settings.source = "ISLAND"
     assert not bpy.ops.adaptive_terrain.add_tiles.poll()
+
+
+def test_a_dialog_adds_tiles_to_the_terrain_of_its_button(scene, tmp_path):
+    """Another object is active: the panel shows the scene's only terrain."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    files = write_tiles(tmp_path / "tiles")
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
+    terrain, cube = bpy.context.object, bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    scene.collection.objects.link(cube)
+    operator = RunningOperator(operator_class=AddTiles, report=Mock(), filepath=str(files[1]), files=[])
+    remember_object(operator, bpy.context)
+    bpy.context.view_layer.objects.active = cube
+    assert AddTiles.execute(operator, bpy.context) == {"FINISHED"}
+    assert [item.path for item in terrain.adaptive_terrain.more_sources] == [str(files[1])]
+    assert not cube.adaptive_terrain.more_sources
 
 
 def test_the_box_of_add_terrain_draws_properties_that_exist(scene):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says, and the one-click island."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -249,6 +250,7 @@ def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing
     manager, timer = Mock(), SimpleNamespace(type="TIMER")
     context = SimpleNamespace(window_manager=manager, window=None, object=terrain, mode="OBJECT")
     context.evaluated_depsgraph_get = bpy.context.evaluated_depsgraph_get
+    context.temp_override = lambda **_members: nullcontext()
     update = RunningOperator(operator_class=UpdateTerrain, report=Mock())
     assert update.invoke(context, None) == {"RUNNING_MODAL"}
     assert update.modal(context, timer) == {"PASS_THROUGH"}

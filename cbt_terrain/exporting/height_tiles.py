@@ -5,6 +5,7 @@ Samples are points of the terrain's surface without displacement. Integer format
 height = offset + scale * number. The largest difference to the surface is counted while the tiles are written.
 """
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,7 @@ from .tile_grid import TileAxis, axes_of
 VERSION = 1
 PATTERN = "{name}_x{x}_y{y}"
 HOLES = "holes"
+NO_FILE_NAME = frozenset('/\\:*?"<>|\0')
 # Of the tiles that are written side by side. Systems allow 256 open files or more.
 MAX_OPEN, MAX_COLUMNS = 64, 65_536
 # Unreal: height in cm = (number - 32768) / 128 * scale Z.
@@ -214,8 +216,11 @@ def export_height_tiles(
 
 
 def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
-    """Return a layer for each number of each attribute; of splat layers, only those that exist, with their names."""
-    layers = []
+    """Return a layer for each number of each attribute; of splat layers, only those that exist, with their names.
+
+    A name that a file system would confuse with another gets a number: the layer Scree beside the by-product scree.
+    """
+    layers, used = [], {HOLES}
     for request in masks:
         attribute = ATTRIBUTES[request.name]
         names = [request.name if attribute.width == 1 else f"{request.name}_{k + 1}" for k in range(attribute.width)]
@@ -226,6 +231,10 @@ def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
             names = [layer.name for layer in splats[first : first + attribute.width]]
         low, high = attribute.span or (math.inf, -math.inf)
         for channel, name in enumerate(names):
+            name = "".join("_" if letter in NO_FILE_NAME else letter for letter in name)
+            numbered = (f"{name}_{k}" for k in itertools.count(2))
+            name = next(n for n in itertools.chain([name], numbered) if n.casefold() not in used)
+            used.add(name.casefold())
             layers.append(_Layer(name, MASK_FORMAT, ".png", request, channel, low, high))
     return layers
 
@@ -242,7 +251,7 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
                 except (LookupError, ValueError, AttributeError, TypeError):
                     names[k, x, y] = ""
     used = [*names.values(), f"{settings.name}.json"]
-    bad = [name for name in used if not name.rpartition(".")[0] or set(name) & set('/\\:*?"<>|\0')]
+    bad = [name for name in used if not name.rpartition(".")[0] or set(name) & NO_FILE_NAME]
     if bad or len({name.casefold() for name in used}) < len(used):
         what = f"{bad[0]!r} is no file name" if any(bad) else "gives one name to several files, or none"
         raise TerrainError(

@@ -3,12 +3,14 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import DEFAULT
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.exporting import height_tiles
 from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
@@ -148,6 +150,17 @@ def test_holes_become_a_mask(make, tmp_path, form):
     assert np.isnan(found).sum() == (200 if form == "tif" else 0)
     good = index["heights"]["offset"] + index["heights"]["scale"] * found
     assert abs(good - padded(heights, index))[~wanted].max() <= index["heights"]["max_error"] + 1e-9
+
+
+def test_masks_with_like_names_have_files_of_their_names(make, tmp_path):
+    """A by-product scree, the default layer Scree, and names that no file can have."""
+    named = [replace(DEFAULT[0], name=name) for name in ("Scree", "Rock/Ice", "holes", "scree_2")]
+    requests = [
+        AttributeRequest("scree", ("test",)),
+        AttributeRequest("splat_1", ("test",), (("layers", tuple(named)),)),
+    ]
+    found = [layer.name for layer in height_tiles._mask_layers(requests)]
+    assert found == ["scree", "Scree_2", "Rock_Ice", "holes_2", "scree_2_2"]
 
 
 def test_masks_hold_attributes_and_layers_by_name(make, tmp_path):

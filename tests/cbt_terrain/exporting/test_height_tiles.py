@@ -157,7 +157,7 @@ def test_masks_with_like_names_have_files_of_their_names(make, tmp_path):
     named = [replace(DEFAULT[0], name=name) for name in ("Scree", "Rock/Ice", "holes", "scree_2")]
     requests = [
         AttributeRequest("scree", ("test",)),
-        AttributeRequest("splat_1", ("test",), (("layers", tuple(named)),)),
+        AttributeRequest("splat_1", ("test",), parameters=(("layers", tuple(named)),)),
     ]
     found = [layer.name for layer in height_tiles._mask_layers(requests)]
     assert found == ["scree", "Scree_2", "Rock_Ice", "holes_2", "scree_2_2"]

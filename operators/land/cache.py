@@ -15,7 +15,7 @@ from ...cbt_terrain.run.owned_files import check_folder
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session import session
-from ..session.polls import cancelled_by_errors, on_terrain, remember_object, remembered_object
+from ..session.polls import NOT_ACTIVE, cancelled_by_errors
 from ..text.numbers import plain
 from ..text.translations import phrase
 
@@ -78,8 +78,13 @@ class ClearLandCache(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Refuse while land is being shaped, because that reads the tiles."""
-        if not on_terrain(cls, context) or not context.object.adaptive_terrain.store:
+        """Refuse while land is being shaped, because that reads the tiles.
+
+        Blender polls again when the dialog is confirmed, where the button's object is lost: the panel's terrain counts.
+        """
+        terrain = session.shown_terrain(context)
+        if terrain is None or not terrain.adaptive_terrain.store:
+            cls.poll_message_set(NOT_ACTIVE)
             return False
         if jobs.find(jobs.SHAPE):
             cls.poll_message_set("Land is being shaped, which reads its tiles")
@@ -88,7 +93,6 @@ class ClearLandCache(bpy.types.Operator):
 
     def invoke(self, context, _event):
         """Ask before anything is removed, in a dialog with the sizes."""
-        remember_object(self, context)
         try:
             self.messages = describe_cache(self._store(context))
         except TerrainError as error:
@@ -103,9 +107,8 @@ class ClearLandCache(bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Remove tiles and the land that no terrain shows, and report the freed megabytes."""
-        with remembered_object(self, context):
-            store, freed = self._store(context), 0
-        for what, folder, size in stored_land(store):
+        freed = 0
+        for what, folder, size in stored_land(self._store(context)):
             if what == "tiles":
                 store_folder.remove_tiles(folder)
             elif what != "shown":
@@ -115,4 +118,4 @@ class ClearLandCache(bpy.types.Operator):
         return {"FINISHED"}
 
     def _store(self, context) -> str:
-        return absolute_path(context.object.adaptive_terrain.store)
+        return absolute_path(session.shown_terrain(context).adaptive_terrain.store)

@@ -201,6 +201,18 @@ def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     assert shaped_land.state_of(terrain).shown == "Shaped"
 
 
+def test_the_cache_is_cleared_while_another_object_is_active(terrain):
+    """Blender polls again when the dialog is confirmed, without the button's terrain."""
+    add("scree")
+    bpy.ops.adaptive_terrain.shape()
+    tiles = land_folder.folder_beside(terrain.adaptive_terrain.store) / "tiles"
+    assert tiles.is_dir()
+    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    bpy.context.collection.objects.link(cube)
+    bpy.context.view_layer.objects.active = cube
+    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not tiles.exists()
+
+
 def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terrain, tmp_path):
     """A store behind a link, or by way of another folder, and one that was baked from it."""
     (tmp_path / "scenes").mkdir()

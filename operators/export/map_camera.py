@@ -35,6 +35,8 @@ from .file_outputs import escape_braces
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
 FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_state` that belong to this extent
+BEFORE = "adaptive_terrain_map_before"  # property with the numbers of SIZE before the map
+SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 MARGIN = 0.1  # of the terrain's height, above and below
@@ -108,7 +110,10 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     place[:3, :3], place[:3, 3] = axes, matrix[:3, 3] + axes[:, 2] * top
     camera.matrix_world = Matrix(place.tolist())
     camera[EXTENT] = json.dumps([*low, *high, placing.crs])
-    scene.camera, render = camera, scene.render
+    render = scene.render
+    if scene.camera is None or BEFORE not in scene.camera:
+        camera[BEFORE] = [float(getattr(render, name)) for name in SIZE]
+    scene.camera = camera
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     render.pixel_aspect_x, render.pixel_aspect_y = (side / min(pixel) for side in pixel)
     camera[FRAME] = _camera_state(scene)
@@ -117,6 +122,14 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
         sun.data.energy = 3.0
         sun.matrix_world = Matrix(place[:3, :3].tolist()).to_4x4() @ _sun_rotation()
     return camera
+
+
+def leave_map(scene) -> None:
+    """Give the scene the size of its pictures before the map, if its camera is an unchanged map camera."""
+    camera = scene.camera
+    if camera is not None and BEFORE in camera and _is_unchanged(scene):
+        for name, value in zip(SIZE, camera[BEFORE], strict=True):
+            setattr(scene.render, name, value if name.startswith("pixel") else int(value))
 
 
 def _camera_state(scene) -> list[float]:
@@ -128,6 +141,12 @@ def _camera_state(scene) -> list[float]:
     aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
     rows = scene.camera.matrix_world[:3]
     return [data.ortho_scale, data.shift_x, data.shift_y, aspect, *(value for row in rows for value in row)]
+
+
+def _is_unchanged(scene) -> bool:
+    """Return whether the map camera and the picture's aspect are those of its extent."""
+    frame = _camera_state(scene)
+    return np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0])
 
 
 def _sun_rotation() -> Matrix:
@@ -164,8 +183,7 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
     whole map, so they fit together.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
-    frame = _camera_state(scene)
-    if not np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0]):
+    if not _is_unchanged(scene):
         raise TerrainError("The map's camera or the picture's aspect was changed", fix="use Map Camera again")
     form = FORMATS.get(path.suffix.lower())
     if form is None:

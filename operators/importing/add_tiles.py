@@ -32,6 +32,8 @@ class ChosenFiles:
         if self.filepath or len(self.files):  # dropped
             return self.execute(context)
         remember_object(self, context)
+        if beside := bpy.data.filepath:  # or the dialog proposes the name of the .blend file
+            self.directory = str(Path(beside).parent)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

@@ -6,6 +6,7 @@ import math
 import bpy
 from mathutils import Vector
 
+from ..export.map_camera import leave_map
 from ..importing.imported import imported_of
 from ..layers.material import dress, has_group, is_bare
 from ..layers.operators import PRESET_PANEL, PRESETS
@@ -128,6 +129,7 @@ class SetUpScene(bpy.types.Operator):
                 viewpoint.look_from(viewport[1], place, 0.5 * sight.diagonal(sight.box_of(obj)))
         mine.matrix_world = place
         mine.data.clip_start, mine.data.clip_end = viewpoint.clip_range(obj, place.translation)
+        leave_map(scene)
         scene.camera = mine
         return mine
 

@@ -71,6 +71,21 @@ def test_a_map_shows_each_cell_where_its_files_say(scene, mapped, tmp_path):
         )
 
 
+def test_set_up_scene_after_a_map_restores_the_picture_size(scene, mapped):
+    """A map of few cells would make the next render tiny; a size that the user has changed since then stays."""
+    before = scene.render.resolution_x, scene.render.resolution_y
+    for _ in range(2):
+        bpy.ops.adaptive_terrain.map_camera()
+    assert before != (40, 30) == (scene.render.resolution_x, scene.render.resolution_y)
+    bpy.ops.adaptive_terrain.set_up_scene()
+    assert (scene.render.resolution_x, scene.render.resolution_y) == before
+    assert scene.render.pixel_aspect_x == scene.render.pixel_aspect_y == 1.0
+    bpy.ops.adaptive_terrain.map_camera()
+    scene.render.resolution_x = 400
+    bpy.ops.adaptive_terrain.set_up_scene()
+    assert scene.render.resolution_x == 400
+
+
 def test_tiles_of_a_map_fit_together(scene, mapped, tmp_path):
     """Pixels by metres, 3 x 2 tiles of uneven sizes, as TIFF: the same pixels as in one piece."""
     bpy.ops.adaptive_terrain.map_camera(use_metres=True, metres=13.0)

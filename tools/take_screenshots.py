@@ -2,7 +2,7 @@
 """Take pictures of the window for docs/images in the real Blender program: `take_screenshots.py WRAPPER [SCENE ...]`.
 
 WRAPPER is `.cache/blender.run`, written by tools/get_blender.sh. The scenes are those of SCENES, all by default: two of
-the panel, and the first evening. The script needs root and some minutes, for the evening half an hour: it builds the
+the panel, and the first evening. The script needs root and some minutes, for the evening ten: it builds the
 extension and installs it into a folder that is removed at the end.
 """
 
@@ -26,6 +26,7 @@ SCENES = {
     "panel": ((1320, 1300), ("panel",)),
     "evening": ((1440, 900), EVENING),
 }
+MAX_SIDE = 1320  # pixels of a picture in the docs
 EASTING, NORTHING = 600_000.0, 5_200_000.0  # of the evening's elevation model
 
 
@@ -56,6 +57,7 @@ def save_picture(folder: Path, picture: str) -> None:
     """Save the render that the scene has written, or else the screen, and let the scene go on."""
     render = folder / f"{picture}.png"
     screen = Image.open(render).convert("RGB") if render.exists() else program_window.read_screen(folder)
+    screen.thumbnail((MAX_SIDE, MAX_SIDE))
     screen.save(ROOT / "docs" / "images" / f"{picture}.jpg", quality=88)
     (folder / f"{picture}.ready").rename(folder / f"{picture}.saved")
 

@@ -257,8 +257,7 @@ def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -
     names, lattice, missing = list(request["files"]), field.lattice, field.valid is not None
     for number, (name, path) in enumerate(request["files"].items()):
         shape = RasterShape(lattice.width, lattice.height, transform[:6], crs, missing, name)
-        bands = _bands(field, names, number, lambda fraction: tell(fraction, "Writing"))
-        _write_tiff(Path(path), bands, shape)
+        _write_tiff(Path(path), _bands(field, names, number, lambda fraction: tell(fraction, "Writing")), shape)
     return list(request["files"].values())
 
 

@@ -9,7 +9,7 @@ from ..text.numbers import length_text, time_text
 from ..text.shown_bounds import bound_text
 from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_message, draw_switched, show_terrain
-from ..ui.status_row import draw_failure
+from ..ui.status_row import NO_VIEW, draw_failure, sight_notice
 from .fitting import count_on_land, size_of
 from .properties import MESH
 from .request import ScatterRecord, is_scatter, scatters_of
@@ -63,7 +63,10 @@ class ScatterPanel:
         box = column.box().column(align=True)
         draw_figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
         if not draw_failure(box, terrain):
-            box.label(text=phrase("On {}", terrain.name), icon="CHECKMARK")
+            notice = sight_notice(context, terrain)[0]
+            has_view = notice not in NO_VIEW
+            text = phrase("On {}", terrain.name) if has_view else phrase(notice)
+            box.label(text=text, icon="CHECKMARK" if has_view else "ERROR")
         for line in size_lines(settings, terrain):
             column.label(text=line, icon="BLANK1")
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
@@ -98,7 +101,7 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
     """Return four (name, value) rows about a scatter: points, tested candidates, time, distance to the mesh."""
     points, took = summary(scatter)
     tested, off = "-", "-"
-    if points != "-":
+    if points != "-" and scatter.points.tested:
         tested = f"{scatter.points.tested:,}"
         px, metres = status.bounds.bound_px, status.bounds.bound_m
         bound = (px, "px") if px is not None else (metres or 0.0, "m")

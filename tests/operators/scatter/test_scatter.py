@@ -16,6 +16,7 @@ from adaptive_terrain.operators.scatter.properties import scatter_of
 from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH
 from adaptive_terrain.operators.ui.status_row import ShowMessage, draw_failure
+from drawn_panels import draw
 
 
 def attribute(obj, name, width, dtype=np.float32, member="value"):
@@ -167,12 +168,25 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     session.update_object(terrain)
     lines = dict(scatter_lines(scatter.adaptive_scatter, record_of(terrain, scatter), record.status))
     assert lines["Points"] == f"{len(scatter.data.vertices):,}"
-    assert lines["Update"].endswith(" ms") and lines["Off the mesh"].startswith("≤ ")
+    assert lines["Update"].endswith(("ms", " s")) and lines["Off the mesh"].startswith("≤ ")
     assert lines["Off the mesh"].endswith(" px")
     scatter.location.z = 2.0
     bpy.context.view_layer.update()
     lines = dict(scatter_lines(scatter.adaptive_scatter, record_of(terrain, scatter), record.status))
     assert lines["Off the mesh"].startswith("moved")
+
+
+def test_the_panel_says_that_the_camera_sees_no_points(scene, terrain, scatter):
+    """Without a view there are no points, and a tick and "≤ 0 px" would look as if all were well."""
+    bpy.context.view_layer.objects.active = scatter
+    session.update_object(terrain)
+    assert f"On {terrain.name}" in draw(ScatterPanel).texts
+    scene.camera.location = (0.0, 0.0, -500.0)
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    texts = draw(ScatterPanel).texts
+    assert "Camera underground" in texts and f"On {terrain.name}" not in texts
+    assert not any(text.startswith("≤") for text in texts)
 
 
 def test_a_viewport_refuses_more_points_than_a_render(scene, terrain, scatter, monkeypatch):

@@ -2,6 +2,7 @@
 """Operators that run beside the window, in turns of a timer as Blender gives them."""
 
 import inspect
+import threading
 import time
 from contextlib import contextmanager
 from functools import partial
@@ -44,6 +45,13 @@ def running(operator_class, obj, **properties):
     operator.context.temp_override = partial(_overridden, operator.context)
     operator.began = operator.invoke(operator.context, None)
     return operator
+
+
+def hold(monkeypatch, module, name: str) -> threading.Event:
+    """Let a function of a module wait, on a job's thread, until the returned event is set."""
+    event, function = threading.Event(), getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *given, **named: (event.wait(60), function(*given, **named))[1])
+    return event
 
 
 def turn(operator, event: str = "TIMER"):

@@ -12,11 +12,12 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.export import export_tiles
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
 from adaptive_terrain.operators.export.export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
 from adaptive_terrain.operators.export.map_camera import RenderMap
 from land_scenes import add
-from modal_runs import RunningOperator, running, to_the_end
+from modal_runs import RunningOperator, hold, running, to_the_end
 from tilesets import read_tileset
 
 
@@ -133,9 +134,10 @@ def heights(terrain, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".exr"])
-def test_a_window_exports_heights_beside_its_work(heights, tmp_path, suffix):
-    operator = heights(suffix)
+def test_a_window_exports_heights_beside_its_work(heights, tmp_path, suffix, monkeypatch):
+    event, operator = hold(monkeypatch, export_tiles, "export_raster"), heights(suffix)
     assert operator.began == {"RUNNING_MODAL"} and jobs.running == [operator.job]
+    event.set()
     assert to_the_end(operator) == {"FINISHED"} and (tmp_path / f"land{suffix}").stat().st_size > 1000
     assert operator.report.call_args.args[1] == f"Written: land{suffix}" and operator.job.fraction == 1.0
 
@@ -143,6 +145,7 @@ def test_a_window_exports_heights_beside_its_work(heights, tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".tif", ".exr"])
 def test_a_cancelled_export_of_heights_leaves_no_file(heights, tmp_path, suffix, monkeypatch):
     before = sorted(tmp_path.iterdir())
-    operator = heights(suffix)
-    monkeypatch.setattr(operator.job, "progress", lambda _fraction: (operator.job.stop(), launch.stopping.check()))
+    event, operator = hold(monkeypatch, export_tiles, "export_raster"), heights(suffix)
+    operator.job.stop()
+    event.set()
     assert to_the_end(operator) == {"CANCELLED"} and sorted(tmp_path.iterdir()) == before

@@ -13,8 +13,8 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.operators import handlers, jobs
+from adaptive_terrain.operators.land import bake_land, shape_land, shaped_land
 from adaptive_terrain.operators.land import cache as land_cache
-from adaptive_terrain.operators.land import shape_land, shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.land.bake_land import BakeLand
 from adaptive_terrain.operators.land.panel import NOTE_LINES, status_lines, time_text
@@ -23,7 +23,7 @@ from adaptive_terrain.operators.terrain.request import gather
 from adaptive_terrain.operators.terrain.request_kernels import kernels_for
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
 from land_scenes import add
-from modal_runs import running, to_the_end, turn
+from modal_runs import hold, running, to_the_end, turn
 
 
 def test_an_unwritable_export_fails_before_land_is_shaped(terrain, tmp_path):
@@ -264,31 +264,35 @@ def test_baked_land_needs_no_stack(terrain):
 
 
 @pytest.fixture
-def bake(terrain):
-    """Return a function that starts to bake shaped land in a window."""
+def bake(terrain, monkeypatch):
+    """Start to bake shaped land in a window; return the operator, and an event that lets it copy."""
     add("scree", depth=80.0)
     bpy.ops.adaptive_terrain.shape()
-    return lambda: running(BakeLand, terrain)
+    event = hold(monkeypatch, bake_land, "copy_store")
+    return running(BakeLand, terrain), event
 
 
 def test_a_window_bakes_land_beside_its_work(bake, terrain):
-    source, operator = terrain.adaptive_terrain.store, bake()
+    source, (operator, event) = terrain.adaptive_terrain.store, bake
     assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.BAKE_LAND, terrain) == operator.job
     assert terrain.adaptive_terrain.land.entries and not BakeLand.poll(operator.context)
+    event.set()
     assert to_the_end(operator) == {"FINISHED"} and not terrain.adaptive_terrain.land.entries
     assert open_store(terrain.adaptive_terrain.store).path == Path(source + "_baked")
 
 
 def test_a_cancelled_bake_leaves_list_and_store(bake, terrain):
-    source, operator = terrain.adaptive_terrain.store, bake()
+    source, (operator, event) = terrain.adaptive_terrain.store, bake
     operator.job.stop()
+    event.set()
     assert to_the_end(operator) == {"CANCELLED"} and len(terrain.adaptive_terrain.land.entries) == 1
     assert terrain.adaptive_terrain.store == source and not Path(source + "_baked").exists()
 
 
 def test_a_list_that_changes_during_a_bake_stays(bake, terrain):
-    source, operator = terrain.adaptive_terrain.store, bake()
+    source, (operator, event) = terrain.adaptive_terrain.store, bake
     add("relief")
+    event.set()
     to_the_end(operator)
     assert operator.report.call_args.args[0] == {"WARNING"} and len(terrain.adaptive_terrain.land.entries) == 2
     assert terrain.adaptive_terrain.store == source and open_store(source + "_baked")

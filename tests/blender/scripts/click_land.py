@@ -150,7 +150,8 @@ def it_is_baked_by_a_button():
     except RuntimeError as error:
         result["not_baked"] = str(error)
         return
-    bpy.ops.ed.undo_push(message="Bake")
+    yield from until(lambda: jobs.find(jobs.BAKE_LAND, terrain()) is None)
+    yield 1.0  # for the undo step of the job's end
     result["baked"] = [settings.store.endswith("_baked"), len(settings.land.entries)]
     yield from until(lambda: session.record_of(terrain()).status.request.land is None)
     result["baked_differs_m"] = abs(mean_height() - before)

@@ -24,28 +24,30 @@ from ..rasters.raster import ImportSettings, Raster
 from ..rasters.rounding import half_step, rounding_warnings
 from ..rasters.sidecars import sidecars
 from ..sandbox.store_job import READING, Tell
+from ..tiling.coarse_land import CoarseLand
 from .drafts import common_report_entries
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .plausibility import ValueCheck, relief_warning
+from .refining import coarse_land, refined
 from .source_list import file_stat, files_of, names_several
-from .thinning import LOADED, loaded_entries, loaded_steps, thinned
+from .thinning import LOADED, REFINED, loaded_entries, loaded_steps, thinned
 from .tile_import import (
     MEASURING,
     Crew,
     ImportPart,
-    TileSource,
     build_by_tile,
     check_tiled,
     do_part,
     is_tiled,
     open_work,
 )
+from .tile_tasks import TileSource
 
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the header of {} has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick")
+ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "tiles")
 
 
 def run_import(
@@ -98,7 +100,10 @@ def import_raster(
         report = finished_import(path, given, raster) if raster.sources else None
         if report is not None:
             return report
-        if settings.quick:
+        land = _first_picture(given, raster, path) if settings.tiles else None
+        if land is not None:
+            raster = refined(raster, settings, land)
+        elif settings.quick:
             raster = thinned(raster, settings)
             if raster.full_size is None:
                 given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
@@ -108,6 +113,8 @@ def import_raster(
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1))
         raster.warnings += notes
+        if land is not None and notes:
+            raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
         if part is not None:
             check_tiled(raster, lattice, settings.name)
             return do_part(
@@ -129,7 +136,7 @@ def import_raster(
                 on_progress(begin + (1.0 - begin) * share, message)
 
             if is_tiled(raster, lattice):
-                source = TileSource(raster, settings, place)
+                source = TileSource(raster, settings, place, land)
                 field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
             else:
                 field = _build(reader, place, draft, lattice, tell)
@@ -137,7 +144,7 @@ def import_raster(
                 origin=np.array([*place.middle, 0.0]),
                 crs=place.crs,
                 place=place.place,
-                provenance=_provenance(given, raster, place),
+                provenance=_provenance(given, raster, place, land),
             )
             report = _import_report(field, raster, place)
             if settings.source not in LANDS:
@@ -177,11 +184,22 @@ def _build(
     return field if steps is None else field.with_raster(**_encode_samples(field, draft, steps))
 
 
-def _provenance(settings: ImportSettings, raster: Raster, place: Georeference) -> dict:
-    """Return the origin of a store's heights as JSON, with which the import can be repeated."""
+def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
+    """Return the first picture of a source in the store at `path`. Raises TerrainError if another source is there."""
+    before = dataclasses.replace(settings, tiles=())
+    if finished_before(path, source_digest(before, raster.sources, raster.method)) is None:
+        raise TerrainError(f"The store {path} has no first picture of {settings.name}", fix="import quickly first")
+    return coarse_land(settings, path)
+
+
+def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None) -> dict:
+    """Return the origin of a store's heights as JSON, with which the import can be repeated. land: see `TileSource`."""
     values = dataclasses.asdict(settings)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
-    loaded = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
+    loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
+    if land is not None:
+        step, full = loaded[LOADED]
+        loaded = {LOADED: [step * 2.0**land.bits, full], REFINED: [step, len(land.loaded)]}
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
@@ -216,7 +234,7 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
 
     raster: the opened source, which knows the files that it names; None for a source that names none.
     """
-    complete = dataclasses.replace(settings, quick=0)
+    complete = dataclasses.replace(settings, quick=0, tiles=())
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
         report = finished_before(path, source_digest(wanted, files, method))
@@ -342,6 +360,6 @@ def _import_report(field: HeightField, raster: Raster, place: Georeference) -> d
         "rotation_deg": place.rotation_deg,
         "bounds_against": against,
         **raster.details,
-        **(loaded_entries(raster, place) if raster.full_size is not None else {}),
+        **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),
         "warnings": warnings,
     }

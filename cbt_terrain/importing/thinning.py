@@ -22,6 +22,7 @@ MAX_UNPACKED = 1 << 31
 FINER = 8  # ratio of the coarse step to an overview's: a mean is off its position by up to 1/16 of the coarse step
 FROM_OVERVIEWS = {"loaded_from": "overviews"}  # entry of the report
 LOADED = "loaded_m"  # entry of an incomplete store's provenance
+REFINED = "refined_m"  # another one: metres between the samples of the loaded tiles, and their number
 
 
 def stride_of(width: int, height: int, max_samples: int) -> int:
@@ -111,10 +112,9 @@ def loaded_steps(raster: Raster, place: Georeference) -> list[float]:
     return [float(steps.max()), float((steps * ratios).max())]
 
 
-def loaded_entries(raster: Raster, place: Georeference) -> dict:
-    """Return the report entries of a quick import. place: georeference of the thinned raster."""
-    steps = loaded_steps(raster, place)
-    text = loaded_text({LOADED: steps})
+def loaded_entries(raster: Raster, provenance: dict) -> dict:
+    """Return the report entries of a quick import. provenance: of the store."""
+    steps, text = provenance[LOADED], loaded_text(provenance)
     return {
         "loaded": text,
         "complete": False,
@@ -133,10 +133,21 @@ def loaded_m(provenance: dict) -> tuple[float, float] | None:
     return (steps[0], steps[1]) if all(0.0 < step < LARGEST_EXTENT for step in steps) else None
 
 
+def refined_m(provenance: dict) -> tuple[float, int] | None:
+    """Return the step of an incomplete store's loaded tiles in metres, and their number; None without any."""
+    found = provenance.get(REFINED)
+    if not isinstance(found, list) or [type(value) for value in found] != [float, int]:
+        return None
+    return (found[0], found[1]) if 0.0 < found[0] < LARGEST_EXTENT and found[1] > 0 else None
+
+
 def loaded_text(provenance: dict) -> str:
     """Return the detail of an incomplete store, as `to 640 m of 10 m`; "" for a complete one."""
-    steps = loaded_m(provenance)
-    return "to {} m of {} m".format(*map(_three_digits, steps)) if steps is not None else ""
+    steps, tiles = loaded_m(provenance), refined_m(provenance)
+    if steps is None:
+        return ""
+    text = "to {} m of {} m".format(*map(_three_digits, steps))
+    return text if tiles is None else f"{text}, in {tiles[1]} tiles to {_three_digits(tiles[0])} m"
 
 
 def _three_digits(value: float) -> str:

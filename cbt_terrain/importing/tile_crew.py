@@ -29,8 +29,10 @@ from ..sandbox.guard import VARIABLES, guard_import
 from ..sandbox.store_job import FREE_MEMORY
 from ..tiling.tile_work import READ, TileWork, work_in
 from .build_store import place_of
+from .refining import coarse_land, refined
 from .source_list import INDEX_SUFFIXES, files_of, names_several
-from .tile_import import TILED_SAMPLES, Crew, TileSource, TileTask, perform
+from .tile_import import TILED_SAMPLES, Crew
+from .tile_tasks import TileSource, TileTask, perform
 
 MIN_BYTES = 1 << 22  # of the files of an import, for which processes are started
 POLL_S = 0.1
@@ -185,6 +187,7 @@ def serve_tasks(
     request, found = json.loads(line), None
     settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
     guard(settings, folder.parent)
+    coarse = coarse_land(settings, folder.parent) if settings.tiles else None
     try:
         for text in io.FileIO(0, closefd=False):
             task = TileTask(**json.loads(text))
@@ -198,8 +201,9 @@ def serve_tasks(
                     found = None
                 if found is None and task.step == READ:
                     raster = open_raster(settings, folder)
-                    found = TileSource(raster, settings, place_of(settings, raster))
-                answer["done"] = perform(work, found, task, 1)
+                    raster = raster if coarse is None else refined(raster, settings, coarse)
+                    found = TileSource(raster, settings, place_of(settings, raster), coarse)
+                answer["done"] = perform(work, found, task, 1, coarse)
             except TerrainError as error:
                 answer["error"] = error.to_json()
             except OSError as reason:

@@ -17,45 +17,28 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.build import content_key, no_ground, no_heights
-from ..field.georeference import Georeference
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.holes import holes_leave_ground
 from ..field.lattice import Lattice
 from ..field.store import Draft
-from ..rasters.raster import ImportSettings, Raster
+from ..rasters.raster import Raster
 from ..run import launch, partial_files
 from ..sandbox.store_job import READING
 from ..tiling import tile_steps
-from ..tiling.tile_grid import TILE_BITS, TileBox, TileGrid
-from ..tiling.tile_work import MEASURED, READ, NotNumberedError, StoredHeights, TileWork, work_in
+from ..tiling.coarse_land import CoarseLand
+from ..tiling.tile_grid import TILE_BITS, TileGrid
+from ..tiling.tile_work import MEASURED, READ, StoredHeights, TileWork, work_in
+from . import refining
 from .drafts import open_draft
 from .height_reader import HeightReader, scaling_of
+from .tile_tasks import TileSource, TileTask, in_file, perform, unit_count
 
 TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
-MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
 MEASURING = "Measuring errors"
 PARTS = BEGIN, READ_TILES, FILL, MEASURE = "begin", "read", "fill", "measure"
 TILED_PARTS = READ_TILES, MEASURE  # of some tiles each
 CHECKED_ROWS = 256
-STRIP_ROWS = 512  # of a tile that are read together, to save memory
 READ_SHARE, FILLED_SHARE, MEASURED_SHARE = 0.2, 0.25, 0.85  # of the progress at the end of a step
-
-
-class TileTask(NamedTuple):
-    """A part of an import that a process makes: a unit to read or a tile to measure.
-
-    Attributes:
-        step: READ or MEASURED.
-        inputs: digest of the sources of a unit.
-        limits: low, high and number of missing samples of the terrain, to measure.
-        before: last record of the tile.
-    """
-
-    step: str
-    number: int
-    inputs: str = ""
-    limits: Sequence[float] = ()
-    before: dict | None = None
 
 
 class ImportPart(NamedTuple):
@@ -66,14 +49,6 @@ class ImportPart(NamedTuple):
 
     step: str
     numbers: Collection[int] = ()
-
-
-class TileSource(NamedTuple):
-    """What an import by tile reads."""
-
-    raster: Raster
-    settings: ImportSettings
-    place: Georeference
 
 
 def is_tiled(raster: Raster, lattice: Lattice) -> bool:
@@ -91,77 +66,6 @@ def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
         )
 
 
-def perform(work: TileWork, source: TileSource | None, task: TileTask, threads: int) -> bool:
-    """Do one task and write its record. Return False if its heights have to be stored as floats.
-
-    source: not needed to measure. Raises TerrainError.
-    """
-    if task.step == MEASURED:
-        low, high, missing = task.limits
-        tile_steps.measure(work, task.number, tile_steps.TerrainLimits(low, high, int(missing)), threads, task.before)
-        return True
-    assert source is not None, "only the measuring of a tile needs none"
-    raster, settings, place = source
-    raster.moved = raster.shifted = 0.0
-    reader = HeightReader(raster, settings)
-    limits: list[float] = []
-    for box, values in _pieces(work.grid, source, task.number):
-        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
-        place.in_file_order(heights)[:] = reader.heights(values)
-        try:
-            limits += work.write_heights(box.x0, box.y0, heights)
-        except NotNumberedError:
-            return False
-    ends = [min(limits), max(limits)] if limits else None
-    work.note(READ, task.number, inputs=task.inputs, missing=reader.missing, limits=ends, figures=reader.figures())
-    return True
-
-
-def unit_count(grid: TileGrid, source: TileSource) -> int:
-    """Return the number of units in which the samples are read."""
-    if source.raster.format == MOSAIC:
-        return len(grid)
-    return -(-source.raster.height // _unit_rows(grid, source.raster))
-
-
-def _unit_rows(grid: TileGrid, raster: Raster) -> int:
-    """Return the rows of a unit. A resampled raster has one: values depend on the rows that are read together."""
-    at_once = raster.rows_at_once
-    return raster.height if raster.original is not None else -(-grid.side // at_once) * at_once
-
-
-def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
-    """Yield the boxes of a unit, each with its values in the order of the file."""
-    raster, place = source.raster, source.place
-    if raster.format == MOSAIC:
-        tile = grid.owned(grid.box(number))
-        assert raster.window is not None
-        for y in range(tile.y0, tile.y1 + 1, STRIP_ROWS):
-            box = tile._replace(y0=y, y1=min(y + STRIP_ROWS - 1, tile.y1))
-            yield box, raster.window(*_in_file(grid.lattice, place, box))
-        return
-    count, at_once = _unit_rows(grid, raster), raster.rows_at_once
-    for first in range(number * count, min((number + 1) * count, raster.height), at_once):
-        rows = min(at_once, raster.height - first)
-        yield _in_terrain(grid.lattice, place, first, rows), raster.read(first, rows)
-
-
-def _in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, int, int, int]:
-    """Return the first row, rows, first column and columns in the file of a box of the terrain."""
-    x = lattice.cells_x - box.x1 if place.first_column_east else box.x0
-    y = box.y0 if place.first_row_south else lattice.cells_y - box.y1
-    across, up = box.x1 - box.x0 + 1, box.y1 - box.y0 + 1
-    return (x, across, y, up) if place.transposed else (y, up, x, across)
-
-
-def _in_terrain(lattice: Lattice, place: Georeference, first: int, rows: int) -> TileBox:
-    """Return the box in the terrain of `rows` rows of the file from row `first` on."""
-    backwards = place.first_column_east if place.transposed else not place.first_row_south
-    last = lattice.cells_x if place.transposed else lattice.cells_y
-    low, high = (last - first - rows + 1, last - first) if backwards else (first, first + rows - 1)
-    return TileBox(low, 0, high, lattice.cells_y) if place.transposed else TileBox(0, low, lattice.cells_x, high)
-
-
 class Crew:
     """Processes that do tasks; here the calling process alone."""
 
@@ -170,7 +74,7 @@ class Crew:
     ) -> bool:
         """Do tasks. Return False if heights have to be stored as floats. Raises TerrainError."""
         for number, task in enumerate(tasks):
-            if not perform(work, source, task, launch.default_threads()):
+            if not perform(work, source, task, launch.default_threads(), source.coarse):
                 return False
             on_progress((number + 1) / len(tasks))
         return True
@@ -295,14 +199,15 @@ def build_by_tile(
         tile_steps.fill(work, launch.default_threads())
     span = MEASURED_SHARE - FILLED_SHARE
     _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
-    return _completed(work, draft, limits, source_max(reader), on_progress)
+    return _completed(work, draft, limits, source_max(reader), on_progress, source.coarse)
 
 
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
     """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles."""
-    raster, settings, _ = source
-    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
-    work = TileWork(draft.folder, TileGrid(lattice, TILE_BITS), steps, settings.holes, digest)
+    raster, settings, _, coarse = source
+    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings)) if coarse is None else None
+    bits = TILE_BITS if coarse is None else refining.BITS
+    work = TileWork(draft.folder, TileGrid(lattice, bits), steps, settings.holes, digest)
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
     if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
@@ -337,7 +242,7 @@ def _inputs(work: TileWork, source: TileSource, number: int) -> str:
     """Return a digest of all that determines the samples of a unit."""
     if source.raster.inputs is None:
         return work.digest
-    window = _in_file(work.grid.lattice, source.place, work.grid.owned(work.grid.box(number)))
+    window = in_file(work.grid.lattice, source.place, work.grid.owned(work.grid.box(number)))
     return source.raster.inputs(*window)
 
 
@@ -378,12 +283,15 @@ def _completed(
     limits: tile_steps.TerrainLimits,
     source_max: float,
     on_progress: Callable[[float, str], None],
+    coarse: CoarseLand | None,
 ) -> HeightField:
     """Join the tiles, and return the height field."""
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
-    joined = tile_steps.join(
-        work, limits, launch.default_threads(), lambda share: on_progress(MEASURED_SHARE + span * share, MEASURING)
-    )
+
+    def tell(share: float) -> None:
+        on_progress(MEASURED_SHARE + span * share, MEASURING)
+
+    joined = tile_steps.join(work, limits, launch.default_threads(), tell, coarse)
     valid = None
     if limits.missing and work.holes:
         valid = draft.allocate("valid", (lattice.height, lattice.width), np.dtype(np.uint8))

@@ -96,8 +96,11 @@ def margin_of(low: float, high: float) -> int:
     return max(PAGE, -(-reach // 8) * 8)
 
 
-def measure_errors(tile: TileSamples, threads: int) -> TileErrors:
-    """Return the errors of a tile. Those of cells as large as a tile and larger are `large_errors`."""
+def exact_errors(tile: TileSamples, threads: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the errors of a tile, float32 metres in the layout of its lattice, and kinds of cells as in `TileErrors`.
+
+    Those of cells as large as a tile and larger are `large_errors`.
+    """
     grid = tile.grid
     local, measured = grid.local(tile.box), tile.measured
     errors = np.zeros(local.node_count, np.float32)
@@ -105,12 +108,17 @@ def measure_errors(tile: TileSamples, threads: int) -> TileErrors:
     inner, counted = tile.inner(tile.samples), tile.inner(measured)
     coarsest = 1 if grid.holds_roots else 2
     hierarchy.measure_triangles(inner, local, errors, threads, measured=counted, coarsest=coarsest)
-    kinds = None if tile.valid is None else refine_borders(tile.inner(tile.valid), local, errors, threads)
+    return errors, None if tile.valid is None else refine_borders(tile.inner(tile.valid), local, errors, threads)
+
+
+def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None, threads: int) -> TileErrors:
+    """Return the codes of a tile's errors. errors, kinds: see `exact_errors`."""
+    local = tile.grid.local(tile.box)
     stored = np.zeros(local.node_count, np.uint8)
     largest = [float(errors[part].max()) for part in codes.parts(local, len(errors))]
     table = codes.tables(codes.nested(local, list(map(codes.exponent_of, largest))))
     codes.encode_with_table(local, errors, table, stored, threads)
-    near = grid.near_border
+    near = tile.grid.near_border
     there = exist(local, near)
     at = entries_of(local, near.chosen(there))
 

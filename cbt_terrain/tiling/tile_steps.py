@@ -13,13 +13,15 @@ from ..field import cleaning, codes, hierarchy
 from ..field.holes import longest_edge
 from ..field.lattice import Lattice
 from . import borders
+from .coarse_land import CoarseLand
 from .measure_tile import (
     LargeError,
     TileSamples,
+    code_errors,
+    exact_errors,
     large_errors,
     large_triangles,
     margin_of,
-    measure_errors,
     measure_ranges,
 )
 from .tile_grid import TileGrid, halved, put, translate
@@ -60,13 +62,20 @@ def fill(work: TileWork, threads: int) -> None:
 
 
 def measure(
-    work: TileWork, number: int, limits: TerrainLimits, threads: int, before: dict | None, exponents: Sequence[int] = ()
+    work: TileWork,
+    number: int,
+    limits: TerrainLimits,
+    threads: int,
+    before: dict | None,
+    exponents: Sequence[int] = (),
+    coarse: CoarseLand | None = None,
 ) -> bool:
     """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
 
     Args:
         before: its last record, None for none.
         exponents: largest ones that its stored codes may have; () for any.
+        coarse: the land around loaded tiles, None if all tiles are loaded.
     """
     grid, box = work.grid, work.grid.box(number)
     window = grid.window(box, margin_of(limits.low, limits.high))
@@ -94,7 +103,7 @@ def measure(
         work.note(MEASURED, number)  # it is not measured while its arrays are written
     tile = TileSamples(grid, box, window, work.decoded(raw), valid)
     if not is_measured:
-        found = measure_errors(tile, threads)
+        found = code_errors(tile, *_errors(tile, number, coarse, limits, threads), threads)
         put(grid, box, found.codes, work.open("error"))
         near = work.open("borders")[number]
         near[0], near[1] = found.border, 0 if found.kinds is None else found.kinds
@@ -104,9 +113,22 @@ def measure(
         half = TileGrid(halved(grid.lattice), grid.bits - 1)
         put(half, half.box(number), measure_ranges(tile, limits.scale, threads), work.open("ranges"))
     if state["above"] is None or state["above"][0] != around:
-        state["above"] = [around, large_errors(tile, triangles, threads)]
+        large = large_errors(tile, triangles, threads)
+        state["above"] = [around, large if coarse is None else large + list(coarse.large_errors(large))]
     work.note(MEASURED, number, **state | {"ranges": ranges})
     return not is_measured
+
+
+def _errors(
+    tile: TileSamples, number: int, coarse: CoarseLand | None, limits: TerrainLimits, threads: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the errors of a tile as `exact_errors`, or bounds of them if no loaded tile is near."""
+    if coarse is None:
+        return exact_errors(tile, threads)
+    errors = coarse.errors(tile.grid, tile.box)
+    if coarse.is_near_loaded(tile.grid, number, margin_of(limits.low, limits.high)):
+        np.maximum(errors, exact_errors(tile, threads)[0], out=errors)
+    return errors, None
 
 
 def tile_exponents(work: TileWork, number: int, largest: Sequence[float]) -> list[int]:
@@ -129,8 +151,14 @@ class JoinedErrors(NamedTuple):
     climbs: tuple[float, float]
 
 
-def join(work: TileWork, limits: TerrainLimits, threads: int, on_progress: Callable[[float], None]) -> JoinedErrors:
-    """Complete the errors and ranges of a terrain whose tiles are all measured."""
+def join(
+    work: TileWork,
+    limits: TerrainLimits,
+    threads: int,
+    on_progress: Callable[[float], None],
+    coarse: CoarseLand | None = None,
+) -> JoinedErrors:
+    """Complete the errors and ranges of a terrain whose tiles are all measured. coarse: see `measure`."""
     grid, lattice = work.grid, work.grid.lattice
     records = work.records(MEASURED)
     large = [LargeError(*item) for record in records.values() for item in record["above"][1]]
@@ -147,7 +175,7 @@ def join(work: TileWork, limits: TerrainLimits, threads: int, on_progress: Calla
         groups = len(record["exponents"]) - 1
         wanted = [*exponents[:groups], exponents[-1]]
         if any(map(gt, record["exponents"], wanted)):  # a larger error is gone: rounded codes cannot be refined
-            measure(work, number, limits, threads, record, wanted)
+            measure(work, number, limits, threads, record, wanted, coarse)
             record = work.records(MEASURED)[number]
         if record["exponents"] != wanted:
             work.note(MEASURED, number)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tasks of an import by tile: a unit of the source to read, or a tile to measure."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..field.georeference import Georeference
+from ..field.lattice import Lattice
+from ..rasters.raster import ImportSettings, Raster
+from ..tiling import tile_steps
+from ..tiling.coarse_land import CoarseLand
+from ..tiling.tile_grid import TileBox, TileGrid
+from ..tiling.tile_work import MEASURED, READ, NotNumberedError, TileWork
+from .height_reader import HeightReader
+
+MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
+STRIP_ROWS = 512  # of a tile that are read together, to save memory
+
+
+class TileTask(NamedTuple):
+    """A part of an import that a process makes: a unit to read or a tile to measure.
+
+    Attributes:
+        step: READ or MEASURED.
+        inputs: digest of the sources of a unit.
+        limits: low, high and number of missing samples of the terrain, to measure.
+        before: last record of the tile.
+    """
+
+    step: str
+    number: int
+    inputs: str = ""
+    limits: Sequence[float] = ()
+    before: dict | None = None
+
+
+class TileSource(NamedTuple):
+    """What an import by tile reads."""
+
+    raster: Raster
+    settings: ImportSettings
+    place: Georeference
+    coarse: CoarseLand | None = None  # of which some tiles are loaded
+
+
+def perform(
+    work: TileWork, source: TileSource | None, task: TileTask, threads: int, coarse: CoarseLand | None = None
+) -> bool:
+    """Do one task and write its record. Return False if its heights have to be stored as floats.
+
+    source: not needed to measure. coarse: that of the source. Raises TerrainError.
+    """
+    if task.step == MEASURED:
+        low, high, missing = task.limits
+        limits = tile_steps.TerrainLimits(low, high, int(missing))
+        tile_steps.measure(work, task.number, limits, threads, task.before, coarse=coarse)
+        return True
+    assert source is not None, "only the measuring of a tile needs none"
+    raster, settings, place, _ = source
+    raster.moved = raster.shifted = 0.0
+    reader = HeightReader(raster, settings)
+    limits: list[float] = []
+    if coarse is not None and task.number not in coarse.loaded:
+        box = work.grid.owned(work.grid.box(task.number))
+        limits += work.write_heights(box.x0, box.y0, coarse.heights(box))
+    for box, values in _pieces(work.grid, source, task.number) if not limits else ():
+        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
+        place.in_file_order(heights)[:] = reader.heights(values)
+        try:
+            limits += work.write_heights(box.x0, box.y0, heights)
+        except NotNumberedError:
+            return False
+    ends = [min(limits), max(limits)] if limits else None
+    work.note(READ, task.number, inputs=task.inputs, missing=reader.missing, limits=ends, figures=reader.figures())
+    return True
+
+
+def unit_count(grid: TileGrid, source: TileSource) -> int:
+    """Return the number of units in which the samples are read."""
+    if _is_by_tile(source):
+        return len(grid)
+    return -(-source.raster.height // _unit_rows(grid, source.raster))
+
+
+def _is_by_tile(source: TileSource) -> bool:
+    """Return whether a unit is a tile; rows otherwise."""
+    return source.raster.format == MOSAIC or source.coarse is not None
+
+
+def _unit_rows(grid: TileGrid, raster: Raster) -> int:
+    """Return the rows of a unit. A resampled raster has one: values depend on the rows that are read together."""
+    at_once = raster.rows_at_once
+    return raster.height if raster.original is not None else -(-grid.side // at_once) * at_once
+
+
+def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
+    """Yield the boxes of a unit, each with its values in the order of the file."""
+    raster, place = source.raster, source.place
+    if _is_by_tile(source):
+        tile = grid.owned(grid.box(number))
+        assert raster.window is not None
+        for y in range(tile.y0, tile.y1 + 1, STRIP_ROWS):
+            box = tile._replace(y0=y, y1=min(y + STRIP_ROWS - 1, tile.y1))
+            yield box, raster.window(*in_file(grid.lattice, place, box))
+        return
+    count, at_once = _unit_rows(grid, raster), raster.rows_at_once
+    for first in range(number * count, min((number + 1) * count, raster.height), at_once):
+        rows = min(at_once, raster.height - first)
+        yield _in_terrain(grid.lattice, place, first, rows), raster.read(first, rows)
+
+
+def in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, int, int, int]:
+    """Return the first row, rows, first column and columns in the file of a box of the terrain."""
+    x = lattice.cells_x - box.x1 if place.first_column_east else box.x0
+    y = box.y0 if place.first_row_south else lattice.cells_y - box.y1
+    across, up = box.x1 - box.x0 + 1, box.y1 - box.y0 + 1
+    return (x, across, y, up) if place.transposed else (y, up, x, across)
+
+
+def _in_terrain(lattice: Lattice, place: Georeference, first: int, rows: int) -> TileBox:
+    """Return the box in the terrain of `rows` rows of the file from row `first` on."""
+    backwards = place.first_column_east if place.transposed else not place.first_row_south
+    last = lattice.cells_x if place.transposed else lattice.cells_y
+    low, high = (last - first - rows + 1, last - first) if backwards else (first, first + rows - 1)
+    return TileBox(low, 0, high, lattice.cells_y) if place.transposed else TileBox(0, low, lattice.cells_x, high)

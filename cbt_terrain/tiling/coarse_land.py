@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Land of which some tiles are loaded: everywhere else it is the bilinear surface of a coarser store.
+
+The grid divides each cell of the coarser store into `factor` x `factor` cells. Inside such a cell with the twist T, the
+surface has the error T/4 at its centre, and a quarter of that after each two bisections (field/hierarchy.py). With the
+coarser store's own errors above its cells this is a nested function on all diamonds. It bounds the errors of tiles that
+are not near a loaded one, and is the lower limit of all others, so the errors of all tiles together are nested.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from .measure_tile import LargeError
+from .tile_grid import TileBox, TileGrid, cell_entries, pages_of, tile_index
+
+ROUNDING = 4  # float32 steps of the highest height: of four rounded samples around a cell
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLand:
+    """A coarser store, and the tiles of a finer grid that are loaded.
+
+    Attributes:
+        field: the coarser store.
+        bits: binary logarithm of the number of cells along one of its cells.
+        loaded: numbers of the loaded tiles.
+    """
+
+    field: HeightField
+    bits: int
+    loaded: frozenset[int]
+
+    @property
+    def rounding(self) -> np.float32:
+        """Return the largest error that the rounding of interpolated heights makes, metres."""
+        highest = max(abs(self.field.min_height), abs(self.field.max_height))
+        return np.float32(ROUNDING * np.spacing(np.float32(highest)))
+
+    def is_near_loaded(self, grid: TileGrid, number: int, margin: int) -> bool:
+        """Return whether a tile, with `margin` samples around it, has samples of a loaded one."""
+        rings = -(-margin // grid.side) if margin else 0
+        row, column = divmod(number, grid.columns)
+        return any(
+            abs(other // grid.columns - row) <= rings and abs(other % grid.columns - column) <= rings
+            for other in self.loaded
+        )
+
+    def heights(self, box: TileBox) -> np.ndarray:
+        """Return the interpolated heights of a box, its last samples included, float32 metres."""
+        last, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
+        for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
+            at = np.arange(first, end + 1)
+            cell = np.minimum(at >> self.bits, cells)
+            parts.append((cell, (at - (cell << self.bits)) / (1 << self.bits)))
+        (j, t), (i, s) = parts
+        nodes = self.field.heights(slice(j[0], j[-1] + 2), slice(i[0], i[-1] + 2)).astype(np.float64)
+        j, i = j - j[0], i - i[0]
+        rows = nodes[:, i] * (1.0 - s) + nodes[:, i + 1] * s
+        return (rows[j] * (1.0 - t)[:, None] + rows[j + 1] * t[:, None]).astype(np.float32)
+
+    def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
+        """Return the errors of a tile's diamonds, float32 metres in the layout of its lattice."""
+        local = grid.local(box)
+        base, pages = local.layout()
+        found = np.zeros(local.node_count, np.float32)
+        for group in range(local.groups):
+            image = found[base[group] : base[group + 1]]
+            rows = np.zeros((len(image) // (32 * int(pages[group])), 32 * int(pages[group])), np.float32)
+            for level in range(2 * group, min(2 * group + 2, local.levels)):
+                half = 1 << level - 2 * group
+                for y0, x0 in ((half, half), (0, half), (half, 0)):
+                    is_centre = y0 == x0
+                    if is_centre and level == local.levels - 1 and not grid.holds_roots:
+                        continue  # it depends on other tiles
+                    wide, high = local.extent(2 * (local.levels - level) - is_centre)
+                    wide, high = (2 * half * n if is_centre else half * n + 1 for n in (wide, high))
+                    target = rows[y0 : high : 2 * half, x0 : wide : 2 * half]
+                    x = box.x0 + ((x0 + 2 * half * np.arange(target.shape[1])) << 2 * group)
+                    y = box.y0 + ((y0 + 2 * half * np.arange(target.shape[0])) << 2 * group)
+                    target[:] = self._errors_at(x, y[:, None], level, is_centre)
+            image[:] = pages_of(rows)
+        wide, high = local.extent(local.cell_depth)
+        x, y = box.x0 + np.arange(wide), box.y0 + np.arange(high)[:, None]
+        cells = pages_of(self._twists(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding)
+        found[base[-2] :] = cells
+        return found
+
+    def large_errors(self, found: list[LargeError]) -> Iterator[LargeError]:
+        """Yield the errors of this land for diamonds of cells as large as a tile or larger."""
+        for item in found:
+            x, y = np.array([item.x]), np.array([item.y])
+            is_centre = bool(item.x & item.y & 1 << item.level)
+            yield item._replace(error=float(self._errors_at(x, y, item.level, is_centre)[0]))
+
+    def _errors_at(self, x: np.ndarray, y: np.ndarray, level: int, is_centre: bool) -> np.ndarray:
+        """Return the errors of diamonds with their vertices at samples (x, y) of one level, float32 metres."""
+        above = level - self.bits
+        if above >= 0:
+            base, pages = self.field.lattice.layout()
+            group = above // 2
+            shift = self.bits + 2 * group
+            at = base[group] + tile_index(x >> shift, y >> shift, pages[group])
+            return self.field.table[group][self.field.error[at]] + self.rounding
+        twist = self._twists(x >> self.bits, y >> self.bits)
+        if not is_centre:  # a side is of two cells
+            twist = np.maximum(twist, self._twists(x - 1 >> self.bits, y - 1 >> self.bits))
+        return twist * np.float32(0.25 ** (-above - is_centre)) + self.rounding
+
+    def _twists(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres."""
+        lattice = self.field.lattice
+        columns, rows = lattice.extent(lattice.cell_depth)
+        at = cell_entries(lattice, np.clip(x, 0, columns - 1), np.clip(y, 0, rows - 1))
+        return self.field.table[lattice.groups][self.field.error[at]]

@@ -121,10 +121,8 @@ def import_raster(
                 part, path, folder, TileSource(raster, settings, place), lattice, digest, DOUBT.format(settings.name)
             )
         reader, crew = HeightReader(raster, settings), crew or Crew()
-        with open_work(path, folder, lattice, digest, is_tiled(raster, lattice), doubt=DOUBT.format(settings.name)) as (
-            draft,
-            work,
-        ):
+        by_tile = land is not None or is_tiled(raster, lattice)
+        with open_work(path, folder, lattice, digest, by_tile, doubt=DOUBT.format(settings.name)) as (draft, work):
             begin = 0.0
             if raster.original is not None:  # resampling mixes marks of missing samples with heights
                 begin = 0.1
@@ -135,7 +133,7 @@ def import_raster(
             def tell(share: float, message: str) -> None:
                 on_progress(begin + (1.0 - begin) * share, message)
 
-            if is_tiled(raster, lattice):
+            if by_tile:
                 source = TileSource(raster, settings, place, land)
                 field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
             else:

@@ -128,15 +128,9 @@ def _full_raster(field: HeightField) -> tuple[int, int] | None:
     if field.path is None or loaded_m(field.provenance) is None or REFINED in field.provenance:
         return None
     full = read_json(field.path)["report"].get("full_raster")
-    quick = field.provenance.get("settings", {}).get("quick")
-    good = (
-        type(quick) is int
-        and quick > 0
-        and isinstance(full, list)
-        and [type(count) for count in full] == [int, int]
-        and min(full) > 1
-    )
-    return (full[0], full[1]) if good else None
+    values = [*full, field.provenance.get("settings", {}).get("quick")] if isinstance(full, list) else []
+    is_known = [type(value) for value in values] == [int] * 3 and min(values) > 1
+    return (values[0], values[1]) if is_known else None
 
 
 def _bits(field: HeightField, full: tuple[int, int]) -> int:

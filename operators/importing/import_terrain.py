@@ -9,9 +9,10 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.store import changed_ns
+from ...cbt_terrain.field.store import changed_ns, open_store
 from ...cbt_terrain.formats.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
+from ...cbt_terrain.importing.refining import seen_tiles
 from ...cbt_terrain.importing.source_list import names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
@@ -20,7 +21,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
 from ..session import live, session
-from ..terrain import frame_terrain, sidebar
+from ..terrain import frame_terrain, request, sidebar
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin
@@ -119,6 +120,17 @@ def _size_of(obj) -> float:
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
+def _needed_tiles(obj) -> tuple[int, ...]:
+    """Return the tiles of a terrain with a first picture that its views and the render's need."""
+    tiles: set[int] = set()
+    for mode in (request.VIEWPORT, request.RENDER):
+        with suppress(TerrainError):  # without a camera no view needs any
+            found = request.gather(obj, bpy.context.evaluated_depsgraph_get(), mode, about_middle=True)
+            field, scale = open_store(found.store), (found.vertical_scale, found.vertical_offset)
+            tiles.update(seen_tiles(field, found.views, found.placement, found.criterion.error_px or 1.0, *scale))
+    return tuple(sorted(tiles))
+
+
 class ImportOperator(JobOperator):
     """Base of the operators that import."""
 
@@ -143,6 +155,7 @@ class ImportOperator(JobOperator):
             if "loaded" not in quick[0] or job.terrain() is None:
                 return quick
             self.finish(bpy.context, job.terrain(), quick)
+            quick = yield from self._load_seen(job, settings_now, quick)
         try:
             return (yield from self._import(job, settings, folder))
         except (jobs.JobStopped, TerrainError) as error:
@@ -151,6 +164,19 @@ class ImportOperator(JobOperator):
             report, _ = quick
             notes = [str(error)] if isinstance(error, TerrainError) else []
             return report | {"warnings": notes}, folder
+
+    def _load_seen(self, job: jobs.BackgroundJob, settings: ImportSettings, quick: tuple[dict, str]) -> jobs.Steps:
+        """Load the tiles that the views of a first picture need, and show them; return the report and the path.
+
+        quick: those of the first picture, which stays if it needs none or if they cannot be loaded.
+        """
+        tiles = _needed_tiles(job.terrain())
+        if tiles:
+            with suppress(TerrainError):  # the complete import then reports it
+                quick = yield from self._import(job, dataclasses.replace(settings, tiles=tiles), quick[1])
+                if job.terrain() is not None:
+                    self.finish(bpy.context, job.terrain(), quick)
+        return quick
 
     def _import(self, job: jobs.BackgroundJob, settings: ImportSettings, folder: str) -> jobs.Steps:
         """Import into the store `folder`; return the report and the path."""

@@ -10,7 +10,7 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
-from ...cbt_terrain.importing.thinning import loaded_m
+from ...cbt_terrain.importing.thinning import loaded_m, refined_m
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
 from ..bridge.scene_paths import absolute_path
@@ -28,7 +28,8 @@ class Imported:
 
     `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
     and between samples, the lowest and the highest height, the steps of an incomplete store as loaded and in its source
-    (None: complete), the import's warnings, and the place of the raster's middle (georeference.py; None: unknown).
+    (None: complete), the step of its loaded tiles and their number (None: none), the import's warnings, and the place
+    of the raster's middle (georeference.py; None: unknown).
     """
 
     settings: dict
@@ -39,6 +40,7 @@ class Imported:
     step_m: tuple[float, float]
     heights_m: tuple[float, float]
     loaded_m: tuple[float, float] | None = None
+    refined_m: tuple[float, int] | None = None
     warnings: tuple[str, ...] = ()
     place: Place | None = None
 
@@ -77,6 +79,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         step_m=(lattice.step_x, lattice.step_y),
         heights_m=(content["min_height"], content["max_height"]),
         loaded_m=loaded_m(content["provenance"]),
+        refined_m=refined_m(content["provenance"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
     )
@@ -112,6 +115,12 @@ def loaded_text(settings) -> str:
     imported = imported_of(settings)
     if imported is None or imported.loaded_m is None:
         return ""
+    if imported.refined_m is not None:
+        step, tiles = imported.refined_m
+        return phrase(
+            "Loaded to {} in {} tiles, to {} elsewhere",
+            *map(str, (length_text(step), tiles, length_text(imported.loaded_m[0]))),
+        )
     return phrase("Loaded to {} of {}", *map(length_text, imported.loaded_m))
 
 
@@ -142,9 +151,9 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
         return []
     defaults = {item.name: item.default for item in dataclasses.fields(settings)}
     changed = []
-    for name, value in dataclasses.asdict(
-        dataclasses.replace(settings, quick=imported.settings.get("quick", 0))
-    ).items():
+    for name, value in dataclasses.asdict(settings).items():
+        if name in ("quick", "tiles"):  # of the steps of one import
+            continue
         before = imported.settings.get(name, defaults[name])
         if name == "source":
             same = _same_file(value, before)

@@ -189,6 +189,7 @@ LABELS = {
     "Live Update": "实时更新",
     "Load All": "全部载入",
     "Load All imports the rest": "“全部载入”会导入其余部分",
+    "Loaded to {} in {} tiles, to {} elsewhere": "{} 已载入（{} 个图块），其余为 {}",
     "Loaded to {} of {}": "已载入到 {}（原为 {}）",
     "Lock Interface": "锁定界面",
     "Longest edge": "最长边",

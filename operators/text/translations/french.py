@@ -191,6 +191,7 @@ LABELS = {
     "Live Update": "En direct",
     "Load All": "Tout charger",
     "Load All imports the rest": "Tout charger importe le reste",
+    "Loaded to {} in {} tiles, to {} elsewhere": "Chargé à {} dans {} tuiles, à {} ailleurs",
     "Loaded to {} of {}": "Chargé à {} sur {}",
     "Lock Interface": "Verrouiller l’interface",
     "Longest edge": "Arête la plus longue",

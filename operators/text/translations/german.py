@@ -191,6 +191,7 @@ LABELS = {
     "Live Update": "Live-Aktualisierung",
     "Load All": "Alles laden",
     "Load All imports the rest": "Alles laden importiert den Rest",
+    "Loaded to {} in {} tiles, to {} elsewhere": "Geladen bis {} in {} Kacheln, sonst bis {}",
     "Loaded to {} of {}": "Geladen bis {} von {}",
     "Lock Interface": "Interface sperren",
     "Longest edge": "Längste Kante",

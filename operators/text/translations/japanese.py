@@ -189,6 +189,7 @@ LABELS = {
     "Live Update": "ライブ更新",
     "Load All": "すべて読み込む",
     "Load All imports the rest": "「すべて読み込む」で残りを読み込みます",
+    "Loaded to {} in {} tiles, to {} elsewhere": "{} まで読み込み済み（{} タイル）、他は {}",
     "Loaded to {} of {}": "{} まで読み込み済み（元は {}）",
     "Lock Interface": "インターフェイスを固定",
     "Longest edge": "最長の辺",

@@ -191,6 +191,7 @@ LABELS = {
     "Live Update": "En vivo",
     "Load All": "Cargar todo",
     "Load All imports the rest": "Cargar todo importa el resto",
+    "Loaded to {} in {} tiles, to {} elsewhere": "Cargado a {} en {} teselas, a {} en el resto",
     "Loaded to {} of {}": "Cargado a {} de {}",
     "Lock Interface": "Bloquear interfaz",
     "Longest edge": "Borde más largo",

@@ -193,7 +193,7 @@ def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
         run_import(replace(holes, tiles=(1,)), tmp_path / "holes")
 
 
-def camera_at(x, y, z, size=(640, 360)):
+def camera_at(x, y, z, size=(640, 640)):
     """Return the view of a camera that looks down from a point of the world."""
     to_camera = np.eye(4)
     to_camera[:3, 3] = -x, -y, -z

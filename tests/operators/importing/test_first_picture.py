@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.export import preparing
-from adaptive_terrain.operators.export.frame_sources import SceneFrames
+from adaptive_terrain.operators.export.frame_sources import SceneFrames, detail_of
 from adaptive_terrain.operators.export.rendering import render_frames
 from adaptive_terrain.operators.farm.submit import submit
 from adaptive_terrain.operators.importing import import_terrain, incomplete
-from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
+from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, loaded_text
 from adaptive_terrain.operators.importing.panel import draw_source
 from adaptive_terrain.operators.importing.store_location import store_folder
 from adaptive_terrain.operators.land import render_wait
@@ -227,3 +228,22 @@ def test_packing_refuses_an_incomplete_store(scene, add_terrain, tmp_path):
     with pytest.raises(RuntimeError, match="is incomplete .loaded to 79.6 m of 10 m.*press Load All"):
         bpy.ops.adaptive_terrain.pack_store()
     assert not (tmp_path / "here" / "terrain").exists()
+
+
+def test_tiles_in_view_are_shown_before_the_rest(terrain, scene, monkeypatch):
+    monkeypatch.setattr(refining, "FEWEST", 1)  # as if the source was large
+    finished, finish = [], import_terrain.ImportOperator.finish
+
+    def finish_and_look(operator, context, obj, result):
+        finish(operator, context, obj, result)
+        session.update_object(obj)
+        field = session.record_of(obj).field
+        finished.append((loaded_text(obj.adaptive_terrain), field.lattice.width, detail_of(field).get("loaded")))
+
+    monkeypatch.setattr(import_terrain.ImportTerrain, "finish", finish_and_look)
+    assert to_the_end(running(import_terrain.ImportTerrain, terrain)) == {"FINISHED"}
+    tiles = "Loaded to 9.95 m in 1 tiles, to 79.6 m elsewhere", 201, "to 79.6 m of 10 m, in 1 tiles to 9.95 m"
+    assert finished == [(LOADED, 26, "to 79.6 m of 10 m"), tiles, ("", 200, None)]
+    assert np.array_equal(open_store(store_of(terrain)).heights(), hills(200, 150)[::-1])
+    settings = import_terrain.settings_of(terrain)
+    assert changed_settings(settings, imported_of(terrain.adaptive_terrain)) == []

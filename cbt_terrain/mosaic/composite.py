@@ -27,15 +27,24 @@ from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
 from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
-from .positions import BLOCK, BlockNodes, is_congruent, nodes_of
+from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
 from .target_grid import Footprints, TargetGrid
-from .windows import NO_DATA, UNCOVERED, GridPiece, LatticeWindow, PieceValues, empty_values, pieces_of
+from .windows import (
+    NO_DATA,
+    UNCOVERED,
+    GridPiece,
+    LatticeWindow,
+    PieceValues,
+    at_corners,
+    empty_values,
+    pieces_of,
+    source_box,
+)
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
 MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 METHOD = 1  # increased when the same files give other values
-EDGE = 3  # source samples around those that a piece is interpolated from
 
 
 def ranked(tiles: Sequence[SourceTile], found: Footprints, settings: ImportSettings) -> np.ndarray:
@@ -188,7 +197,7 @@ class Composite:
             if not len(near):
                 continue
             nodes = self._nodes_of(number, *piece.block)
-            box = _source_box(lattice, near, nodes, piece)
+            box = source_box(lattice, near, nodes, piece)
             if box is None:
                 continue
             if (box[2] - box[0]) * (box[3] - box[1]) > MAX_BUFFER and piece.columns * piece.rows > 1:
@@ -200,7 +209,9 @@ class Composite:
         yield piece, np.unique(self._levels[meets]), found
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the values of a piece, and return the largest difference made by positions."""
+        """Fill the values of a piece, all NaN, and return the largest difference made by positions."""
+        if self._copy(piece, values):
+            return 0.0
         moved = 0.0
         for part, levels, found in self._parts(piece):
             result = empty_values(part)
@@ -213,6 +224,40 @@ class Composite:
             values[top : top + part.rows, left : left + part.columns] = result.values
             moved = max(moved, float(result.moved.max()))
         return moved
+
+    def _copy(self, piece: GridPiece, values: np.ndarray) -> bool:
+        """Fill the values of a piece from one lattice whose samples are the grid's, and return whether that is enough.
+
+        The result has the bits of an interpolation.
+        """
+        meets = self._meets(piece)
+        numbers = [number for number, lattice in enumerate(self.lattices) if meets[lattice.tiles].any()]
+        if len(numbers) != 1:
+            return False
+        lattice, nodes = self.lattices[numbers[0]], self._nodes_of(numbers[0], *piece.block)
+        if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
+            return False
+        first = piece.row % BLOCK, piece.column % BLOCK
+        u, v = (at_corners(found, nodes, first, piece) for found in (nodes.u, nodes.v))
+        left, top = round(u[0]), round(v[0])
+        ends = left + piece.columns - 1, top + piece.rows - 1
+        if max(abs(u[0] - left), abs(v[0] - top), abs(u[3] - ends[0]), abs(v[3] - ends[1])) >= SNAPPED:
+            return False
+        covered, parts = np.zeros(values.shape, bool), []
+        for n in np.flatnonzero(meets[lattice.tiles]):
+            x0, y0, x1, y1 = map(int, lattice.rectangles[n])
+            west, north, east, south = max(x0, left), max(y0, top), min(x1, ends[0]) + 1, min(y1, ends[1]) + 1
+            if west < east and north < south:
+                inside = slice(north - top, south - top), slice(west - left, east - left)
+                covered[inside] = True
+                parts.append((inside, int(lattice.tiles[n]), (north - y0, south - north, west - x0, east - west)))
+        if not covered.all():  # samples between two tiles are interpolated between their borders
+            return False
+        self.on_piece()
+        for inside, rank, window in parts:
+            heights = self.tile_window(rank, *window)
+            np.copyto(values[inside], heights, where=np.isfinite(heights))
+        return True
 
     def _scan(self, row: int, column: int) -> Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]:
         """Yield the parts of a block with each level above the coarsest, the values below it and with it."""
@@ -293,42 +338,6 @@ class Composite:
                 self._open.popitem(last=False)[1].close()
         self._open.move_to_end(rank)
         return self._open[rank]
-
-
-def _source_box(
-    lattice: TileLattice, near: np.ndarray, nodes: BlockNodes, piece: GridPiece
-) -> tuple[int, int, int, int] | None:
-    """Return the columns and rows of a lattice that a piece needs, with EDGE more; None for none.
-
-    They are those of the nodes around the piece, within the rectangles of the tiles near it.
-    """
-    x, y = piece.column % BLOCK, piece.row % BLOCK
-    down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
-    across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
-    box = []
-    for values, ends, period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
-        part = _inner(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
-        part = part[np.isfinite(part)]
-        if not len(part):
-            return None
-        rectangles = lattice.rectangles[near]
-        low, high = rectangles[:, ends[0]].min() - period, rectangles[:, ends[1]].max() + period
-        first, last = max(np.floor(part.min()), low), min(np.ceil(part.max()), high)
-        if first > last + 1:
-            return None
-        box.append((int(first) - EDGE, int(last) + EDGE + 1))
-    return box[0][0], box[1][0], box[0][1], box[1][1]
-
-
-def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
-    """Return the values at a piece's corners where the nodes are the corners of the whole block."""
-    corners = []
-    for y in (first[0], first[0] + piece.rows - 1):
-        for x in (first[1], first[1] + piece.columns - 1):
-            s, t = x / nodes.spacing, y / nodes.spacing
-            low = values[0, 0] * (1 - s) + values[0, 1] * s
-            corners.append(low * (1 - t) + (values[1, 0] * (1 - s) + values[1, 1] * s) * t)
-    return np.array(corners)
 
 
 def _overlay(

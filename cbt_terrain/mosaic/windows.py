@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .positions import BLOCK
+from .lattices import TileLattice
+from .positions import BLOCK, BlockNodes
 
 UNCOVERED, NO_DATA = -1, -2  # ranks, as in kernels/mosaic/resample.py
+EDGE = 3  # source samples around those that a piece is interpolated from
 
 
 class GridPiece(NamedTuple):
@@ -83,3 +85,39 @@ def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPi
         for x in range(column // BLOCK, (column + columns - 1) // BLOCK + 1):
             x0, x1 = max(column, x * BLOCK), min(column + columns, (x + 1) * BLOCK)
             yield GridPiece(x0, y0, x1 - x0, y1 - y0)
+
+
+def source_box(
+    lattice: TileLattice, near: np.ndarray, nodes: BlockNodes, piece: GridPiece
+) -> tuple[int, int, int, int] | None:
+    """Return the columns and rows of a lattice that a piece needs, with EDGE more; None for none.
+
+    They are those of the nodes around the piece, within the rectangles of the tiles near it.
+    """
+    x, y = piece.column % BLOCK, piece.row % BLOCK
+    down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
+    across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
+    box = []
+    for values, ends, period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
+        part = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
+        part = part[np.isfinite(part)]
+        if not len(part):
+            return None
+        rectangles = lattice.rectangles[near]
+        low, high = rectangles[:, ends[0]].min() - period, rectangles[:, ends[1]].max() + period
+        first, last = max(np.floor(part.min()), low), min(np.ceil(part.max()), high)
+        if first > last + 1:
+            return None
+        box.append((int(first) - EDGE, int(last) + EDGE + 1))
+    return box[0][0], box[1][0], box[0][1], box[1][1]
+
+
+def at_corners(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
+    """Return the values at a piece's corners where the nodes are the corners of the whole block."""
+    corners = []
+    for y in (first[0], first[0] + piece.rows - 1):
+        for x in (first[1], first[1] + piece.columns - 1):
+            s, t = x / nodes.spacing, y / nodes.spacing
+            low = values[0, 0] * (1 - s) + values[0, 1] * s
+            corners.append(low * (1 - t) + (values[1, 0] * (1 - s) + values[1, 1] * s) * t)
+    return np.array(corners)

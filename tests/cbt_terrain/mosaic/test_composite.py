@@ -6,6 +6,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic import mosaic_source, positions
+from adaptive_terrain.cbt_terrain.mosaic.composite import Composite
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -270,3 +271,28 @@ def test_a_file_without_any_height_changes_nothing(tmp_path):
     composite = open_composite(settings_of(files), None)
     heights, _ = composite.read(0, composite.grid.height)
     assert np.array_equal(heights, whole.heights)
+
+
+@pytest.mark.parametrize("gap", [False, True])
+def test_copied_samples_have_the_bits_of_interpolated_ones(tmp_path, monkeypatch, gap):
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 90, 70)
+    whole.heights[20:23, 30:34] = np.nan
+    parts = ((0, 40, 0, 50), (0, 40, 45, 45), (41, 29, 0, 90) if gap else (38, 32, 0, 90))
+    names = [tmp_path / f"t{number}.tif" for number in range(3)]
+    for name, (row, rows, column, columns) in zip(names, parts, strict=True):
+        whole.write(name, first_row=row, rows=rows, first_column=column, columns=columns)
+    files, copied, copy = list(map(str, names)), [], Composite._copy
+
+    def copy_and_note(composite, piece, values):
+        copied.append(copy(composite, piece, values))
+        return copied[-1]
+
+    monkeypatch.setattr(Composite, "_copy", copy_and_note)
+    windows = [(0, 70, 0, 90), (3, 20, 5, 30), (30, 25, 20, 60)]
+    found = [open_composite(settings_of(files), None).read(*window) for window in windows]
+    assert copied == ([False, True, False] if gap else [True, True, True])
+    monkeypatch.setattr(Composite, "_copy", lambda *_: False)
+    for window, (heights, error) in zip(windows, found, strict=True):
+        wanted, largest = open_composite(settings_of(files), None).read(*window)
+        assert np.array_equal(heights, wanted, equal_nan=True) and error == largest == 0.0
+    assert np.isnan(found[0][0]).sum() == (12 + 90 if gap else 12)

@@ -210,6 +210,21 @@ def test_holes_that_a_file_closes(tmp_path, tiled):  # noqa: F811
     import_twice(tmp_path, tiled, lambda: patch(tmp_path, "v.tif", column=45, row=45, side=20), holes=True)
 
 
+def test_a_replaced_inset_is_read_as_far_as_its_ring_reaches(tmp_path, tiled):  # noqa: F811
+    sheet(UTM32, EAST, NORTH, 10.0, 10.0, 420, 60).write(tmp_path / "tiles" / "a.tif")
+
+    def write_inset(shift):
+        part = sheet(UTM32, EAST + 100.0, NORTH - 100.0, 5.0, 5.0, 60, 60, shift=shift)
+        part.write(tmp_path / "tiles" / "b.tif")
+
+    write_inset(4.0)
+    crew = import_twice(tmp_path, tiled, lambda: write_inset(-3.0))
+    # The ring and the distances by which its width is found reach 5 x 64 samples and two cells of 2 beyond the inset.
+    reached = (20 + 60 + 5 * 64 + 2 * 2) // 32
+    columns = {number % 27 for number in crew.read}
+    assert max(columns) <= reached < 26 and {0, 1, 2} <= columns
+
+
 def test_a_changed_margin_measures_only_windows_that_meet_it(tmp_path, tiled, monkeypatch):  # noqa: F811
     """Windows smaller than a tile: the margin is not enough for exact errors, but shows which tiles are measured."""
     monkeypatch.setattr(tile_steps, "margin_of", lambda _low, _high: 8)

@@ -2,6 +2,7 @@
 """Quick imports: true samples at the right places, the extent of the complete land, and marks of incomplete stores."""
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -204,11 +205,23 @@ def test_a_quick_store_is_the_same_each_time(tmp_path, source):
         assert (one / file).read_bytes() == (two / file).read_bytes()
 
 
-def test_a_reprojected_raster_is_imported_completely(tmp_path):
+def test_a_reprojected_raster_is_loaded_quickly(tmp_path):
     place = from_origin(5e5, 5e6, 10, 10)
     source = str(write_raster(tmp_path / "a.tif", hills(200, 150), crs="EPSG:32632", transform=place))
-    report = run_import(ImportSettings(source, project="EPSG:32633", quick=300), tmp_path / "store")
-    assert "loaded" not in report and report["raster"][0] > 190
+    settings, store = ImportSettings(source, project="EPSG:32633", quick=300, holes=True), tmp_path / "store"
+    report = run_import(settings, store)
+    quick = open_store(store)
+    full = run_import(replace(settings, quick=0), store)
+    complete = open_store(store)
+    assert report["full_raster"] == full["raster"] and "loaded" not in full
+    rows, columns = (
+        places_of(count, few - 1) for count, few in zip(complete.samples.shape, quick.samples.shape, strict=True)
+    )
+    rows = [complete.lattice.height - 1 - row for row in reversed(rows)]
+    known = (quick.valid > 0) & (complete.valid[np.ix_(rows, columns)] > 0)
+    assert known.mean() > 0.7 and np.array_equal(quick.valid > 0, complete.valid[np.ix_(rows, columns)] > 0)
+    assert np.abs(quick.heights() - complete.heights()[np.ix_(rows, columns)])[known].max() < 0.02
+    assert quick.crs == complete.crs and np.array_equal(quick.origin, complete.origin)
 
 
 def test_a_negative_count_of_samples_is_refused(tmp_path, source):

@@ -54,20 +54,14 @@ def perform(
     """
     if task.step == MEASURED:
         low, high, missing = task.limits
-        limits = tile_steps.TerrainLimits(low, high, int(missing))
-        tile_steps.measure(work, task.number, limits, threads, task.before, coarse=coarse)
+        terrain = tile_steps.TerrainLimits(low, high, int(missing))
+        tile_steps.measure(work, task.number, terrain, threads, task.before, coarse=coarse)
         return True
     assert source is not None, "only the measuring of a tile needs none"
-    raster, settings, place, _ = source
-    raster.moved = raster.shifted = 0.0
-    reader = HeightReader(raster, settings)
+    source.raster.moved = source.raster.shifted = 0.0
+    reader = HeightReader(source.raster, source.settings)
     limits: list[float] = []
-    if coarse is not None and task.number not in coarse.loaded:
-        box = work.grid.owned(work.grid.box(task.number))
-        limits += work.write_heights(box.x0, box.y0, coarse.heights(box))
-    for box, values in _pieces(work.grid, source, task.number) if not limits else ():
-        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
-        place.in_file_order(heights)[:] = reader.heights(values)
+    for box, heights in _read_heights(work.grid, source, task.number, reader):
         try:
             limits += work.write_heights(box.x0, box.y0, heights)
         except NotNumberedError:
@@ -75,6 +69,20 @@ def perform(
     ends = [min(limits), max(limits)] if limits else None
     work.note(READ, task.number, inputs=task.inputs, missing=reader.missing, limits=ends, figures=reader.figures())
     return True
+
+
+def _read_heights(
+    grid: TileGrid, source: TileSource, number: int, reader: HeightReader
+) -> Iterator[tuple[TileBox, np.ndarray]]:
+    """Yield the boxes of a unit, each with its heights in the order of the terrain."""
+    if source.coarse is not None and number not in source.coarse.loaded:
+        box = grid.owned(grid.box(number))
+        yield box, source.coarse.heights(box)
+        return
+    for box, values in _pieces(grid, source, number):
+        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
+        source.place.in_file_order(heights)[:] = reader.heights(values)
+        yield box, heights
 
 
 def unit_count(grid: TileGrid, source: TileSource) -> int:

@@ -116,11 +116,7 @@ def loaded_text(settings) -> str:
     if imported is None or imported.loaded_m is None:
         return ""
     if imported.refined_m is not None:
-        step, tiles = imported.refined_m
-        return phrase(
-            "Loaded to {} in {} tiles, to {} elsewhere",
-            *map(str, (length_text(step), tiles, length_text(imported.loaded_m[0]))),
-        )
+        return phrase("Loaded to {}, else {}", length_text(imported.refined_m[0]), length_text(imported.loaded_m[0]))
     return phrase("Loaded to {} of {}", *map(length_text, imported.loaded_m))
 
 

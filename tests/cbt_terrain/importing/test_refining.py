@@ -65,7 +65,7 @@ def interpolated(nodes, factor):
 
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
-def test_loaded_tiles_have_true_samples_and_others_the_first_picture(tmp_path, small_tiles, place):
+def test_loaded_tiles_are_true_and_others_the_first_picture(tmp_path, small_tiles, place):
     heights = rough(505, 401)
     settings, store = loaded_store(tmp_path, heights, place, (0, 9))
     run_import(settings, tmp_path / "first")

@@ -242,7 +242,7 @@ def test_tiles_in_view_are_shown_before_the_rest(terrain, scene, monkeypatch):
 
     monkeypatch.setattr(import_terrain.ImportTerrain, "finish", finish_and_look)
     assert to_the_end(running(import_terrain.ImportTerrain, terrain)) == {"FINISHED"}
-    tiles = "Loaded to 9.95 m in 1 tiles, to 79.6 m elsewhere", 201, "to 79.6 m of 10 m, in 1 tiles to 9.95 m"
+    tiles = "Loaded to 9.95 m, else 79.6 m", 201, "to 79.6 m of 10 m, in 1 tiles to 9.95 m"
     assert finished == [(LOADED, 26, "to 79.6 m of 10 m"), tiles, ("", 200, None)]
     assert np.array_equal(open_store(store_of(terrain)).heights(), hills(200, 150)[::-1])
     settings = import_terrain.settings_of(terrain)

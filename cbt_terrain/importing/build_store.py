@@ -47,7 +47,7 @@ from .tile_tasks import TileSource
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the header of {} has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "tiles")
+ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "loaded_tiles")
 
 
 def run_import(
@@ -100,7 +100,7 @@ def import_raster(
         report = finished_import(path, given, raster) if raster.sources else None
         if report is not None:
             return report
-        land = _first_picture(given, raster, path) if settings.tiles else None
+        land = _first_picture(given, raster, path) if settings.loaded_tiles else None
         if land is not None:
             raster = refined(raster, settings, land)
         elif settings.quick:
@@ -184,7 +184,7 @@ def _build(
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
     """Return the first picture of a source in the store at `path`. Raises TerrainError if another source is there."""
-    before = dataclasses.replace(settings, tiles=())
+    before = dataclasses.replace(settings, loaded_tiles=())
     if finished_before(path, source_digest(before, raster.sources, raster.method)) is None:
         raise TerrainError(f"The store {path} has no first picture of {settings.name}", fix="import quickly first")
     return coarse_land(settings, path)
@@ -232,7 +232,7 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
 
     raster: the opened source, which knows the files that it names; None for a source that names none.
     """
-    complete = dataclasses.replace(settings, quick=0, tiles=())
+    complete = dataclasses.replace(settings, quick=0, loaded_tiles=())
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
         report = finished_before(path, source_digest(wanted, files, method))

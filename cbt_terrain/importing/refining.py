@@ -37,7 +37,7 @@ def coarse_land(settings: ImportSettings, store: Path) -> CoarseLand:
     full = _full_raster(field)
     if full is None:
         raise TerrainError(f"The store {store} has no first picture", fix="import quickly first")
-    return CoarseLand(field, _bits(field, full), frozenset(settings.tiles))
+    return CoarseLand(field, _bits(field, full), frozenset(settings.loaded_tiles))
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:

@@ -187,7 +187,7 @@ def serve_tasks(
     request, found = json.loads(line), None
     settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
     guard(settings, folder.parent)
-    coarse = coarse_land(settings, folder.parent) if settings.tiles else None
+    coarse = coarse_land(settings, folder.parent) if settings.loaded_tiles else None
     try:
         for text in io.FileIO(0, closefd=False):
             task = TileTask(**json.loads(text))

@@ -38,7 +38,7 @@ class ImportSettings:
             or the one that was changed last (NEWEST).
         step: metres between samples of a terrain of several files; None for those of the finest file.
         quick: number of samples at most to which a large raster is thinned (thinning.py); 0 imports all.
-        tiles: numbers of the tiles that a quick import loads in more detail (importing/refining.py); () for none.
+        loaded_tiles: numbers of tiles that a quick import loads in more detail (importing/refining.py).
         blend: whether finer files blend to coarser ones below them within a ring at their borders.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
@@ -86,12 +86,12 @@ class ImportSettings:
     step: float | None = None
     quick: int = 0
     blend: bool = True
-    tiles: tuple[int, ...] = ()
+    loaded_tiles: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
         object.__setattr__(self, "more_sources", tuple(self.more_sources))
-        object.__setattr__(self, "tiles", tuple(self.tiles))
+        object.__setattr__(self, "loaded_tiles", tuple(self.loaded_tiles))
 
     @property
     def sources(self) -> tuple[str, ...]:

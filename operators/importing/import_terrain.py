@@ -173,7 +173,7 @@ class ImportOperator(JobOperator):
         tiles = _needed_tiles(job.terrain())
         if tiles:
             with suppress(TerrainError):  # the complete import then reports it
-                quick = yield from self._import(job, dataclasses.replace(settings, tiles=tiles), quick[1])
+                quick = yield from self._import(job, dataclasses.replace(settings, loaded_tiles=tiles), quick[1])
                 if job.terrain() is not None:
                     self.finish(bpy.context, job.terrain(), quick)
         return quick

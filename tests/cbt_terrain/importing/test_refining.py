@@ -51,7 +51,7 @@ def loaded_store(folder, heights, place, tiles, run=run_import, **options):
     source = str(write_raster(folder / "a.tif", heights, crs="EPSG:32632", transform=place, tiled=True))
     settings = ImportSettings(source, quick=QUICK)
     run(settings, folder / "store")
-    run(replace(settings, tiles=tiles), folder / "store", **options)
+    run(replace(settings, loaded_tiles=tiles), folder / "store", **options)
     return settings, folder / "store"
 
 
@@ -158,7 +158,7 @@ def test_a_complete_import_has_no_trace_of_loaded_tiles(tmp_path, small_tiles, m
         run_import(replace(settings, quick=0), target)
     (arrays, text), (wanted, wanted_text) = content(store), content(tmp_path / "plain")
     assert text == wanted_text and all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
-    report = import_source(replace(settings, tiles=(3,)), store)
+    report = import_source(replace(settings, loaded_tiles=(3,)), store)
     assert report["unchanged"] and "loaded" not in report, "a complete store stays"
 
 
@@ -170,7 +170,7 @@ def test_tiles_of_a_mosaic_are_loaded(tmp_path, small_tiles):
             whole.write(tmp_path / "tiles" / f"t{row}{column}.tif", **part)
     settings = ImportSettings(str(tmp_path / "tiles"), quick=QUICK)
     run_mosaic_import(settings, tmp_path / "store")
-    first = run_mosaic_import(replace(settings, tiles=(0, 20)), tmp_path / "store")
+    first = run_mosaic_import(replace(settings, loaded_tiles=(0, 20)), tmp_path / "store")
     assert first["loaded"].endswith("in 2 tiles to 20 m") and first["bounds_against"].endswith(first["loaded"])
     run_mosaic_import(replace(settings, quick=0), tmp_path / "whole")
     field, full = open_store(tmp_path / "store"), open_store(tmp_path / "whole")
@@ -186,11 +186,11 @@ def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
         (replace(settings, quick=300), "has no first picture of"),
     ):
         with pytest.raises(TerrainError, match=message):
-            run_import(replace(wrong, tiles=(1,)), store)
+            run_import(replace(wrong, loaded_tiles=(1,)), store)
     holes = replace(settings, holes=True)
     run_import(holes, tmp_path / "holes")
     with pytest.raises(TerrainError, match="cannot be loaded by tile"):
-        run_import(replace(holes, tiles=(1,)), tmp_path / "holes")
+        run_import(replace(holes, loaded_tiles=(1,)), tmp_path / "holes")
 
 
 def camera_at(x, y, z, size=(640, 640)):

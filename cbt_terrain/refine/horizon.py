@@ -9,10 +9,11 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
-from ...kernels.refine.horizon_map import FINEST, HorizonBlocks, fill_blocks, fill_horizon
+from ...kernels.refine.horizon_map import FINEST, OUTWARD, HorizonBlocks, fill_blocks, fill_horizon
 from ...kernels.refine.local_view import LocalView
 from ...kernels.refine.pixels import CriterionArrays
 from ..field.blocks import concatenate_levels, halvings
+from ..field.extremes import extremes
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, flat
@@ -94,20 +95,20 @@ def horizon_of(
 
 
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
-    """Return the blocks of a field's surface; they are computed once and cached in the field."""
-    key = "blocks", field.interpolation
-    min_height, first, wide = cached(field.cache.results, key, lambda: _height_blocks(domain, threads))
+    """Return the blocks of a field's surface; they are computed once, and a large raster's are kept in its store."""
     blocks = HorizonBlocks()
-    blocks.min_height, blocks.first, blocks.wide = (
-        flat(min_height, wp.float32),
-        flat(first, wp.int64),
-        flat(wide, wp.int32),
-    )
+    if field.interpolation == "bilinear":
+        low, first, wide = extremes(field, np.minimum)
+        high, blocks.outward = extremes(field, np.maximum)[0], OUTWARD
+    else:
+        low, high, first, wide = cached(field.cache.results, ("blocks",), lambda: _patch_blocks(domain, threads))
+    blocks.low, blocks.high = flat(low, wp.float32), flat(high, wp.float32)
+    blocks.first, blocks.wide = flat(first, wp.int64), flat(wide, wp.int32)
     return blocks
 
 
-def _height_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the extremes of heights in blocks of samples, by which rays skip ground: the arrays of HeightBlocks.
+def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
+    """Compute the extremes of a bicubic surface in blocks of cells, rounded outwards: the arrays of HorizonBlocks.
 
     The levels below FINEST are empty.
     """
@@ -115,7 +116,9 @@ def _height_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray
     finest = np.empty((high, wide, 2), np.float32)
     inputs = [domain, wide, flat(finest, wp.float32)]
     launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
-    return concatenate_levels(halvings(finest, np.minimum), int(FINEST))
+    found, first, wide_levels = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
+    low, high = found.reshape(-1, 2).T
+    return low.copy(), -high, first, wide_levels
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:

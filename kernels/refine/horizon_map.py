@@ -30,8 +30,9 @@ OUTWARD = wp.constant(wp.float64(2e-7))  # relative: above the rounding of float
 class HorizonBlocks:
     """Bounds of the surface's heights over blocks of 2^level x 2^level cells, metres before scaling."""
 
-    # Per block: minimum of heights, minimum of negated heights; from level FINEST, row by row from the south-west.
-    min_height: wp.array(dtype=wp.float32)
+    low: wp.array(dtype=wp.float32)  # per block, from level FINEST, row by row from the south-west
+    high: wp.array(dtype=wp.float32)
+    outward: wp.float64  # by which part of themselves these may be within the surface's
     first: wp.array(dtype=wp.int64)  # per level: number of its first block
     wide: wp.array(dtype=wp.int32)  # per level: blocks in a row
 
@@ -73,8 +74,11 @@ def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.i
     min_height = wp.float64(0.0)
     if level > 0:
         block = item_at(blocks.first, level) + wp.int64(j) * wp.int64(item_at(blocks.wide, level)) + wp.int64(i)
-        side = wp.int64(wp.where(up > wp.float64(0.0), 0, 1))
-        min_height = wp.float64(item_at(blocks.min_height, wp.int64(2) * block + side))
+        if up > wp.float64(0.0):
+            min_height = wp.float64(item_at(blocks.low, block))
+        else:
+            min_height = -wp.float64(item_at(blocks.high, block))
+        min_height = wp.float64(wp.float32(min_height - wp.abs(min_height) * blocks.outward))
     else:
         min_height = min_of_cells(domain, i, j, i, j, up)
     return min_height

@@ -8,12 +8,13 @@ import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.attributes import light, occluder, sky, sky_layer
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
-from adaptive_terrain.cbt_terrain.attributes.occluder import find_tops, occluder_of
+from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
+from adaptive_terrain.cbt_terrain.field.extremes import find_tops
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, verify
 from adaptive_terrain.cbt_terrain.run import launch, stopping
 from adaptive_terrain.cbt_terrain.run.buffers import flat

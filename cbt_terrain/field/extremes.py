@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The lowest and highest samples of blocks of a raster, by which rays and horizons skip ground."""
+
+import numpy as np
+
+from ...kernels.effects import horizon as kernels
+from ..run.locks import cached
+from .blocks import fill_levels, level_offsets, level_shapes, over_cells
+from .derived_arrays import derive_large
+from .heightfield import HeightField
+from .store import derived_arrays as derived_shapes
+
+
+def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `find_tops` of a field, which is computed once."""
+    return cached(field.cache.results, ("tops", reduce), lambda: find_tops(field, reduce))
+
+
+def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
+
+    Also the first index of each level, int64 [levels], and the blocks in its rows, int32 [levels], 0 below FINEST.
+    Those of a large raster are cached in its store.
+    """
+    lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
+    rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))
+
+    def finest(some: slice) -> np.ndarray:
+        """Read the samples of some rows of blocks."""
+        return over_cells(field.heights(slice(some.start * side, some.stop * side + 1)), side, reduce)
+
+    def fill(arrays: dict[str, np.ndarray]) -> None:
+        """Compute all levels."""
+        fill_levels(arrays[name], rows, columns, reduce, finest)
+
+    found = derive_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
+    return found, *level_offsets(level_shapes(rows, columns), int(kernels.FINEST))

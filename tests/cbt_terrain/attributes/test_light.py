@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.attributes import light, occluder, sky, sky_layer
+from adaptive_terrain.cbt_terrain.attributes import light, sky, sky_layer
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
+from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays, extremes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.extremes import find_tops
@@ -359,5 +359,5 @@ def test_extremes_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
     for _ in range(2):
         found = [[array.tobytes() for array in find_tops(open_store(tmp_path), reduce)] for reduce in reductions]
         assert found == expected
-        monkeypatch.setattr(occluder, "over_cells", None)  # nothing is read again
+        monkeypatch.setattr(extremes, "over_cells", None)  # nothing is read again
     assert {"tops.npy", "bottoms.npy"} < verify(tmp_path).keys()

@@ -13,7 +13,7 @@ from adaptive_terrain.operators.land import panel, render_wait, resting_land, sh
 from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
 from land_scenes import add
-from modal_runs import running, to_the_end
+from modal_runs import hold, running, to_the_end
 
 
 def test_a_render_shows_the_land_that_it_waits_for(terrain, monkeypatch, capsys):
@@ -104,8 +104,10 @@ def test_f12_shapes_first_the_tiles_that_a_shot_lacks(scene, terrain, wide_store
     for east in (-4000.0, -4000.0, 4000.0):
         scene.camera.location, scene.camera.rotation_euler = (east, 0.75 * east, 460.0), (0.0, 0.0, 0.0)
         bpy.context.view_layer.update()
+        event = hold(monkeypatch, derived_store, "wanted_tiles")
         operator = running(shape_land.ShapeAndRender, terrain, animation=False, done="")
         assert jobs.find(jobs.SHAPE, terrain).message == resting_land.CHOOSING
+        event.set()
         assert to_the_end(operator) == {"FINISHED"}
         stores.append(derived_store.counts["stores"])
         session.update_object(terrain, mode="RENDER")

@@ -57,8 +57,7 @@ def fill_rows(
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
     above = np.full((len(chunks) + 1, width), -1, np.int32)  # nearest valid row from the end of each chunk on
     for number, rows in reversed([*enumerate(chunks)]):
-        valid = ~missing_in(rows)
-        above[number] = np.where(valid.any(axis=0), rows.start + valid.argmax(axis=0), above[number + 1])
+        above[number] = _first_valid(~missing_in(rows), range(rows.start, rows.stop), above[number + 1])
     below = np.full(width, -1, np.int32)
     for number, rows in enumerate(chunks):
         missing = missing_in(rows)
@@ -67,8 +66,14 @@ def fill_rows(
             samples, (y, x) = opened(), np.nonzero(missing)
             column = column[y, x]
             samples[rows.start + y, x] = samples[row[y, column], column]
-        valid = ~missing[::-1]
-        below = np.where(valid.any(axis=0), rows.stop - 1 - valid.argmax(axis=0), below).astype(np.int32)
+        below = _first_valid(~missing[::-1], range(rows.start, rows.stop)[::-1], below)
+
+
+def _first_valid(valid: np.ndarray, rows: range, beyond: np.ndarray) -> np.ndarray:
+    """Return, for each column, the first of `rows` with a valid sample, int32; that of `beyond` if there is none."""
+    if valid[0].all():  # as in most rasters
+        return np.full(valid.shape[1], rows[0], np.int32)
+    return np.where(valid.any(axis=0), rows[0] + rows.step * valid.argmax(axis=0), beyond).astype(np.int32)
 
 
 def _nearest(

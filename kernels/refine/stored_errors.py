@@ -177,7 +177,7 @@ def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.in
     i = x >> bits
     j = y >> bits
     error = wp.float32(0.0)
-    for k in range(3):  # one call: Warp passes structs by value, and compilers undo that of a function with one caller
+    for k in range(3):  # the cell north-east of the vertex, and those west and south of it that share the diamond
         shares = (depth & 1) == 0 and wp.where(k == 1, (i << bits) == x, (j << bits) == y)
         if k == 0 or shares:
             error = wp.max(error, exact_cell_error(domain, i - wp.int32(k == 1), j - wp.int32(k == 2)))

@@ -227,7 +227,8 @@ def test_a_bake_says_what_held_it_back(scene, add_terrain):
     assert BakeTerrain.execute(operator, bpy.context) == {"FINISHED"}
     [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
     kind, message = operator.report.call_args.args
-    assert kind == {"WARNING"} and message.startswith(f"{len(baked.data.polygons):,} triangles, at most ")
+    where = f"{baked.name}, in the place of {terrain.name}: "
+    assert kind == {"WARNING"} and message.startswith(f"{where}{len(baked.data.polygons):,} triangles, at most ")
     assert message.endswith("held back by the triangle limit")
     assert min(vertex.co.z for vertex in baked.data.vertices) == 0.0
 

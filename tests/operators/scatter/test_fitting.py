@@ -148,7 +148,8 @@ def test_instances_follow_a_terrain_that_is_scaled_later(terrain, scatter):
 
 def test_the_collection_is_the_first_row_of_the_panel(scatter):
     shown = MagicMock()
-    ScatterPanel.draw(SimpleNamespace(layout=shown), SimpleNamespace(object=scatter))
+    context = SimpleNamespace(object=scatter, scene=bpy.context.scene, space_data=None)
+    ScatterPanel.draw(SimpleNamespace(layout=shown), context)
     names = [call.args[1] for call in shown.column().prop.call_args_list if len(call.args) > 1]
     assert names[:3] == ["collection", "spacing", "full_until"]
 

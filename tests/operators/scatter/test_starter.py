@@ -100,7 +100,8 @@ def test_the_panel_offers_the_starter_until_one_is_chosen(scene, add_terrain, ki
 
     def offered():
         shown = MagicMock()
-        ScatterPanel.draw(SimpleNamespace(layout=shown), SimpleNamespace(object=scatter))
+        context = SimpleNamespace(object=scatter, scene=scene, space_data=None)
+        ScatterPanel.draw(SimpleNamespace(layout=shown), context)
         return [call.args for call in shown.column().operator_menu_enum.call_args_list]
 
     assert offered() == [("adaptive_terrain.starter_add", "kind")]

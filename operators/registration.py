@@ -12,7 +12,7 @@ from . import handlers, jobs
 from .accuracy import registered as accuracy
 from .assets import library as asset_library
 from .attributes import registered as attributes
-from .bridge import freed_memory
+from .bridge import freed_memory, writing
 from .export import registered as export
 from .farm import registered as farm
 from .ground import keep_ground
@@ -58,7 +58,10 @@ MENU_ENTRIES = (
 )
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
 # Modules with timers, threads, keys and drawing; they stop before the operators go.
-SERVICES = (translations, store_paths, asset_library, render_wait, shape_land, overlay_panel, live, status_bar)
+SERVICES = (
+    *(writing, translations, store_paths, asset_library, render_wait, shape_land, overlay_panel),
+    *(live, status_bar),
+)
 
 
 def register() -> None:

@@ -19,6 +19,7 @@ from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
+from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..terrain import frame_terrain, request, sidebar
@@ -265,6 +266,7 @@ def resume_after_undo() -> None:
         bpy.app.timers.register(_resume_imports, first_interval=0.0)  # a handler may begin nothing that runs on
 
 
+@allow_writing
 def _resume_imports() -> None:
     """Import terrains again that are back, and give back lost stores; a timer calls it once."""
     for obj in session.all_terrains():

@@ -16,6 +16,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import real_path
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
+from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
 from ..session import session
 from .imported import loaded_text
@@ -114,6 +115,7 @@ class OfferPack(bpy.types.Operator):
         return bpy.ops.adaptive_terrain.pack_store("INVOKE_DEFAULT", save_again=True)
 
 
+@allow_writing
 def _ask_to_pack() -> None:
     """Open the question whether to pack, a moment after the first save of a file."""
     windows = bpy.context.window_manager.windows

@@ -18,6 +18,7 @@ from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
 from ...cbt_terrain.sandbox.store_job import ChildJob
+from ..bridge.writing import allow_writing
 from ..text.console import print_line
 from ..text.translations import phrase
 
@@ -128,7 +129,13 @@ def watch() -> None:
     if wait is None or wait.is_watched or manager.is_interface_locked:
         return
     wait.is_watched = True
-    for window in manager.windows:
+    _listen(manager.windows)
+
+
+@allow_writing
+def _listen(windows) -> None:
+    """Start the operator that hears Esc in each window."""
+    for window in windows:
         with bpy.context.temp_override(window=window):
             bpy.ops.adaptive_terrain.cancel_waiting("INVOKE_DEFAULT")
 

@@ -14,6 +14,7 @@ from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.view import View
 from .. import jobs
 from ..bridge.evaluated import raster_placement_of
+from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..session.shot import frames_of, visit_views
@@ -188,6 +189,7 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
         if next_unshaped(context, done.splitlines()) is not None:
             operator, options = bpy.ops.adaptive_terrain.shape_and_render, options | {"done": done}
 
+        @allow_writing
         def go_on() -> None:
             """Render, or shape the next terrain and then render."""
             with bpy.context.temp_override(window=window):

@@ -20,6 +20,7 @@ from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge.demand.screens import screens_key
+from ..bridge.writing import allow_writing
 from ..ground import keep_ground
 from ..land import resting_land
 from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, follows_viewport, gather, record_time
@@ -112,7 +113,10 @@ def _write_postponed_normals() -> None:
     if any(record.postponed is not None for _, record in session.records()):
         for obj in session.all_terrains():
             if obj.mode == "OBJECT":
-                session.show_normals(obj)
+                _show_normals(obj)
+
+
+_show_normals = allow_writing(session.show_normals)
 
 
 def _windows_changed() -> bool:
@@ -137,6 +141,7 @@ def stage() -> str:
     return _stage
 
 
+@allow_writing
 def _next_job() -> LiveUpdate | None:
     """Start an update of the first terrain whose request has changed; return it, None if there is none."""
     global _follows_viewport, _started
@@ -252,6 +257,7 @@ def _solve_and_paint(record: session.Record, request: Request):
     return update
 
 
+@allow_writing
 def _show_result(job: LiveUpdate) -> None:
     """Write the mesh of a finished update, unless the terrain has changed since it was started; report its error."""
     global _shown_at

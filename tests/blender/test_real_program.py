@@ -177,3 +177,10 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert len(set(report["drawn_triangles"][:4])) == 4, "a viewport render waits for each frame's mesh"
     picture = Image.open(Path(os.environ.get("ADAPTIVE_TERRAIN_PICTURES", tmp_path)) / "updated.png").convert("L")
     assert np.asarray(picture).std() > 5, "the screen is not blank"
+
+
+def test_the_view_is_followed_after_any_render(program, tmp_path):
+    """A render that begins while a header is drawn leaves Blender's flag against writing set: see bridge/writing.py."""
+    report = run_in_window(program, "forbidden_writing.py", tmp_path)
+    assert report["writes"] == [True, False], "other timers can write no more"
+    assert report["after"] > report["before"] > 0

@@ -4,7 +4,6 @@
 Run with a window and --enable-event-simulate. Blender's own Esc, which ends the render too, sees only real keys.
 """
 
-import importlib
 import sys
 import time
 from pathlib import Path
@@ -12,15 +11,10 @@ from pathlib import Path
 import bpy
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import run, take_steps, terrain, until  # noqa: E402
+from window_steps import module, run, take_steps, terrain, until  # noqa: E402
 
 SIDE = 32_000.0  # metres: of the island itself
-PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string, "ended": [], "said": []}
-
-
-def module(name: str):
-    return importlib.import_module(f"{PACKAGE}.operators.{name}")
 
 
 render_wait, resting_land, shaped_land = (

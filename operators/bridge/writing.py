@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Functions of timers that may write to Blender's data at any time.
+
+Blender forbids scripts to write while panels are drawn, by one flag for all threads. Each call of a Python class saves
+the flag and restores it. If a render engine is called on the render's thread while a panel is drawn, the two restore it
+in the wrong order: the flag then stays set after the render, and whatever a timer writes fails until Blender is
+restarted. The update function of a property may always write, so what meets the flag runs inside one. Blender redraws
+the window after each such call.
+"""
+
+from functools import wraps
+
+import bpy
+
+NAME = "adaptive_terrain_write"  # of the property of the window manager
+NO_ENTRY = "adaptive_terrain_no_entry"  # a custom property that no scene has
+_run = None  # called by the property's update function
+
+
+def may_write() -> bool:
+    """Return whether Blender lets Python write to its data now."""
+    try:
+        del bpy.data.scenes[0][NO_ENTRY]
+    except KeyError:
+        return True
+    except AttributeError:  # Blender looks at its flag first
+        return False
+
+
+def allow_writing(function):
+    """Decorate a function that a timer calls on the main thread, so that it may write after any render."""
+
+    @wraps(function)
+    def allowed(*arguments):
+        global _run
+        if may_write():
+            return function(*arguments)
+        results, errors = [], []
+
+        def call() -> None:
+            try:
+                results.append(function(*arguments))
+            except Exception as error:  # Blender would print it
+                errors.append(error)
+
+        _run = call
+        setattr(bpy.context.window_manager, NAME, True)
+        if errors:
+            raise errors[0]
+        return results[0]
+
+    return allowed
+
+
+def _on_update(_manager, _context) -> None:
+    _run()
+
+
+def start() -> None:
+    """Add the property to the window manager."""
+    setattr(bpy.types.WindowManager, NAME, bpy.props.BoolProperty(update=_on_update, options={"HIDDEN", "SKIP_SAVE"}))
+
+
+def stop() -> None:
+    """Remove the property from the window manager."""
+    delattr(bpy.types.WindowManager, NAME)

@@ -18,6 +18,7 @@ from .accuracy import measuring
 from .accuracy import report as accuracy_report
 from .bridge import freed_memory
 from .bridge.demand import kept
+from .bridge.writing import allow_writing
 from .ground import keep_ground
 from .importing import import_terrain, incomplete
 from .land import render_wait, resting_land
@@ -107,12 +108,14 @@ def _rendered_frame(scene) -> tuple[int, float] | None:
 
 
 @persistent
+@allow_writing
 def on_before_frame(scene, _unused=None) -> None:
     """Undo the moves of objects that were kept on the ground, so that their animation of the new frame applies."""
     keep_ground.release(scene)
 
 
 @persistent
+@allow_writing
 def on_frame_change(scene, depsgraph) -> None:
     """Update objects on the ground, then terrains.
 

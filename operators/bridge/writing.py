@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions of timers that may write to Blender's data at any time.
+"""Functions of timers and handlers that may write to Blender's data at any time.
 
 Blender forbids scripts to write while panels are drawn, by one flag for all threads. Each call of a Python class saves
 the flag and restores it. If a render engine is called on the render's thread while a panel is drawn, the two restore it
-in the wrong order: the flag then stays set after the render, and whatever a timer writes fails until Blender is
-restarted. The update function of a property may always write, so what meets the flag runs inside one. Blender redraws
-the window after each such call.
+in the wrong order: the flag then stays set after the render, and whatever a timer or a handler writes fails until
+Blender is restarted. The update function of a property may always write, so what meets the flag runs inside one.
+Blender redraws the window after each such call.
 """
 
+import threading
+import time
 from functools import wraps
 
 import bpy
 
 NAME = "adaptive_terrain_write"  # of the property of the window manager
 NO_ENTRY = "adaptive_terrain_no_entry"  # a custom property that no scene has
+DRAWING_S = 1.0  # at most, for which a render's thread waits until no panel is drawn
 _run = None  # called by the property's update function
 
 
@@ -28,12 +31,12 @@ def may_write() -> bool:
 
 
 def allow_writing(function):
-    """Decorate a function that a timer calls on the main thread, so that it may write after any render."""
+    """Decorate a function that a timer or a handler calls, so that it may write after any render."""
 
     @wraps(function)
     def allowed(*arguments):
         global _run
-        if may_write():
+        if may_write() or _wait_for_drawing():
             return function(*arguments)
         results, errors = [], []
 
@@ -50,6 +53,18 @@ def allow_writing(function):
         return results[0]
 
     return allowed
+
+
+def _wait_for_drawing() -> bool:
+    """Wait on a render's thread while the window draws a panel; return whether the flag has been unset."""
+    if threading.current_thread() is threading.main_thread():  # which draws nothing now
+        return False
+    end = time.monotonic() + DRAWING_S
+    while time.monotonic() < end:
+        time.sleep(0.005)
+        if may_write():
+            return True
+    return False
 
 
 def _on_update(_manager, _context) -> None:

@@ -184,3 +184,5 @@ def test_the_view_is_followed_after_any_render(program, tmp_path):
     report = run_in_window(program, "forbidden_writing.py", tmp_path)
     assert report["writes"] == [True, False], "other timers can write no more"
     assert report["after"] > report["before"] > 0
+    first, second = report["rendered"]
+    assert first == second != report["after"], "a later render refines for its camera, too"

@@ -13,7 +13,7 @@ import bpy
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
 from window_steps import parts, run, take_steps, terrain, until  # noqa: E402
 
-result = {"version": bpy.app.version_string, "writes": []}
+result = {"version": bpy.app.version_string, "writes": [], "rendered": []}
 state = {"drawing": False, "rendering": False, "ended": False}
 
 
@@ -21,8 +21,9 @@ class SlowEngine(bpy.types.RenderEngine):
     bl_idname = "SLOW"
     bl_label = "Slow"
 
-    def render(self, _depsgraph):
+    def render(self, depsgraph):
         state["rendering"] = True
+        result["rendered"].append(len(terrain().evaluated_get(depsgraph).data.polygons))
         time.sleep(2.0)
 
 
@@ -72,6 +73,10 @@ def steps():
     end = time.monotonic() + 60.0
     yield from until(lambda: triangles() != result["before"] or time.monotonic() > end)
     result["after"] = triangles()
+    # A second render: its handler writes on the render's thread.
+    state.update(ended=False)
+    run(bpy.ops.render.render, "INVOKE_DEFAULT")
+    yield from until(lambda: state["ended"] and not bpy.app.is_job_running("RENDER"))
 
 
 def notes_whether_timers_write(count: int):

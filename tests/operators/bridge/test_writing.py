@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Timers write where Blender's flag forbids it: a poll function is such a place without a window."""
 
+import threading
+
 import bpy
 import pytest
 from adaptive_terrain.operators.bridge import writing
@@ -49,6 +51,17 @@ def test_a_timer_writes_where_the_flag_forbids_it(scene, forbidden):
     assert forbidden(writing.allow_writing(write)) == 0.25
     assert writing.allow_writing(write)() == 0.25, "and as well where nothing forbids it"
     assert scene.frame_step == before + 2
+
+
+def test_a_render_waits_for_drawing_to_end(scene, monkeypatch):
+    """On another thread it goes on as soon as the flag is unset."""
+    answers, on = iter((False, False, True)), []
+    monkeypatch.setattr(writing, "may_write", lambda: next(answers))
+    handler = writing.allow_writing(lambda: on.append(threading.current_thread()))
+    thread = threading.Thread(target=handler)
+    thread.start()
+    thread.join()
+    assert on == [thread] and next(answers, None) is None
 
 
 def test_the_flag_is_seen_and_nothing_written(scene, forbidden):

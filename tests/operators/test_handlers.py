@@ -171,7 +171,7 @@ def test_stale_frames_are_told_of_in_few_words():
     assert stale_renders.message_lines(dict.fromkeys(range(1, 241), why))[0].endswith(" 8, 9, 10 and 230 more")
 
 
-def turns(limit=500):
+def turns(limit=10_000):
     """Run the live timer until nothing is under way."""
     import time
 

@@ -83,13 +83,11 @@ def test_an_interrupted_wait_ends_after_all_jobs(interruptible):
     """Ctrl-C, twice, while the calling thread waits for the other job."""
     ended = threading.Event()
 
-    def interrupt():
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-
     def other():
-        for delay in (0.05, 0.1):
-            threading.Timer(delay, interrupt).start()
-        threading.Event().wait(0.3)
+        for _ in range(2):
+            threading.Event().wait(0.1)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        threading.Event().wait(0.1)
         ended.set()
 
     with pytest.raises(KeyboardInterrupt):

@@ -137,7 +137,7 @@ PANORAMAS = {
 
 def directions(scene, folder) -> np.ndarray:
     """float64 [rows, columns, 3]: where Cycles looks through the middle of a pixel; NaN where there is no picture."""
-    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=7, radius=10, location=scene.camera.location)
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=10, location=scene.camera.location)
     material = bpy.data.materials.new("place")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links

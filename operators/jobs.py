@@ -59,7 +59,8 @@ MEASURE = JobKind("MEASURE", "Measuring", "earlier measurements are kept", alone
 WATER = JobKind("WATER", "Adding water", "the water stays as it was")
 BAKE_LAND = JobKind("BAKE_LAND", "Baking to a store", "its list and its heights stay as they were")
 EXPORT = JobKind("EXPORT", "Exporting", "files that are complete stay, without the JSON file that lists them")
-KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, BAKE_LAND, EXPORT)}
+MAP = JobKind("MAP", "Rendering a map", "pictures that are complete stay, without GeoTIFF files", alone=True)
+KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, BAKE_LAND, EXPORT, MAP)}
 
 
 class JobStopped(Exception):
@@ -189,11 +190,22 @@ def progress_shown() -> list[tuple[int, str]]:
     return [(round(job.fraction * SHOWN_STEPS), job.text) for job in running]
 
 
+def is_rendering() -> bool:
+    """Return whether Blender renders on its own thread."""
+    return bpy.app.is_job_running("RENDER")
+
+
 def draw_progress(layout, job: BackgroundJob, text: str = ""):
-    """Draw a row with the progress bar of a job and its cancel button; return the row."""
+    """Draw a row with the progress bar of a job and its cancel button; return the row.
+
+    While the job renders, the button is Blender's own, since only that ends a render at once.
+    """
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
-    row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
+    if job.kind is MAP and is_rendering():
+        row.template_running_jobs()
+    else:
+        row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
     return row
 
 

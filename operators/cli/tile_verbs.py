@@ -108,7 +108,8 @@ def run_map(arguments) -> None:
 
     bpy = need_bpy("A .blend file")
     from ..export.blend_files import open_scene
-    from ..export.map_camera import add_map_camera, render_map
+    from ..export.map_camera import add_map_camera
+    from ..export.render_map import render_map
 
     scene, objects = open_scene(arguments.scene)
     wanted = [obj for obj in objects if arguments.terrain in (None, obj.name)]

@@ -1,36 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera that looks straight down on the whole terrain, and renders of it with their position on Earth."""
+"""A camera that looks straight down on the whole terrain, with the extent of its picture on Earth."""
 
 import json
 import math
-import os
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy_extras.io_utils import ExportHelper
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.exporting.height_tiles import placing_or_middle
-from ...cbt_terrain.exporting.pictures import WORLD_FILES, write_geotiffs, write_world_file
-from ...cbt_terrain.run import stopping
-from ...cbt_terrain.run.partial_files import private_folder
 from ..bridge.camera import render_resolution
 from ..bridge.evaluated import raster_placement_of
-from ..bridge.scene_paths import absolute_path, propose_file
-from ..importing.imported import imported_of
 from ..land import shaped_land
-from ..session import session, stale_renders
+from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain import sight
 from ..terrain.properties import SCENE_CAMERA
 from .blender_exporters import need_no_shear
-from .exporting import check_target
-from .file_outputs import escape_braces
 
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
@@ -38,7 +27,6 @@ FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_st
 BEFORE = "adaptive_terrain_map_before"  # property with the numbers of SIZE before the map
 SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
-FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 MARGIN = 0.1  # of the terrain's height, above and below
 # Degrees of the sun of shaded relief: above the horizon, and from north to west.
 SUN_HEIGHT, SUN_WEST = 45.0, 45.0
@@ -127,7 +115,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
 def leave_map(scene) -> None:
     """Give the scene the size of its pictures before the map, if its camera is an unchanged map camera."""
     camera = scene.camera
-    if camera is not None and BEFORE in camera and _is_unchanged(scene):
+    if camera is not None and BEFORE in camera and is_unchanged(scene):
         for name, value in zip(SIZE, camera[BEFORE], strict=True):
             setattr(scene.render, name, value if name.startswith("pixel") else int(value))
 
@@ -143,7 +131,7 @@ def _camera_state(scene) -> list[float]:
     return [data.ortho_scale, data.shift_x, data.shift_y, aspect, *(value for row in rows for value in row)]
 
 
-def _is_unchanged(scene) -> bool:
+def is_unchanged(scene) -> bool:
     """Return whether the map camera and the picture's aspect are those of its extent."""
     frame = _camera_state(scene)
     return np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0])
@@ -174,89 +162,6 @@ def extent_of(camera) -> MapExtent:
         return MapExtent(*json.loads(camera[EXTENT]))
     except (TypeError, KeyError, ValueError):
         raise TerrainError("The scene's camera is no map camera", fix="use Map Camera on a terrain") from None
-
-
-def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff: bool = True) -> list[Path]:
-    """Render the map of the scene's camera in `tiles` across and down; return the files. Raises TerrainError.
-
-    Each picture gets a world file and, with `with_geotiff`, becomes a GeoTIFF, too. All tiles show the mesh of the
-    whole map, so they fit together.
-    """
-    extent, size = extent_of(scene.camera), render_resolution(scene)
-    if not _is_unchanged(scene):
-        raise TerrainError("The map's camera or the picture's aspect was changed", fix="use Map Camera again")
-    form = FORMATS.get(path.suffix.lower())
-    if form is None:
-        raise TerrainError(f"{path} is of no format for maps", expected=", ".join(FORMATS))
-    if not all(1 <= count <= side for count, side in zip(tiles, size, strict=True)):
-        raise TerrainError(f"{tiles[0]} x {tiles[1]} tiles of {size[0]} x {size[1]} pixels", expected="fewer tiles")
-    written, geotiffs = [], []
-    for row, column in np.ndindex(tiles[1], tiles[0]):
-        stopping.check()
-        x = [size[0] * k // tiles[0] for k in (column, column + 1)]
-        y = [size[1] * k // tiles[1] for k in (row, row + 1)]
-        name = path.name if tiles == (1, 1) else f"{path.stem}_x{column}_y{row}{path.suffix}"
-        picture = path.with_name(name)
-        check_target(picture)
-        geotiff = picture if form == "TIFF" else picture.with_suffix(".tif")
-        _check_keeps_sources(scene, {picture, geotiff} if with_geotiff else {picture})
-        _render_part(scene, picture, size, x, y)
-        transform = extent.transform(size, x[0], y[0])
-        written += [picture, write_world_file(picture, transform)]
-        geotiffs.append((picture, geotiff, transform))
-    if with_geotiff:
-        write_geotiffs(geotiffs, extent.crs)
-        written += [file for picture, file, _ in geotiffs if file != picture]
-    return written
-
-
-def _check_keeps_sources(scene, files: set[Path]) -> None:
-    """Raise TerrainError if one of the files to write is the height map of a terrain."""
-    for settings in (obj.adaptive_terrain for obj in session.terrains_of(scene)):
-        imported = imported_of(settings)
-        sources = [settings.source_path, *(item.path for item in settings.more_sources)]
-        sources.append(imported.settings.get("source", "") if imported else "")
-        for source in (Path(absolute_path(name)) for name in sources if name):
-            if any(file.exists() and source.exists() and file.samefile(source) for file in files):
-                raise TerrainError(f"The map would replace the height map {source}", fix="choose another name")
-
-
-def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: list[int]) -> None:
-    """Render the pixels x[0] .. x[1], y[0] .. y[1] (from the top) of the frame into a file. Raises TerrainError."""
-    render, (width, height) = scene.render, size
-    parts = {"use_border": True, "use_crop_to_border": True}
-    # Blender truncates float32 fractions to pixels: a quarter of a pixel keeps them on the right side.
-    parts |= {"border_min_x": (x[0] + 0.25) / width, "border_max_x": (x[1] + 0.25) / width}
-    parts |= {"border_min_y": (height - y[1] + 0.25) / height, "border_max_y": (height - y[0] + 0.25) / height}
-    with private_folder(picture.parent) as folder, _temporarily_set(render, parts | {"use_file_extension": False}):
-        render.filepath = escape_braces(folder / picture.name)
-        with _temporarily_set(render.image_settings, _image_settings(picture)), stale_renders.raise_for_stale_frames():
-            try:
-                bpy.ops.render.render(write_still=True, scene=scene.name)
-            except RuntimeError as error:
-                raise TerrainError(f"Blender cannot render the map ({str(error).strip()})") from None
-        if not (folder / picture.name).is_file():
-            raise TerrainError(f"Blender wrote no picture into {picture.parent}", fix="check the disk")
-        os.replace(folder / picture.name, picture)
-
-
-def _image_settings(picture: Path) -> dict:
-    """Return the values of Blender's image settings for the format of a file."""
-    form = {"file_format": FORMATS[picture.suffix.lower()]}
-    return form if bpy.app.version < (5, 0) else {"media_type": "IMAGE"} | form
-
-
-@contextmanager
-def _temporarily_set(owner, values: dict):
-    """Set properties of `owner` for the `with` block; the path of a render is restored, too."""
-    before = {name: getattr(owner, name) for name in (*values, *(["filepath"] if hasattr(owner, "filepath") else []))}
-    try:
-        for name, value in values.items():
-            setattr(owner, name, value)
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(owner, name, value)
 
 
 class MapCamera(TerrainObjectOperator, bpy.types.Operator):
@@ -295,45 +200,4 @@ class MapCamera(TerrainObjectOperator, bpy.types.Operator):
             self.report({"WARNING"}, f"{size}; the terrain is not refined for the scene's camera: set Camera to Scene")
         else:
             self.report({"INFO"}, f"{size}; Render Map writes them with their position")
-        return {"FINISHED"}
-
-
-class RenderMap(bpy.types.Operator, ExportHelper):
-    """Render the picture of the map camera, whole or in tiles, with files that give map programs its place on Earth"""
-
-    bl_idname = "adaptive_terrain.render_map"
-    bl_label = "Render Map"
-
-    filename_ext = ".png"
-    check_extension = None  # the suffix that the user types is the format
-    filter_glob: bpy.props.StringProperty(default=";".join(f"*{s}" for s in WORLD_FILES), options={"HIDDEN"})
-    tiles: bpy.props.IntVectorProperty(
-        name="Tiles",
-        description="Number of pictures across and down: use several for a map that is too large for one render",
-        size=2,
-        default=(1, 1),
-        min=1,
-    )
-    geotiff: bpy.props.BoolProperty(
-        name="GeoTIFF",
-        description="Also write each picture as a GeoTIFF, which contains its place on Earth",
-        default=True,
-    )
-
-    @classmethod
-    def poll(cls, context):
-        cls.poll_message_set("The scene's camera is no map camera: use Map Camera first")
-        return context.scene.camera is not None and EXTENT in context.scene.camera
-
-    def invoke(self, context, event):
-        """Propose the name of the terrain that the panels show."""
-        if (terrain := session.shown_terrain(context)) is not None:
-            propose_file(self, terrain, "_map")
-        return ExportHelper.invoke(self, context, event)
-
-    @cancelled_by_errors
-    def execute(self, context):
-        """Render the map into the chosen file, or into tiles with its name."""
-        files = render_map(context.scene, Path(self.filepath), tuple(self.tiles), self.geotiff)
-        self.report({"INFO"}, f"Written: {files[0].name} and {len(files) - 1} more")
         return {"FINISHED"}

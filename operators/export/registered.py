@@ -4,7 +4,8 @@
 from .bake_terrain import BakeTerrain
 from .export_terrain import ExportTerrain
 from .export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
-from .map_camera import MapCamera, RenderMap
+from .map_camera import MapCamera
+from .render_map import RenderMap
 
 CLASSES = (BakeTerrain, ExportTerrain, ExportHeights, ExportHeightTiles, ExportTileset, MapCamera, RenderMap)
 HANDLERS = ()

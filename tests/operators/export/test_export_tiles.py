@@ -15,7 +15,7 @@ from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import export_tiles
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
 from adaptive_terrain.operators.export.export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
-from adaptive_terrain.operators.export.map_camera import RenderMap
+from adaptive_terrain.operators.export.render_map import RenderMap
 from land_scenes import add
 from modal_runs import RunningOperator, hold, running, to_the_end
 from tilesets import read_tileset

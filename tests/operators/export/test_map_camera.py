@@ -9,7 +9,11 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.export import render_map
+from adaptive_terrain.operators.export.render_map import RenderMap
+from modal_runs import running, to_the_end, turn
 from rasterio.transform import Affine
 from rasters import hills, write_raster
 
@@ -169,3 +173,70 @@ def test_a_map_does_not_replace_its_height_map(scene, mapped, tmp_path, name):
     with pytest.raises(RuntimeError, match="would replace the height map"):
         bpy.ops.adaptive_terrain.render_map(filepath=str(tmp_path / name))
     assert (tmp_path / "in.tif").read_bytes() == before and not (tmp_path / "in.png").exists()
+
+
+@pytest.fixture
+def in_window(mapped, tmp_path, monkeypatch):
+    """Return a function that starts to render a map of 2 x 1 tiles in a window; the second value lists its renders.
+
+    Blender's thread is replaced: a render is complete when it returns, and lasts until `rendering` is cleared.
+    """
+    bpy.ops.adaptive_terrain.map_camera()
+    start, rendering = render_map._start_render, []
+
+    def render(scene, *how):
+        assert how in ((), ("INVOKE_DEFAULT",)) and scene.render.use_border
+        start(scene)
+        if how:
+            rendering.append(scene.render.border_min_x)
+
+    monkeypatch.setattr(render_map, "_start_render", render)
+    monkeypatch.setattr(jobs, "is_rendering", lambda: bool(rendering))
+    given = {"filepath": str(tmp_path / "map.png"), "is_chosen": True, "tiles": (2, 1), "geotiff": True}
+    return lambda **more: running(RenderMap, mapped, **given | more), rendering
+
+
+def test_a_map_in_a_window_is_that_of_a_script(in_window, tmp_path):
+    start, rendering = in_window
+    operator = start()
+    while not (tmp_path / "map_x1_y0.png").exists():
+        assert turn(operator) == {"PASS_THROUGH"}
+        assert not bpy.context.scene.render.use_border, "a file that is saved now has the user's settings"
+        rendering.clear()
+    assert to_the_end(operator) == {"FINISHED"} and not jobs.running
+    bpy.ops.adaptive_terrain.render_map(filepath=str(tmp_path / "script.png"), tiles=(2, 1))
+    for name in ("x0_y0.tif", "x1_y0.tif"):
+        with rasterio.open(tmp_path / f"map_{name}") as ours, rasterio.open(tmp_path / f"script_{name}") as expected:
+            assert (ours.read() == expected.read()).all() and ours.transform == expected.transform
+
+
+@pytest.mark.parametrize("how", ["escape", "blender"])
+def test_a_cancelled_map_keeps_complete_pictures(in_window, tmp_path, how):
+    """Blender reports that the user has ended its render; Escape in a test's window does not reach it."""
+    start, rendering = in_window
+    operator = start()
+    assert operator.job.text == "Rendering a map: Picture 1 of 2"
+    rendering.clear()
+    while not rendering:  # the second picture
+        turn(operator)
+    assert operator.job.text == "Rendering a map: Picture 2 of 2" and operator.job.fraction == 0.5
+    if how == "escape":
+        turn(operator, "ESC")
+        rendering.clear()
+    else:
+        for note in list(bpy.app.handlers.render_cancel):
+            note(bpy.context.scene, None)
+        rendering.clear()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert "pictures that are complete stay" in operator.report.call_args.args[1]
+    assert {path.name for path in tmp_path.glob("*map*")} == {"map_x0_y0.png", "map_x0_y0.pgw"}
+    assert not list(tmp_path.glob(".partial*")) and bpy.context.scene.render.image_settings.file_format == "PNG"
+
+
+def test_a_removed_scene_ends_its_map(in_window):
+    start, rendering = in_window
+    operator = start()
+    name, other = bpy.context.scene.name, bpy.data.scenes.new("Other")
+    bpy.data.scenes.remove(bpy.data.scenes[name])
+    rendering.clear()
+    assert to_the_end(operator) == {"CANCELLED"} and not jobs.running and other.name in bpy.data.scenes

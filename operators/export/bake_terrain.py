@@ -63,9 +63,23 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
     return baked, update
 
 
+def _show_instead(baked, obj, view_layer) -> None:
+    """Hide a terrain in viewports and renders, and make its baked mesh the only selected and the active object.
+
+    Both surfaces at one place would flicker.
+    """
+    obj.hide_set(True, view_layer=view_layer)
+    obj.hide_render = True
+    for other in view_layer.objects.selected:
+        other.select_set(False, view_layer=view_layer)
+    if baked.name in view_layer.objects:  # not if the terrain's collection is excluded
+        baked.select_set(True, view_layer=view_layer)
+        view_layer.objects.active = baked
+
+
 class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
-    """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees. Use it to edit the
-    terrain by hand or for other programs"""
+    """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees, and hide the terrain,
+    which is in the same place. Use it to edit the terrain by hand or for other programs"""
 
     bl_idname = "adaptive_terrain.bake"
     bl_label = "Bake Static Mesh"
@@ -79,11 +93,14 @@ class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
-        """Bake the active terrain with the error of its settings, and report triangles and bound."""
+        """Bake the active terrain with the error of its settings, show the mesh instead of it, and report triangles
+        and bound.
+        """
         obj = context.object
         settings = obj.adaptive_terrain
         baked, update = bake_object(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
-        message = f"{baked.name}, in the place of {obj.name}: {len(baked.data.polygons):,} triangles, "
+        _show_instead(baked, obj, context.view_layer)
+        message = f"{baked.name}, in the place of {obj.name}, which is hidden now: {len(baked.data.polygons):,} triangles, "
         message += f"at most {bound_text(update.bound_m, 'm')} off"
         if update.limited:
             self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")

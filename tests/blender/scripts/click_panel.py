@@ -230,9 +230,12 @@ def bake_with_fit():
     for settings.bake_fit in (False, True):
         with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
             bpy.ops.adaptive_terrain.bake()
+        assert source.hide_get() and source.hide_render, "the mesh is in its place"
         [baked] = [item for item in bpy.data.objects if "baked" in item.name]
         result["baked"][str(settings.bake_fit)] = len(baked.data.polygons)
         bpy.data.objects.remove(baked)
+        source.hide_render = False
+        source.hide_set(False)
         bpy.context.view_layer.objects.active = source
         yield 0.5
 

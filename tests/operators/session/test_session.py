@@ -219,6 +219,20 @@ def test_bake_makes_an_ordinary_object(scene, add_terrain):
     assert mesh_bytes(terrain) == before
 
 
+def test_a_bake_is_shown_instead_of_its_terrain(scene, add_terrain):
+    """Both surfaces in one place flicker."""
+    terrain = add_terrain()
+    bpy.ops.adaptive_terrain.bake()
+    baked = bpy.context.view_layer.objects.active
+    assert baked.name == f"{terrain.name} baked" and bpy.context.selected_objects == [baked]
+    assert (terrain.visible_get(), terrain.hide_render) == (False, True)
+    assert (baked.visible_get(), baked.hide_render) == (True, False)
+    bpy.context.view_layer.objects.active = terrain
+    terrain.adaptive_terrain.bake_error_m *= 2
+    assert bpy.ops.adaptive_terrain.bake() == {"FINISHED"}, "a hidden terrain is baked again"
+    assert 0 < len(bpy.context.object.data.polygons) < len(baked.data.polygons)
+
+
 def test_a_bake_says_what_held_it_back(scene, add_terrain):
     terrain, operator = add_terrain(), SimpleNamespace(report=Mock())
     settings = terrain.adaptive_terrain
@@ -227,7 +241,7 @@ def test_a_bake_says_what_held_it_back(scene, add_terrain):
     assert BakeTerrain.execute(operator, bpy.context) == {"FINISHED"}
     [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
     kind, message = operator.report.call_args.args
-    where = f"{baked.name}, in the place of {terrain.name}: "
+    where = f"{baked.name}, in the place of {terrain.name}, which is hidden now: "
     assert kind == {"WARNING"} and message.startswith(f"{where}{len(baked.data.polygons):,} triangles, at most ")
     assert message.endswith("held back by the triangle limit")
     assert min(vertex.co.z for vertex in baked.data.vertices) == 0.0
@@ -242,6 +256,7 @@ def test_a_fitted_bake_has_fewer_triangles(scene, add_terrain):
         [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
         counts.append(len(baked.data.polygons))
         bpy.data.objects.remove(baked)
+        bpy.context.view_layer.objects.active = terrain
     assert 100 < counts[1] < 0.9 * counts[0]
 
 

@@ -7,20 +7,18 @@ import bpy
 from bpy_extras import view3d_utils
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.run import warmup
-from ...kernels.query import ground, rays
 from ..bridge import camera as cameras
 from ..session.polls import cancelled_by_errors
 from ..text.numbers import plain
 from . import vertical_moves as moves
 from . import world_ground
-from .chosen import chosen_grounds, has_ground
+from .chosen import GroundOperator, chosen_grounds, has_ground
 
 CURSOR, OBJECT = "CURSOR", "OBJECT"
 DOWN = 0.0, 0.0, -1.0
 
 
-class PickGround(bpy.types.Operator):
+class PickGround(GroundOperator, bpy.types.Operator):
     """Click on the terrain to put the 3D cursor on the ground, at the height map's full resolution. Esc or the right
     mouse button ends it"""
 
@@ -47,14 +45,19 @@ class PickGround(bpy.types.Operator):
         if context.area is None or context.area.type != "VIEW_3D":
             self.report({"ERROR"}, "Pick from a 3D viewport, or give the ray's origin and direction.")
             return {"CANCELLED"}
-        warmup.ask([ground, rays])  # before the click
+        self._has_kernels(context)  # starts to prepare them before the click
+        self.has_clicked = False
         context.window_manager.modal_handler_add(self)
         context.window.cursor_modal_set("EYEDROPPER")
         context.workspace.status_text_set("Click on the terrain; Esc: cancel")
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Turn a click into a ray and move the cursor or object; Esc or the right button cancels."""
+        """Turn a click into a ray and move the cursor or object, once the kernels are ready; Esc or the right button
+        cancels.
+        """
+        if self.has_clicked:
+            return GroundOperator.modal(self, context, event)
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self.cancel(context)
             return {"CANCELLED"}
@@ -65,11 +68,14 @@ class PickGround(bpy.types.Operator):
         if ray is None:
             self.report({"ERROR"}, "The click was not in a 3D viewport.")
             return {"CANCELLED"}
-        self.origin, self.direction = ray
-        return self.execute(context)
+        self.origin, self.direction, self.has_clicked = *ray, True
+        return GroundOperator.invoke(self, context, event)
 
     def cancel(self, context):
-        """Restore the mouse pointer and the status bar."""
+        """Restore the mouse pointer and the status bar, or stop waiting after the click."""
+        if self.has_clicked:
+            GroundOperator.cancel(self, context)
+            return
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
 

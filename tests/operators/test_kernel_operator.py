@@ -2,18 +2,21 @@
 """Operators that wait for their kernels after a click, beside the window."""
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.run import launch, warmup
 from adaptive_terrain.operators.export.bake_terrain import BakeTerrain
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
+from adaptive_terrain.operators.ground import pick_ground
 from adaptive_terrain.operators.ground.add_collider import AddCollider
 from adaptive_terrain.operators.ground.drop_to_ground import BOUNDS, DropToGround
 from adaptive_terrain.operators.ground.keep_above import KeepAboveGround
+from adaptive_terrain.operators.ground.pick_ground import PickGround
 from adaptive_terrain.operators.ground.viewshed import Viewshed
 from ground_scenes import askew, cube, hills_store, only  # noqa: F401
-from modal_runs import running, to_the_end
+from modal_runs import RunningOperator, running, to_the_end, turn
 
 DROP = {"anchor": BOUNDS, "offset": 0.0, "align": True, "keep": False}
 OPERATORS = {
@@ -71,6 +74,28 @@ def test_it_acts_on_the_object_of_the_click(click):
     operator, _ = click(BakeTerrain)
     operator.context.object = bpy.data.objects["Rock"]
     assert to_the_end(operator) == {"FINISHED"} and "Askew baked" in bpy.data.objects
+
+
+def test_a_click_that_picks_the_ground_waits_for_kernels(click, monkeypatch):
+    """The eyedropper shows at once; the wait begins with the click on the terrain."""
+    monkeypatch.setattr(pick_ground, "_ray_under", lambda *_: ((0.0, 0.0, 9000.0), (0.0, 0.0, -1.0)))
+    launched, load = set(), launch._load
+    monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
+    drop, _ = click(DropToGround)
+    drop.cancel(drop.context)
+    answers = iter([False, False, False])
+    monkeypatch.setattr(warmup, "ask", lambda modules: next(answers, True))
+    operator = RunningOperator(operator_class=PickGround, report=Mock(), moves="CURSOR", context=drop.context)
+    operator.context.window_manager.reset_mock()
+    operator.context.area, operator.context.window = SimpleNamespace(type="VIEW_3D"), Mock()
+    operator.context.workspace = Mock()
+    bpy.context.scene.cursor.location = (0.0, 0.0, -5.0)
+    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
+    assert turn(operator, "MOUSEMOVE") == {"PASS_THROUGH"}
+    assert turn(operator, "LEFTMOUSE") == {"RUNNING_MODAL"} and not launched
+    operator.context.window.cursor_modal_restore.assert_called_once()
+    assert to_the_end(operator) == {"FINISHED"} and launched
+    assert bpy.context.scene.cursor.location.z > 0.0
 
 
 def test_a_removed_object_ends_the_wait(click, askew):  # noqa: F811

@@ -139,6 +139,7 @@ class ImportOperator(JobOperator):
 
     kind = jobs.IMPORT
     shows_first_picture = True
+    baked = ""  # path of the baked land that the import replaces
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store.
@@ -148,6 +149,7 @@ class ImportOperator(JobOperator):
         """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
+        self.baked = context.object.adaptive_terrain.store if self.before and self.before.is_shaped else ""
         folder = store_folder(context.object, settings)
         quick = None
         if self.shows_first_picture and self.beside_window and not changed_ns(absolute_path(folder)):
@@ -194,6 +196,9 @@ class ImportOperator(JobOperator):
         """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
         report, folder = result
         before = _size_of(obj)
+        if self.baked not in ("", folder):
+            self.report({"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}")
+            self.baked = ""
         follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before

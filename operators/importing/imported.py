@@ -29,7 +29,7 @@ class Imported:
     `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
     and between samples, the lowest and the highest height, the steps of an incomplete store as loaded and in its source
     (None: complete), the step of its loaded tiles and their number (None: none), the import's warnings, and the place
-    of the raster's middle (georeference.py; None: unknown).
+    of the raster's middle (georeference.py; None: unknown). `is_shaped`: a stack of land effects has made the heights.
     """
 
     settings: dict
@@ -43,6 +43,7 @@ class Imported:
     refined_m: tuple[float, int] | None = None
     warnings: tuple[str, ...] = ()
     place: Place | None = None
+    is_shaped: bool = False
 
 
 def imported_of(settings) -> Imported | None:
@@ -82,6 +83,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         refined_m=refined_m(content["provenance"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
+        is_shaped="shaped" in content["provenance"],
     )
 
 

@@ -41,7 +41,19 @@ class LandList(bpy.types.UIList):
             left.label(icon="MOD_MASK")
         took = row.row()
         took.alignment = "RIGHT"
-        took.label(text=time_text(shaped_land.state_of(session.shown_terrain(context)).ms.get(index)))
+        ms = shaped_land.state_of(session.shown_terrain(context)).ms
+        took.label(text=shaping_time_text(ms, index))
+
+
+def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
+    """Return the time that entries took, "Reused" if all their tiles were known before.
+
+    ms: milliseconds of LandState.
+    """
+    found = [ms[number] for number in numbers if number in ms]
+    if found and all(one is None for one in found):
+        return phrase("Reused")
+    return time_text(sum(one or 0.0 for one in found) if found else None)
 
 
 class LandPresets(PresetPanel, bpy.types.Panel):
@@ -144,7 +156,7 @@ def status_lines(state) -> list[tuple[str, str]]:
     tiles = phrase("{} of {}", *(f"{number:,}" for number in state.tiles)) if state.tiles else "-"
     shown = phrase(state.shown)
     shown = phrase("{}, {} apart", shown, length_text(state.step_m)) if state.step_m else shown
-    return [("Shown", shown), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
+    return [("Shown", shown), ("Tiles", tiles), ("Time", shaping_time_text(state.ms, *state.ms))]
 
 
 class LandEffectPanel(TerrainSubpanel):

@@ -46,7 +46,7 @@ class LandState:
         shown: SOURCE, PREVIEW or SHAPED: the data of the mesh.
         step_m: metres between the samples that the stack was applied to.
         tiles: number of built and of all tiles.
-        ms: milliseconds by the entries' numbers.
+        ms: milliseconds by the entries' numbers, None for an entry whose tiles were all known before.
         finished_early: finer levels were not computed.
         seen: only the land in view of a shot is fine, and the shot may have changed.
     """
@@ -55,15 +55,10 @@ class LandState:
     shown: str = SOURCE
     step_m: float = 0.0
     tiles: tuple[int, int] | None = None
-    ms: dict[int, float] = field(default_factory=dict)
+    ms: dict[int, float | None] = field(default_factory=dict)
     note: str = ""
     finished_early: bool = False
     seen: bool = False
-
-    @property
-    def total_ms(self) -> float | None:
-        """Return the milliseconds that all entries took together, None if unknown."""
-        return sum(self.ms.values()) if self.ms else None
 
     @property
     def wanted(self) -> bool:
@@ -180,7 +175,7 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
     return LandState(True, SHAPED, info.step_m, tiles, _by_number(numbers, info.ms), note, info.finished_early)
 
 
-def _by_number(numbers: list[int], ms) -> dict[int, float]:
+def _by_number(numbers: list[int], ms) -> dict[int, float | None]:
     """Return milliseconds by the positions of the active entries; entries added since the update have none."""
     return dict(zip(numbers, ms, strict=False))  # the list may have changed since the update
 
@@ -190,7 +185,7 @@ class _ShapingInfo:
     """The provenance of a shaped store; see Shaped in land/shape.py."""
 
     step_m: float
-    ms: tuple[float, ...]
+    ms: tuple[float | None, ...]
     tiles: list
     tile_counts: list
     left_out_rms_m: float
@@ -216,9 +211,10 @@ def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
     """
     try:
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
-        ms = [0.0] * (1 + max((added["entry"] for added in shaped["added"]), default=-1))
+        ms: list[float | None] = [None] * (1 + max((added["entry"] for added in shaped["added"]), default=-1))
         for added in shaped["added"]:
-            ms[added["entry"]] += added["ms"]
+            if added["computed"]:
+                ms[added["entry"]] = (ms[added["entry"]] or 0.0) + added["ms"]
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
         some = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}

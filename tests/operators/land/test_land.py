@@ -16,11 +16,13 @@ from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.land import bake_land, shape_land, shaped_land
 from adaptive_terrain.operators.land import cache as land_cache
 from adaptive_terrain.operators.land import stack as land_stack
+from adaptive_terrain.operators.importing.import_terrain import ImportTerrain
 from adaptive_terrain.operators.land.bake_land import BakeLand
-from adaptive_terrain.operators.land.panel import NOTE_LINES, status_lines, time_text
+from adaptive_terrain.operators.land.panel import NOTE_LINES, shaping_time_text, status_lines
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.request import gather
 from adaptive_terrain.operators.terrain.request_kernels import kernels_for
+from adaptive_terrain.operators.text.numbers import time_text
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
 from land_scenes import add
 from modal_runs import hold, running, to_the_end, turn
@@ -261,6 +263,40 @@ def test_baked_land_needs_no_stack(terrain):
     assert session.record_of(terrain).field.raster.digest == open_store(baked).raster.digest
     with pytest.raises(RuntimeError, match="nothing to bake: the list is empty"):
         bpy.ops.adaptive_terrain.bake_land()
+
+
+def test_an_import_after_a_bake_says_which_land_it_leaves(terrain):
+    add("scree", depth=80.0)
+    bpy.ops.adaptive_terrain.bake_land()
+    baked = terrain.adaptive_terrain.store
+    texts = imported_anew(terrain)
+    assert terrain.adaptive_terrain.store != baked and [text for text in texts if "baked" in text] == [
+        f"The terrain has its imported heights again; its baked land stays in {baked}"
+    ]
+    assert not any("baked" in text for text in imported_anew(terrain))
+
+
+def imported_anew(terrain) -> list[str]:
+    """Return the messages of an import in a window."""
+    operator = running(ImportTerrain, terrain)
+    if operator.began == {"RUNNING_MODAL"}:  # an import that is up to date may be so at once
+        to_the_end(operator)
+    return [call.args[1] for call in operator.report.call_args_list]
+
+
+def test_the_list_says_which_effects_were_not_computed_again(terrain):
+    add("scree", depth=80.0)
+    bpy.ops.adaptive_terrain.shape()
+    session.update_object(terrain)
+    [first] = shaped_land.state_of(terrain).ms.values()
+    assert first > 0.0
+    add("relief")
+    bpy.ops.adaptive_terrain.shape()
+    session.update_object(terrain)
+    state = shaped_land.state_of(terrain)
+    assert state.ms[0] is None and state.ms[1] > 0.0
+    assert [shaping_time_text(state.ms, number) for number in (0, 1, 2)] == ["Reused", time_text(state.ms[1]), "-"]
+    assert status_lines(state)[2] == ("Time", time_text(state.ms[1]))
 
 
 @pytest.fixture

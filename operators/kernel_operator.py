@@ -28,11 +28,15 @@ class KernelOperator:
             return {"CANCELLED"}
         if self._has_kernels(context):
             return self.execute(context)
+        self.start_waiting(context)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def start_waiting(self, context) -> None:
+        """Start the timer that calls `modal` while the kernels are prepared."""
         remember_object(self, context)
         _waiting.add(self.bl_idname)
         self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
         """Execute the operator once the kernels are ready; the timer calls this until then."""

@@ -68,8 +68,12 @@ class PickGround(GroundOperator, bpy.types.Operator):
         if ray is None:
             self.report({"ERROR"}, "The click was not in a 3D viewport.")
             return {"CANCELLED"}
-        self.origin, self.direction, self.has_clicked = *ray, True
-        return GroundOperator.invoke(self, context, event)
+        self.origin, self.direction = ray
+        if self._has_kernels(context):
+            return self.execute(context)
+        self.has_clicked = True
+        self.start_waiting(context)
+        return {"RUNNING_MODAL"}
 
     def cancel(self, context):
         """Restore the mouse pointer and the status bar, or stop waiting after the click."""

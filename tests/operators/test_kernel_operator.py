@@ -95,6 +95,7 @@ def test_a_click_that_picks_the_ground_waits_for_kernels(click, monkeypatch):
     assert turn(operator, "LEFTMOUSE") == {"RUNNING_MODAL"} and not launched
     operator.context.window.cursor_modal_restore.assert_called_once()
     assert to_the_end(operator) == {"FINISHED"} and launched
+    operator.context.window_manager.modal_handler_add.assert_called_once()  # Blender crashes with two
     assert bpy.context.scene.cursor.location.z > 0.0
 
 

@@ -153,7 +153,7 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
             terrains = session.terrains_of(scene)
-            failed += incomplete.wait_for_imports(terrains) or update_all(scene, depsgraph, RENDER)
+            failed += incomplete.wait_for_imports(terrains, depsgraph) or update_all(scene, depsgraph, RENDER)
             if failed:
                 stale_renders.handle_stale_frame(scene, failed)
             incomplete.note_incomplete(scene, terrains)

@@ -22,6 +22,7 @@ DATA_PREFIX = "data-"
 WORK_NAME = "work.json"  # in a folder of arrays that is made by tile, and can be completed later (tiling/tile_work.py)
 WORK_SECONDS = 7 * 86_400.0  # since anything was written in such a folder; then it is abandoned
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
+FIRST = "first"  # in the folder of arrays of loaded tiles: the store of the first picture (importing/refining.py)
 # All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|borders|missing|kinds)\.npy"
@@ -100,7 +101,9 @@ def is_array_file(entry: Path) -> bool:
 
 def is_array_name(name: str, is_folder: bool) -> bool:
     """Return whether this program gives this name to files, or to folders, in a folder of arrays."""
-    return partial_files.is_partial_name(name) if is_folder else _ARRAY_FILE.fullmatch(name) is not None
+    if is_folder:
+        return name == FIRST or partial_files.is_partial_name(name)
+    return _ARRAY_FILE.fullmatch(name) is not None
 
 
 def is_tile_name(name: str) -> bool:

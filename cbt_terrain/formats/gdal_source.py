@@ -182,7 +182,7 @@ def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> 
         width=view.width,
         height=view.height,
         read=lambda first, count: window(first, count, 0, view.width),
-        window=None,
+        window=window,
         overview=lambda _max_factor: None,
         grid=None,
         block_rows=view.block_shapes[band - 1][0],

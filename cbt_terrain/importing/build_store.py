@@ -18,6 +18,7 @@ from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
+from ..field.packing import copy_store
 from ..formats.archives import is_archive, unpacked
 from ..formats.sources import check_file, check_named, open_source
 from ..rasters.raster import ImportSettings, Raster
@@ -29,7 +30,7 @@ from .drafts import common_report_entries
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .plausibility import ValueCheck, relief_warning
-from .refining import coarse_land, refined
+from .refining import coarse_land, first_picture, refined
 from .source_list import file_stat, files_of, names_several
 from .thinning import LOADED, REFINED, loaded_entries, loaded_steps, thinned
 from .tile_import import (
@@ -124,6 +125,8 @@ def import_raster(
         by_tile = land is not None or is_tiled(raster, lattice)
         with open_work(path, folder, lattice, digest, by_tile, doubt=DOUBT.format(settings.name)) as (draft, work):
             begin = 0.0
+            if land is not None and work is None:
+                copy_store(first_picture(path), draft.folder / store_folder.FIRST)
             if raster.original is not None:  # resampling mixes marks of missing samples with heights
                 begin = 0.1
                 for share, rows in raster.original.blocks():
@@ -150,6 +153,8 @@ def import_raster(
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             raster.finish(draft.folder)
+            if land is not None:
+                _first_picture(given, raster, path)  # a complete import has ended meanwhile if it is gone
             draft.publish(field, digest, report)
         return report
     finally:
@@ -184,10 +189,10 @@ def _build(
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
     """Return the first picture of a source in the store at `path`. Raises TerrainError if another source is there."""
-    before = dataclasses.replace(settings, loaded_tiles=())
-    if finished_before(path, source_digest(before, raster.sources, raster.method)) is None:
+    before, picture = dataclasses.replace(settings, loaded_tiles=()), first_picture(path)
+    if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
         raise TerrainError(f"The store {path} has no first picture of {settings.name}", fix="import quickly first")
-    return coarse_land(settings, path)
+    return coarse_land(settings, picture)
 
 
 def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None) -> dict:

@@ -2,12 +2,14 @@
 """Second step of a quick import: the tiles that views need are loaded in more detail.
 
 Each cell of the first picture becomes FACTOR x FACTOR cells, or those of the raster if they are larger. The chosen
-tiles get true samples of the source, as the first picture has; all others keep its surface (tiling/coarse_land.py).
+tiles get true samples of the source, as the first picture has; all others keep its surface (tiling/coarse_land.py). The
+store keeps the first picture inside, so that further tiles can be loaded; tiles that it has are not made again.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,39 +18,41 @@ from ..attributes.tiling import Tiling
 from ..errors import TerrainError
 from ..field.georeference import Georeference
 from ..field.heightfield import HeightField
-from ..field.lattice import Lattice
-from ..field.store import open_store, read_json
+from ..field.store import changed_ns, open_store, read_json
+from ..field.store_folder import FIRST, named_folder
 from ..rasters.raster import ImportSettings, Raster
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TileGrid, rows_of
 from ..view.view import View
-from .thinning import REFINED, loaded_m, positions, stride_of
+from .thinning import REFINED, loaded_m, positions, refined_m, stride_of
 
 FACTOR = 8
 BITS = 10  # of the tiles
-MAX_TILES = 64  # 0.3 s each, and as long for its neighbours
+MAX_TILES = 64  # that are loaded at once: 0.3 s each, and as long for its neighbours
+SQUARES = 8  # along a side of a tile, of which each is looked at
 MAX_READ = 1 << 22  # samples of the source that are read at once
 FEWEST = 1 << 29  # samples of a raster whose complete import takes much longer than this step
 
 
-def coarse_land(settings: ImportSettings, store: Path) -> CoarseLand:
-    """Return the land of the first picture in a store, with the tiles of the settings. Raises TerrainError."""
-    field = open_store(store)
+def first_picture(store: Path) -> Path:
+    """Return the folder of the first picture: inside a store with loaded tiles, else the store."""
+    folder = named_folder(store)
+    inner = None if folder is None else folder / FIRST
+    return inner if inner is not None and changed_ns(inner) else store
+
+
+def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
+    """Return the land of a first picture, with the tiles of the settings. Raises TerrainError."""
+    field = open_store(picture)
     full = _full_raster(field)
     if full is None:
-        raise TerrainError(f"The store {store} has no first picture", fix="import quickly first")
-    return CoarseLand(field, _bits(field, full), frozenset(settings.loaded_tiles))
+        raise TerrainError(f"The store {picture} has no first picture", fix="import quickly first")
+    return CoarseLand(field, read_json(picture)["digest"], _bits(field, full), frozenset(settings.loaded_tiles))
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
-    """Return a raster with the samples of a land's finer grid. Raises TerrainError for one that has no quick import."""
+    """Return a raster with the samples of a land's finer grid."""
     stride = stride_of(raster.width, raster.height, settings.quick)
-    if stride == 1 or raster.original is not None or settings.holes:
-        raise TerrainError(
-            f"{settings.name} cannot be loaded by tile",
-            expected="a large raster on its own grid without holes",
-            fix="import all of it",
-        )
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
     columns, rows = (
         (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)
@@ -82,6 +86,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         read=lambda first, count: window(first, count, 0, counts[0] + 1),
         window=window,
         pick=None,
+        original=None,
         inputs=None,
         georeference=place.with_steps_times(*(along[::-1] if place.transposed else along)),
         full_size=(raster.width, raster.height),
@@ -89,38 +94,87 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
     return fine
 
 
-def seen_tiles(
-    field: HeightField,
-    views: Sequence[View],
-    placement: np.ndarray,
-    error_px: float = 1.0,
-    vertical_scale: float = 1.0,
-    vertical_offset: float = 0.0,
-) -> tuple[int, ...]:
-    """Return the numbers of the tiles that views of a first picture need, the MAX_TILES most needed ones at most.
+class SeenLand(NamedTuple):
+    """Views of a terrain, and what else determines the detail that they need.
+
+    Attributes:
+        placement: float64 [4, 4], maps the terrain's space to the world.
+    """
+
+    views: Sequence[View]
+    placement: np.ndarray
+    error_px: float = 1.0
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+
+
+def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
+    """Return the tiles that views need and an incomplete store lacks: see `seen_tiles`. Raises TerrainError."""
+    return seen_tiles(open_store(first_picture(store)), seen, loaded_tiles(read_json(store)["provenance"]))
+
+
+def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
+    """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
 
     A tile is needed where the finest stored errors are larger than `error_px` pixels, because samples in between are
     about as far from the surface. There are none if the source is small, so that its complete import is soon done.
-
-    Args:
-        field: the first picture.
-        placement: float64 [4, 4], maps the terrain's space to the world.
     """
     full = _full_raster(field)
     if full is None or full[0] * full[1] < FEWEST:
         return ()
-    bits = _bits(field, full)
-    grid = TileGrid(_divided(field.lattice, bits), BITS)
-    side, lattice = 1 << BITS - bits, field.lattice
-    west, south, _, _ = lattice.rectangle()
-    tiling = Tiling(grid.columns, grid.rows, west, south, side * lattice.step_x, side * lattice.step_y, 0.0)
-    boxes = sizing.boxes(tiling, field, vertical_scale, vertical_offset)
-    pixels = sizing.footprints(boxes, views, placement, only_seen=True)
-    missing = _finest_errors(field, side).ravel() * abs(vertical_scale)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        needs = np.nan_to_num(missing / pixels, posinf=np.inf)
+    needs = _needs(field, 1 << BITS - _bits(field, full), seen).ravel()
+    needs[[tile for tile in loaded if tile < len(needs)]] = 0.0
     order = np.argsort(-needs, kind="stable")[:MAX_TILES]
-    return tuple(sorted(int(tile) for tile in order if needs[tile] > error_px))
+    return tuple(sorted(int(tile) for tile in order if needs[tile] > seen.error_px))
+
+
+def is_fine_enough(store: Path, seen: SeenLand) -> bool:
+    """Return whether views need no more detail than the loaded tiles of a store have, none of them missing.
+
+    It is judged as in `seen_tiles`. Raises TerrainError.
+    """
+    field = open_store(store)
+    return bool(loaded_tiles(field.provenance)) and _needs(field, 1 << BITS, seen).max() <= seen.error_px
+
+
+def loaded_tiles(provenance: dict) -> frozenset[int]:
+    """Return the numbers of the loaded tiles of a store."""
+    found = provenance.get("settings", {}).get("loaded_tiles") if REFINED in provenance else None
+    return frozenset(number for number in found or () if type(number) is int and number >= 0)
+
+
+def loaded_at(field: HeightField, x: float, y: float) -> float | None:
+    """Return the step to which a store is loaded at a point, metres; None for a complete store.
+
+    x, y: metres from the raster's middle.
+    """
+    steps, tiles = loaded_m(field.provenance), refined_m(field.provenance)
+    if steps is None or tiles is None:
+        return steps and steps[0]
+    (west, south, _, _), lattice = field.lattice.rectangle(), field.lattice
+    grid = TileGrid(lattice, BITS)
+    at = ((x - west) / lattice.step_x, lattice.cells_x), ((y - south) / lattice.step_y, lattice.cells_y)
+    column, row = (int(min(max(cell, 0), cells - 1)) >> BITS for cell, cells in at)
+    return tiles[0] if row * grid.columns + column in loaded_tiles(field.provenance) else steps[0]
+
+
+def _needs(field: HeightField, side: int, seen: SeenLand) -> np.ndarray:
+    """Return the largest errors of the finest vertices, pixels, in seen squares of side x side cells: [rows, columns].
+
+    Parts of a square are looked at, each by its own distance.
+    """
+    lattice, part = field.lattice, max(side // SQUARES, 2)
+    west, south, _, _ = lattice.rectangle()
+    columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
+    tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, 0.0)
+    boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
+    pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True).reshape(rows, columns)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        needs = _finest_errors(field, part) * abs(seen.vertical_scale) / pixels
+    needs = np.nan_to_num(needs, posinf=np.inf)
+    for axis in (0, 1):
+        needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
+    return needs
 
 
 def _full_raster(field: HeightField) -> tuple[int, int] | None:
@@ -136,12 +190,6 @@ def _full_raster(field: HeightField) -> tuple[int, int] | None:
 def _bits(field: HeightField, full: tuple[int, int]) -> int:
     """Return the binary logarithm of the finer cells along one of a first picture. full: see `_full_raster`."""
     return min(FACTOR, stride_of(*full, field.provenance["settings"]["quick"])).bit_length() - 1
-
-
-def _divided(lattice: Lattice, bits: int) -> Lattice:
-    """Return a lattice with each cell divided into 2**bits x 2**bits."""
-    cells = lattice.cells_x << bits, lattice.cells_y << bits
-    return Lattice(lattice.columns, lattice.rows, lattice.levels + bits, cells_x=cells[0], cells_y=cells[1])
 
 
 def _finest_errors(field: HeightField, side: int) -> np.ndarray:

@@ -149,7 +149,9 @@ def loaded_text(provenance: dict) -> str:
     if steps is None:
         return ""
     text = "to {} m of {} m".format(*map(_three_digits, steps))
-    return text if tiles is None else f"{text}, in {tiles[1]} tiles to {_three_digits(tiles[0])} m"
+    if tiles is None:
+        return text
+    return f"{text}, in {tiles[1]} tile{'s' if tiles[1] > 1 else ''} to {_three_digits(tiles[0])} m"
 
 
 def _three_digits(value: float) -> str:

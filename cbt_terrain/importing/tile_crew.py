@@ -22,6 +22,7 @@ from typing import Any
 
 from ..errors import TerrainError, unwritable
 from ..field.lands import LANDS
+from ..field.store_folder import FIRST
 from ..formats.sources import open_source
 from ..rasters.raster import ImportSettings, Raster
 from ..run import child, launch, stopping
@@ -187,7 +188,7 @@ def serve_tasks(
     request, found = json.loads(line), None
     settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
     guard(settings, folder.parent)
-    coarse = coarse_land(settings, folder.parent) if settings.loaded_tiles else None
+    coarse = coarse_land(settings, folder / FIRST) if settings.loaded_tiles else None
     try:
         for text in io.FileIO(0, closefd=False):
             task = TileTask(**json.loads(text))

@@ -240,6 +240,8 @@ def _read_units(
 
 def _inputs(work: TileWork, source: TileSource, number: int) -> str:
     """Return a digest of all that determines the samples of a unit."""
+    if source.coarse is not None:
+        return f"{source.coarse.digest} {number in source.coarse.loaded}"
     if source.raster.inputs is None:
         return work.digest
     window = in_file(work.grid.lattice, source.place, work.grid.owned(work.grid.box(number)))

@@ -77,7 +77,9 @@ def _read_heights(
     """Yield the boxes of a unit, each with its heights in the order of the terrain."""
     if source.coarse is not None and number not in source.coarse.loaded:
         box = grid.owned(grid.box(number))
-        yield box, source.coarse.heights(box)
+        heights = source.coarse.heights(box)
+        reader.missing += int(np.count_nonzero(np.isnan(heights)))
+        yield box, heights
         return
     for box, values in _pieces(grid, source, number):
         heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)

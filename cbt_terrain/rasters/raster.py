@@ -173,7 +173,7 @@ class Raster:
         height: rows.
         read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
         window: window(first, count, column, columns) returns a part of these rows; None for a raster that is read by
-            whole rows only.
+            whole rows only. Those of a reprojected raster differ by its stated error, because GDAL depends on windows.
         pick: pick(rows, columns) returns the samples there, NaN where missing; None for a raster that is read by rows.
         grid: coordinate system and geotransform of the samples, if the file places them.
         stored: name of the samples' type in the file.

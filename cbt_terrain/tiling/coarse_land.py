@@ -25,11 +25,13 @@ class CoarseLand:
 
     Attributes:
         field: the coarser store.
+        digest: of its source and settings.
         bits: binary logarithm of the number of cells along one of its cells.
         loaded: numbers of the loaded tiles.
     """
 
     field: HeightField
+    digest: str
     bits: int
     loaded: frozenset[int]
 
@@ -49,7 +51,7 @@ class CoarseLand:
         )
 
     def heights(self, box: TileBox) -> np.ndarray:
-        """Return the interpolated heights of a box, its last samples included, float32 metres."""
+        """Return the interpolated heights of a box, its last samples included, float32 metres; NaN inside of holes."""
         last, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
         for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
             at = np.arange(first, end + 1)
@@ -59,7 +61,26 @@ class CoarseLand:
         nodes = self.field.heights(slice(j[0], j[-1] + 2), slice(i[0], i[-1] + 2)).astype(np.float64)
         j, i = j - j[0], i - i[0]
         rows = nodes[:, i] * (1.0 - s) + nodes[:, i + 1] * s
-        return (rows[j] * (1.0 - t)[:, None] + rows[j + 1] * t[:, None]).astype(np.float32)
+        heights = (rows[j] * (1.0 - t)[:, None] + rows[j + 1] * t[:, None]).astype(np.float32)
+        if self.field.valid is not None:
+            heights[self._in_holes(self.field.valid, box)] = np.nan
+        return heights
+
+    def _in_holes(self, valid: np.ndarray, box: TileBox) -> np.ndarray:
+        """Return which samples of a box touch only cells that are cut out, so that holes keep their outline: bool.
+
+        valid: of the coarser store.
+        """
+        last, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
+        for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
+            at = np.arange(first, end + 1)
+            sides.append([np.clip(at - before >> self.bits, 0, cells) for before in (1, 0)])
+        (south, north), (west, east) = sides
+        top, left = int(south[0]), int(west[0])
+        known = valid[top : int(north[-1]) + 2, left : int(east[-1]) + 2] > 0
+        cut = ~(known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:])
+        found = [cut[np.ix_(j - top, i - left)] for j in (south, north) for i in (west, east)]
+        return np.logical_and.reduce(found)
 
     def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
         """Return the errors of a tile's diamonds, float32 metres in the layout of its lattice."""

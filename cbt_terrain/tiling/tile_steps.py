@@ -81,7 +81,9 @@ def measure(
     window = grid.window(box, margin_of(limits.low, limits.high))
     raw = work.raw("samples", window)
     valid = work.raw("missing", window) ^ 1 if work.holes and limits.missing else None
-    content = _digest((window, work.steps), raw, *([] if valid is None else [valid]))
+    is_near = coarse is not None and coarse.is_near_loaded(grid, number, margin_of(limits.low, limits.high))
+    surface = () if coarse is None else (coarse.digest, is_near)
+    content = _digest((window, work.steps, *surface), raw, *([] if valid is None else [valid]))
     heights: dict[tuple[int, int], float] = {}
 
     def height(x: int, y: int) -> float:
@@ -103,10 +105,10 @@ def measure(
         work.note(MEASURED, number)  # it is not measured while its arrays are written
     tile = TileSamples(grid, box, window, work.decoded(raw), valid)
     if not is_measured:
-        found = code_errors(tile, *_errors(tile, number, coarse, limits, threads), threads)
+        found = code_errors(tile, *_errors(tile, coarse, is_near, threads), threads)
         put(grid, box, found.codes, work.open("error"))
-        near = work.open("borders")[number]
-        near[0], near[1] = found.border, 0 if found.kinds is None else found.kinds
+        border = work.open("borders")[number]
+        border[0], border[1] = found.border, 0 if found.kinds is None else found.kinds
         state |= {"errors": content, "largest": found.largest, "climbs": hierarchy.climbs(tile.inner(tile.samples))}
         state["exponents"] = tile_exponents(work, number, found.largest)
     if state["ranges"] != ranges and grid.lattice.range_depth:
@@ -120,15 +122,16 @@ def measure(
 
 
 def _errors(
-    tile: TileSamples, number: int, coarse: CoarseLand | None, limits: TerrainLimits, threads: int
+    tile: TileSamples, coarse: CoarseLand | None, is_near_loaded: bool, threads: int
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile as `exact_errors`, or bounds of them if no loaded tile is near."""
+    """Return the errors of a tile as `exact_errors`, or bounds of them if it has no holes and no loaded tile is near."""
     if coarse is None:
         return exact_errors(tile, threads)
-    errors = coarse.errors(tile.grid, tile.box)
-    if coarse.is_near_loaded(tile.grid, number, margin_of(limits.low, limits.high)):
-        np.maximum(errors, exact_errors(tile, threads)[0], out=errors)
-    return errors, None
+    errors, kinds = coarse.errors(tile.grid, tile.box), None
+    if is_near_loaded or tile.valid is not None:
+        exact, kinds = exact_errors(tile, threads)
+        np.maximum(errors, exact, out=errors)
+    return errors, kinds
 
 
 def tile_exponents(work: TileWork, number: int, largest: Sequence[float]) -> list[int]:

@@ -3,16 +3,15 @@
 
 import dataclasses
 import math
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.store import changed_ns, open_store
+from ...cbt_terrain.field.store import changed_ns
 from ...cbt_terrain.formats.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
-from ...cbt_terrain.importing.refining import seen_tiles
 from ...cbt_terrain.importing.source_list import names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
@@ -25,7 +24,7 @@ from ..session import live, session
 from ..terrain import frame_terrain, request, sidebar
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
-from . import imported, shared_origin
+from . import imported, shared_origin, view_tiles
 from .placement_notes import neighbour_notes, picture_note
 from .store_location import location_warnings, store_folder
 
@@ -121,17 +120,6 @@ def _size_of(obj) -> float:
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
-def _needed_tiles(obj) -> tuple[int, ...]:
-    """Return the tiles of a terrain with a first picture that its views and the render's need."""
-    tiles: set[int] = set()
-    for mode in (request.VIEWPORT, request.RENDER):
-        with suppress(TerrainError):  # without a camera no view needs any
-            found = request.gather(obj, bpy.context.evaluated_depsgraph_get(), mode, about_middle=True)
-            field, scale = open_store(found.store), (found.vertical_scale, found.vertical_offset)
-            tiles.update(seen_tiles(field, found.views, found.placement, found.criterion.error_px or 1.0, *scale))
-    return tuple(sorted(tiles))
-
-
 class ImportOperator(JobOperator):
     """Base of the operators that import."""
 
@@ -146,21 +134,25 @@ class ImportOperator(JobOperator):
 
         Beside the window, a large one is imported quickly and shown first. Its complete store then replaces the quick
         one in the same folder, so neither the terrain nor Undo changes the path. A cancelled job leaves the quick one.
+        Tiles that views need come before the others, also when an incomplete store is completed.
         """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
         self.baked = context.object.adaptive_terrain.store if self.before and self.before.is_shaped else ""
         folder = store_folder(context.object, settings)
-        quick = None
-        if self.shows_first_picture and self.beside_window and not changed_ns(absolute_path(folder)):
-            settings_now = dataclasses.replace(settings, quick=QUICK_SAMPLES)
+        if not (self.shows_first_picture and self.beside_window):
+            return (yield from self._import(job, settings, folder))
+        quick, settings_now = None, dataclasses.replace(settings, quick=QUICK_SAMPLES)
+        if not changed_ns(absolute_path(folder)):
             quick = yield from self._import(job, settings_now, folder)
             if "loaded" not in quick[0] or job.terrain() is None:
                 return quick
             self.finish(bpy.context, job.terrain(), quick)
-            quick = yield from self._load_seen(job, settings_now, quick)
         try:
-            return (yield from self._import(job, settings, folder))
+            with view_tiles.loading(job.uid, settings_now, absolute_path(folder)) as loader:
+                if quick is not None:
+                    quick = yield from self._load_seen(job, loader, quick)
+                return (yield from self._complete(job, loader, settings, folder))
         except (jobs.JobStopped, TerrainError) as error:
             if quick is None or job.is_orphan:
                 raise
@@ -168,18 +160,40 @@ class ImportOperator(JobOperator):
             notes = [str(error)] if isinstance(error, TerrainError) else []
             return report | {"warnings": notes}, folder
 
-    def _load_seen(self, job: jobs.BackgroundJob, settings: ImportSettings, quick: tuple[dict, str]) -> jobs.Steps:
+    def _load_seen(
+        self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, quick: tuple[dict, str]
+    ) -> jobs.Steps:
         """Load the tiles that the views of a first picture need, and show them; return the report and the path.
 
         quick: those of the first picture, which stays if it needs none or if they cannot be loaded.
         """
-        tiles = _needed_tiles(job.terrain())
-        if tiles:
-            with suppress(TerrainError):  # the complete import then reports it
-                quick = yield from self._import(job, dataclasses.replace(settings, loaded_tiles=tiles), quick[1])
+        job.raise_if_stopped()
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        try:
+            if child := loader.start(job.terrain(), depsgraph, request.VIEWPORT, request.RENDER):
+                quick = (yield from jobs.run_in_child(job, child)), quick[1]
                 if job.terrain() is not None:
                     self.finish(bpy.context, job.terrain(), quick)
+        except TerrainError:
+            pass  # the complete import then reports it
+        finally:
+            loader.child = None
         return quick
+
+    def _complete(
+        self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, settings: ImportSettings, folder: str
+    ) -> jobs.Steps:
+        """Import all samples, and meanwhile load the tiles that moved views need; return the report and the path."""
+        with closing(self._import(job, settings, folder)) as work:
+            while True:
+                try:
+                    next(work)
+                except StopIteration as end:
+                    return end.value
+                if loader.turn(job.terrain()):
+                    with suppress(TerrainError):  # the panel says why
+                        live.show_soon(job.terrain())
+                yield
 
     def _import(self, job: jobs.BackgroundJob, settings: ImportSettings, folder: str) -> jobs.Steps:
         """Import into the store `folder`; return the report and the path."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Terrains whose store is incomplete: a render waits for a running import or reports them; packing refuses them."""
+"""Terrains whose store is incomplete: a render waits for what it needs, or reports them; packing refuses them."""
 
 from ...cbt_terrain.errors import TerrainError
 from .. import jobs
@@ -7,19 +7,22 @@ from ..land import render_wait
 from ..session import stale_renders
 from ..text.console import print_line
 from ..text.translations import phrase
+from . import view_tiles
 from .imported import loaded_text
 
 
-def wait_for_imports(terrains: list) -> list[TerrainError]:
-    """Wait for running imports that complete the stores of terrains, before they are rendered.
+def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
+    """Wait before a render until the tiles that it sees are loaded, or if it needs more detail, the running imports.
 
-    Return the error of a wait that the user ends with Esc.
+    depsgraph: the render's. Return the error of a wait that the user ends with Esc.
     """
     for obj in terrains:
         job = jobs.find(jobs.IMPORT, obj)
-        if job is not None and job.child is not None and loaded_text(obj.adaptive_terrain):
+        is_seen = obj.evaluated_get(depsgraph).is_evaluated
+        if is_seen and job is not None and job.child is not None and loaded_text(obj.adaptive_terrain):
             try:
-                render_wait.wait_for_import(job.child)
+                if not view_tiles.suffice(obj, depsgraph):
+                    render_wait.wait_for_import(job.child)
             except TerrainError as error:
                 return [error]
     return []
@@ -31,7 +34,8 @@ def note_incomplete(scene, terrains: list) -> None:
         text = loaded_text(obj.adaptive_terrain)
         if text and not obj.hide_render:
             print_line(f"Adaptive Terrain: frame {scene.frame_current}, {obj.name}: {text}")
-            stale_renders.add_message(f"{obj.name}: {text}. {phrase('Load All imports the rest')}")
+            rest = "" if jobs.find(jobs.IMPORT, obj) else f". {phrase('Load All imports the rest')}"
+            stale_renders.add_message(f"{obj.name}: {text}{rest}")
 
 
 def check_complete(obj, remedy: str) -> None:

@@ -12,7 +12,7 @@ from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge import camera as cameras
 from ..bridge.scene_paths import NO_HEIGHTS
-from ..importing.imported import loaded_text
+from ..importing.view_tiles import loaded_here
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
@@ -30,7 +30,7 @@ def draw_status(layout, context, obj) -> None:
     """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility."""
     row = layout.row(align=True)
     status = session.record_of(obj).status
-    if _draw_progress(row, obj):
+    if _draw_progress(row, context, obj):
         return
     if not _waits_for_import(obj, status) and draw_failure(row, obj):
         return
@@ -46,7 +46,7 @@ def draw_status(layout, context, obj) -> None:
         row.operator("adaptive_terrain.freeze", text="Release")
     else:
         text, operator, button = sight_notice(context, obj)
-        if not text and (text := loaded_text(obj.adaptive_terrain)):
+        if not text and (text := loaded_here(context, obj)):
             operator, button = LOAD_ALL
         row = row.split(factor=NOTICE_WIDTH) if text else row
         row.label(text=text or "In sight", icon="ERROR" if text else "CHECKMARK")
@@ -69,13 +69,13 @@ def draw_preparation(layout) -> bool:
     return True
 
 
-def _draw_progress(row, obj) -> bool:
+def _draw_progress(row, context, obj) -> bool:
     """Draw the progress of compiling, importing or packing; return whether one of them runs."""
     if draw_preparation(row):
         return True
     job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
     if job is not None:
-        jobs.draw_progress(row, job, loaded_text(obj.adaptive_terrain) or job.text)
+        jobs.draw_progress(row, job, loaded_here(context, obj) or job.text)
     return job is not None
 
 

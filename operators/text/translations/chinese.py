@@ -194,6 +194,7 @@ LABELS = {
     "Load All": "全部载入",
     "Load All imports the rest": "“全部载入”会导入其余部分",
     "Loaded to {} of {}": "已载入到 {}（原为 {}）",
+    "Loaded to {} here": "此处已载入到 {}",
     "Loaded to {}, else {}": "已载入到 {}，其余为 {}",
     "Lock Interface": "锁定界面",
     "Longest edge": "最长边",

@@ -196,6 +196,7 @@ LABELS = {
     "Load All": "Tout charger",
     "Load All imports the rest": "Tout charger importe le reste",
     "Loaded to {} of {}": "Chargé à {} sur {}",
+    "Loaded to {} here": "Chargé à {} ici",
     "Loaded to {}, else {}": "Chargé à {}, ailleurs à {}",
     "Lock Interface": "Verrouiller l’interface",
     "Longest edge": "Arête la plus longue",

@@ -196,6 +196,7 @@ LABELS = {
     "Load All": "Alles laden",
     "Load All imports the rest": "Alles laden importiert den Rest",
     "Loaded to {} of {}": "Geladen bis {} von {}",
+    "Loaded to {} here": "Hier geladen bis {}",
     "Loaded to {}, else {}": "Geladen bis {}, sonst {}",
     "Lock Interface": "Interface sperren",
     "Longest edge": "Längste Kante",

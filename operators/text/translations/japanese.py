@@ -194,6 +194,7 @@ LABELS = {
     "Load All": "すべて読み込む",
     "Load All imports the rest": "「すべて読み込む」で残りを読み込みます",
     "Loaded to {} of {}": "{} まで読み込み済み（元は {}）",
+    "Loaded to {} here": "ここは {} まで読み込み済み",
     "Loaded to {}, else {}": "{} まで読み込み済み、他は {}",
     "Lock Interface": "インターフェイスを固定",
     "Longest edge": "最長の辺",

@@ -196,6 +196,7 @@ LABELS = {
     "Load All": "Cargar todo",
     "Load All imports the rest": "Cargar todo importa el resto",
     "Loaded to {} of {}": "Cargado a {} de {}",
+    "Loaded to {} here": "Cargado a {} aquí",
     "Loaded to {}, else {}": "Cargado a {}, el resto a {}",
     "Lock Interface": "Bloquear interfaz",
     "Longest edge": "Borde más largo",

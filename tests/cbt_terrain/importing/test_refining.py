@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import hierarchy
+from adaptive_terrain.cbt_terrain.field.holes import refine_borders
 from adaptive_terrain.cbt_terrain.field.store import open_store, verify
-from adaptive_terrain.cbt_terrain.importing import refining, tile_import
+from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.thinning import loaded_text
 from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
+from adaptive_terrain.cbt_terrain.importing.tile_tasks import perform
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.tiling.borders import children_of
@@ -46,10 +48,10 @@ def rough(width, height):
     return (hills(width, height) + noise).astype(np.float32)
 
 
-def loaded_store(folder, heights, place, tiles, run=run_import, **options):
+def loaded_store(folder, heights, place, tiles, run=run_import, holes=False, **options):
     """Return the settings and the store of a raster with some loaded tiles."""
     source = str(write_raster(folder / "a.tif", heights, crs="EPSG:32632", transform=place, tiled=True))
-    settings = ImportSettings(source, quick=QUICK)
+    settings = ImportSettings(source, quick=QUICK, holes=holes)
     run(settings, folder / "store")
     run(replace(settings, loaded_tiles=tiles), folder / "store", **options)
     return settings, folder / "store"
@@ -91,6 +93,25 @@ def test_loaded_tiles_are_true_and_others_the_first_picture(tmp_path, small_tile
     assert (field.provenance["refined_m"][1], loaded_text(field.provenance)[:3]) == (2, "to ")
 
 
+def cut_cells(field):
+    """Return which cells of a store are cut out."""
+    known = field.valid > 0
+    return ~(known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:])
+
+
+def test_holes_have_their_outline_outside_of_loaded_tiles(tmp_path, small_tiles):
+    settings, store = loaded_store(tmp_path, holed(505, 401), PLACES["north up"], (9,), holes=True)
+    run_import(settings, tmp_path / "first")
+    first, field = cut_cells(open_store(tmp_path / "first")), cut_cells(open_store(store))
+    box = TileGrid(open_store(store).lattice, 6).box(9)
+    inside = slice(box.y0 - 1, box.y1 + 1), slice(box.x0 - 1, box.x1 + 1)
+    expected = np.repeat(np.repeat(first, 4, axis=0), 4, axis=1)
+    differ = field != expected
+    assert differ[inside].any(), "the loaded tile has the true outline"
+    differ[inside] = False
+    assert not differ.any() and expected.any()
+
+
 def vertices_of(lattice, level, is_centre):
     """Return all vertices of a depth of a lattice."""
     n = 1 << level
@@ -104,13 +125,29 @@ def metres_of(field, vertices):
     return field.table[vertices.level // 2][field.error[entries_of(field.lattice, vertices)]]
 
 
-@pytest.mark.parametrize("tiles", [(9,), (0, 27, 28), (55,)])
-def test_bounds_hold_for_the_loaded_surface(tmp_path, small_tiles, tiles):
-    _, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], tiles)
+def holed(width, height):
+    """Return rough hills with a hole in a loaded tile, one outside of it, one across its border and a single one."""
+    heights = rough(width, height)
+    for row, column in ((300, 100), (40, 180), (90, 245)):
+        heights[row : row + 30, column : column + 21] = np.nan
+    heights[200, 200] = np.nan
+    return heights
+
+
+@pytest.mark.parametrize(
+    ("tiles", "heights"), [((9,), rough), ((0, 6, 7), rough), ((15,), rough), ((6, 9), holed)]
+)
+def test_bounds_hold_for_the_loaded_surface(tmp_path, small_tiles, tiles, heights):
+    holes = heights is holed
+    _, store = loaded_store(tmp_path, heights(505, 401), PLACES["north up"], tiles, holes=holes)
     field = open_store(store)
     lattice = field.lattice
     true = np.zeros(lattice.node_count, np.float32)
-    hierarchy.build_errors(np.ascontiguousarray(field.heights()), lattice, true, 1)
+    measured = np.where(field.valid > 0, field.heights(), np.float32(np.nan)) if holes else None
+    hierarchy.build_errors(np.ascontiguousarray(field.heights()), lattice, true, 1, measured=measured)
+    if holes:
+        assert (field.valid == 0).any()
+        refine_borders(field.valid, lattice, true, 1)
     ranges = np.zeros_like(field.ranges)
     hierarchy.build_ranges(
         np.ascontiguousarray(field.heights()), lattice, field.range_base, field.range_step, ranges, 1
@@ -181,16 +218,9 @@ def test_tiles_of_a_mosaic_are_loaded(tmp_path, small_tiles):
 
 def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
     settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
-    for wrong, message in (
-        (settings, "has no first picture"),
-        (replace(settings, quick=300), "has no first picture of"),
-    ):
-        with pytest.raises(TerrainError, match=message):
-            run_import(replace(wrong, loaded_tiles=(1,)), store)
-    holes = replace(settings, holes=True)
-    run_import(holes, tmp_path / "holes")
-    with pytest.raises(TerrainError, match="cannot be loaded by tile"):
-        run_import(replace(holes, loaded_tiles=(1,)), tmp_path / "holes")
+    for folder, wrong in ((tmp_path / "none", settings), (store, replace(settings, quick=300))):
+        with pytest.raises(TerrainError, match="has no first picture of"):
+            run_import(replace(wrong, loaded_tiles=(1,)), folder)
 
 
 def camera_at(x, y, z, size=(640, 640)):
@@ -209,12 +239,97 @@ def test_views_need_the_tiles_below_them(tmp_path, small_tiles):
     west, south, _, _ = field.lattice.rectangle()
     high = field.max_height + 100.0
     above = camera_at(west + 700.0, south + 2000.0, high)
-    below = refining.seen_tiles(field, [above], np.eye(4))
     columns = -(-4 * field.lattice.cells_x // 64)
+
+    def seen(*views, **more):
+        return refining.seen_tiles(field, refining.SeenLand(views, np.eye(4), **more))
+
+    below = seen(above)
     assert columns in below and len(below) <= 4, "the view is some 100 m wide"
-    far = refining.seen_tiles(field, [camera_at(0.0, 0.0, 1e6)], np.eye(4))
-    assert far == (), "no error is as large as a pixel"
-    every = refining.seen_tiles(field, [camera_at(0.0, 0.0, 6000.0)], np.eye(4))
+    assert seen(camera_at(0.0, 0.0, 1e6)) == (), "no error is as large as a pixel"
+    every = seen(camera_at(0.0, 0.0, 6000.0))
     assert len(every) == columns * -(-4 * field.lattice.cells_y // 64)
-    coarse = refining.seen_tiles(field, [camera_at(0.0, 0.0, 6000.0)], np.eye(4), error_px=1e9)
-    assert coarse == () and refining.seen_tiles(field, [], np.eye(4)) == ()
+    assert seen(camera_at(0.0, 0.0, 6000.0), error_px=1e9) == () and seen() == ()
+    wanted = refining.SeenLand([above], np.eye(4))
+    assert refining.seen_tiles(field, wanted, frozenset(below[:1])) == below[1:], "loaded ones are left out"
+
+
+def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):
+    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (9,))
+    field = open_store(store)
+    west, south, east, _ = field.lattice.rectangle()
+    side = 64 * field.lattice.step_x
+    fine, coarse = field.provenance["refined_m"][0], field.provenance["loaded_m"][0]
+    number = -(-field.lattice.cells_x // 64)
+    row, column = divmod(9, number)
+    middle = west + (column + 0.5) * side, south + (row + 0.5) * 64 * field.lattice.step_y
+    assert refining.loaded_at(field, *middle) == fine and refining.loaded_at(field, east + 1e9, -1e9) == coarse
+    run_import(settings, tmp_path / "first")
+    assert refining.loaded_at(open_store(tmp_path / "first"), 0.0, 0.0) == coarse
+    run_import(replace(settings, quick=0), store)
+    assert refining.loaded_at(open_store(store), *middle) is None
+
+
+def test_views_that_tiles_satisfy_need_no_more(tmp_path, small_tiles):
+    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
+    west, south, _, _ = open_store(store).lattice.rectangle()
+    near = refining.SeenLand([camera_at(west + 700.0, south + 2000.0, 1500.0)], np.eye(4))
+    far = near._replace(error_px=1e4)
+    assert not refining.is_fine_enough(store, near) and refining.is_fine_enough(store, far)
+    assert not refining.missing_tiles(store, far), "none is missing there"
+    wanted = refining.missing_tiles(store, near)
+    assert wanted and 0 not in wanted
+    run_import(settings, tmp_path / "first")
+    assert not refining.is_fine_enough(tmp_path / "first", far), "it has no tiles"
+
+
+def test_further_tiles_are_loaded_without_the_others(tmp_path, small_tiles, monkeypatch):
+    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0, 9))
+    made = []
+    monkeypatch.setattr(tile_import, "perform", lambda *task: made.append(task[2]) or perform(*task))
+    run_import(replace(settings, loaded_tiles=(0, 9, 14)), store)
+    read = [task.number for task in made if task.step == "read"]
+    assert read == [14], "only this one has other samples"
+    run_import(settings, tmp_path / "direct")
+    run_import(replace(settings, loaded_tiles=(0, 9, 14)), tmp_path / "direct")
+    (arrays, text), (wanted, wanted_text) = content(store), content(tmp_path / "direct")
+    assert text == wanted_text and all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
+    run_import(replace(settings, loaded_tiles=(9,)), store)
+    run_import(settings, tmp_path / "fewer")
+    run_import(replace(settings, loaded_tiles=(9,)), tmp_path / "fewer")
+    (arrays, _), (wanted, _) = content(store), content(tmp_path / "fewer")
+    assert all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
+    assert refining.loaded_tiles(open_store(store).provenance) == {9}
+
+
+def test_a_complete_store_is_not_replaced_by_tiles(tmp_path, small_tiles, monkeypatch):
+    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
+
+    def complete_first(*arguments):
+        run_import(replace(settings, quick=0), store)
+        return finish(*arguments)
+
+    finish = build_store._import_report  # the last step before the tiles are published
+    monkeypatch.setattr(build_store, "_import_report", lambda *given: monkeypatch.undo() or complete_first(*given))
+    with pytest.raises(TerrainError, match="has no first picture of"):
+        run_import(replace(settings, loaded_tiles=(0, 9)), store)
+    assert "refined_m" not in open_store(store).provenance and open_store(store).lattice.width == 505
+
+
+def test_a_reprojected_raster_has_tiles_in_view(tmp_path, small_tiles):
+    source = write_raster(tmp_path / "a.tif", hills(505, 401), crs="EPSG:32632", transform=PLACES["north up"])
+    settings, store = ImportSettings(str(source), project="EPSG:32633", quick=QUICK, holes=True), tmp_path / "store"
+    for tiles in ((), (10,)):
+        run_import(replace(settings, loaded_tiles=tiles), store)
+    run_import(replace(settings, quick=0), tmp_path / "whole")
+    field, full = open_store(store), open_store(tmp_path / "whole")
+    grid = TileGrid(field.lattice, 6)
+    box = grid.owned(grid.box(10))
+    y, x = (
+        np.rint(np.arange(few) * ((count - 1) / (few - 1)) + half).astype(int)
+        for count, few, half in zip(full.samples.shape, field.samples.shape, (-1e-9, 1e-9), strict=True)
+    )
+    inside = slice(box.y0, box.y1 + 1), slice(box.x0, box.x1 + 1)
+    true, valid = full.heights()[np.ix_(y, x)][inside], full.valid[np.ix_(y, x)][inside] > 0
+    assert valid.mean() > 0.8 and np.abs(field.heights()[inside] - true)[valid].max() < 0.02
+    assert field.crs == full.crs and (field.valid == 0).any()

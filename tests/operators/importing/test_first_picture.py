@@ -17,12 +17,13 @@ from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.sandbox.store_job import JobProgress
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.export.frame_sources import SceneFrames, detail_of
 from adaptive_terrain.operators.export.rendering import render_frames
 from adaptive_terrain.operators.farm.submit import submit
-from adaptive_terrain.operators.importing import import_terrain, incomplete
+from adaptive_terrain.operators.importing import import_terrain, incomplete, view_tiles
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, loaded_text
 from adaptive_terrain.operators.importing.panel import draw_source
 from adaptive_terrain.operators.importing.store_location import store_folder
@@ -30,6 +31,7 @@ from adaptive_terrain.operators.land import render_wait
 from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_row
 from drawn_panels import DrawnLayout
+from mathutils import Vector
 from modal_runs import running, to_the_end, turn
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
@@ -142,7 +144,8 @@ def test_a_render_waits_for_the_running_import(terrain, scene):
     operator = running(import_terrain.ImportTerrain, terrain)
     until(operator, lambda: loaded_text(terrain.adaptive_terrain))
     seen = []
-    thread = threading.Thread(target=lambda: seen.append(incomplete.wait_for_imports([terrain])))
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    thread = threading.Thread(target=lambda: seen.append(incomplete.wait_for_imports([terrain], depsgraph)))
     until(operator, lambda: getattr(jobs.find(jobs.IMPORT, terrain), "child", None) is not None)
     thread.start()
     while thread.is_alive():  # as in a locked interface, nothing advances the job
@@ -158,10 +161,11 @@ def test_esc_ends_the_wait_for_an_import(incomplete_terrain, monkeypatch):
     job = jobs.BackgroundJob(jobs.IMPORT, incomplete_terrain.session_uid, lambda _job: iter(()))
     job.child = SimpleNamespace(reached=(0.5, "Reading"), cancel=lambda: None)
     monkeypatch.setattr(render_wait, "_is_cancelled", True)
-    [error] = incomplete.wait_for_imports([incomplete_terrain])
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    [error] = incomplete.wait_for_imports([incomplete_terrain], depsgraph)
     assert error.code == render_wait.CANCELLED and render_wait.waiting is None
     job.child = SimpleNamespace(reached=None)
-    assert incomplete.wait_for_imports([incomplete_terrain]) == [], "it has ended"
+    assert incomplete.wait_for_imports([incomplete_terrain], depsgraph) == [], "it has ended"
     jobs.running.remove(job)
 
 
@@ -242,8 +246,110 @@ def test_tiles_in_view_are_shown_before_the_rest(terrain, scene, monkeypatch):
 
     monkeypatch.setattr(import_terrain.ImportTerrain, "finish", finish_and_look)
     assert to_the_end(running(import_terrain.ImportTerrain, terrain)) == {"FINISHED"}
-    tiles = "Loaded to 9.95 m, else 79.6 m", 201, "to 79.6 m of 10 m, in 1 tiles to 9.95 m"
+    tiles = "Loaded to 9.95 m, else 79.6 m", 201, "to 79.6 m of 10 m, in 1 tile to 9.95 m"
     assert finished == [(LOADED, 26, "to 79.6 m of 10 m"), tiles, ("", 200, None)]
     assert np.array_equal(open_store(store_of(terrain)).heights(), hills(200, 150)[::-1])
     settings = import_terrain.settings_of(terrain)
     assert changed_settings(settings, imported_of(terrain.adaptive_terrain)) == []
+
+
+class HeldImport:
+    """An import that is not begun before `is_released`; those of first pictures and tiles do not wait."""
+
+    is_released = cancelled = False
+
+    def __init__(self, settings, store):
+        self.given, self.job = (settings, store), None
+        if settings.loaded_tiles:
+            run_import(settings, store)  # a child would not know the sizes of this test
+        if settings.quick:
+            self.job = ImportJob(settings, store)
+
+    def poll(self):
+        if self.job is None and HeldImport.is_released:
+            self.job = ImportJob(*self.given)
+        return JobProgress(0.5, "Reading") if self.job is None else self.job.poll()
+
+    @property
+    def reached(self):
+        return (0.5, "Reading") if self.job is None else self.job.reached
+
+    def cancel(self):
+        self.cancelled = self.job is None
+        if self.job is not None:
+            self.job.cancel()
+            self.cancelled = self.job.cancelled
+
+
+@pytest.fixture
+def held(monkeypatch, terrain):
+    """Begin an import whose complete step is held, with tiles of 16 x 16 cells; return the operator of it."""
+    for name, value in (("FEWEST", 1), ("FACTOR", 2), ("BITS", 4)):
+        monkeypatch.setattr(refining, name, value)
+    monkeypatch.setattr(view_tiles, "REST_S", 0.0)
+    monkeypatch.setattr(HeldImport, "is_released", False)
+    for module in (import_terrain, view_tiles):
+        monkeypatch.setattr(module, "ImportJob", HeldImport)
+    look_down(terrain, -600.0, -300.0)
+    operator = running(import_terrain.ImportTerrain, terrain)
+    until(operator, lambda: tiles_of(terrain) and jobs.find(jobs.IMPORT, terrain).message == "Reading")
+    return operator
+
+
+def look_down(terrain, x, y, height=900.0):
+    """Let the camera look down on a place of the terrain from some metres above it, and update the terrain."""
+    camera = bpy.context.scene.camera
+    camera.location, camera.rotation_euler = terrain.matrix_world @ Vector((x, y, height)), terrain.rotation_euler
+    camera.data.angle = 0.5
+    bpy.context.view_layer.update()
+    if terrain.adaptive_terrain.store and imported_of(terrain.adaptive_terrain):
+        session.update_object(terrain)
+
+
+def tiles_of(terrain):
+    """Return the numbers of a terrain's loaded tiles."""
+    imported = imported_of(terrain.adaptive_terrain)
+    return set(imported.settings["loaded_tiles"]) if imported is not None and imported.refined_m else set()
+
+
+def shown_text(terrain):
+    return view_tiles.loaded_here(SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain)
+
+
+def test_a_moved_view_gets_its_tiles_during_an_import(terrain, held):
+    before = tiles_of(terrain)
+    assert 0 < len(before) < 12 and shown_text(terrain) == "Loaded to 39.8 m here"
+    look_down(terrain, 700.0, 400.0)
+    assert shown_text(terrain) == "Loaded to 79.6 m here"
+    until(held, lambda: tiles_of(terrain) > before)
+    assert shown_text(terrain) == "Loaded to 39.8 m here"
+    session.update_object(terrain)
+    assert session.record_of(terrain).field.lattice.width == 51, "the new tiles are shown"
+    HeldImport.is_released = True
+    assert to_the_end(held) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
+    assert np.array_equal(open_store(store_of(terrain)).heights(), hills(200, 150)[::-1])
+
+
+def test_a_render_loads_the_tiles_that_it_sees(terrain, held):
+    before = tiles_of(terrain)
+    terrain.adaptive_terrain.render.error_px = 1.0
+    look_down(terrain, 700.0, 400.0)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert not view_tiles.suffice(terrain, depsgraph), "between its samples may be more than a pixel"
+    assert tiles_of(terrain) > before
+    look_down(terrain, -900.0, 600.0)
+    near = tiles_of(terrain)
+    terrain.adaptive_terrain.render.error_px = open_store(store_of(terrain)).max_height  # in pixels of less than 1 m
+    assert incomplete.wait_for_imports([terrain], bpy.context.evaluated_depsgraph_get()) == []
+    assert tiles_of(terrain) >= near and loaded_text(terrain.adaptive_terrain), "it did not wait for all samples"
+    terrain.hide_render = True
+    jobs.find(jobs.IMPORT, terrain).stop()
+    assert to_the_end(held) == {"FINISHED"} and shown_text(terrain).startswith("Loaded to ")
+    again = running(import_terrain.ImportTerrain, terrain)
+    until(again, lambda: jobs.find(jobs.IMPORT, terrain).message == "Reading")
+    before = tiles_of(terrain)
+    terrain.adaptive_terrain.viewport.error_px = 0.01
+    look_down(terrain, 0.0, 0.0)
+    until(again, lambda: tiles_of(terrain) > before)
+    HeldImport.is_released = True
+    assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles in view: while a large import goes on, those that views need are loaded, and renders wait for those they see."""
+
+import dataclasses
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.store import read_json
+from ...cbt_terrain.importing.import_process import ImportJob
+from ...cbt_terrain.importing.refining import SeenLand, is_fine_enough, loaded_at, loaded_tiles, missing_tiles
+from ...cbt_terrain.rasters.raster import ImportSettings
+from ...cbt_terrain.view.linear import inverse, product
+from ..bridge import camera as cameras
+from ..bridge.evaluated import raster_placement_of
+from ..bridge.scene_paths import absolute_path
+from ..land import render_wait
+from ..session import session
+from ..terrain import request, sight
+from ..text.numbers import length_text
+from ..text.translations import phrase
+from .imported import imported_of, loaded_text
+
+REST_S = 1.0  # without a change of a view, before tiles are loaded for it
+LOOKS = np.geomspace(1e-3, 4.0, 128)  # distances at which a ray meets the ground, in diagonals of the terrain
+_loaders: dict[int, "TileLoader"] = {}  # of running imports, by the session_uid of their terrains
+
+
+class TileLoader:
+    """Loads tiles into the incomplete store of a terrain beside the import that completes it, by one child at a time.
+
+    Attributes:
+        child: the process that loads tiles for viewports, None without one.
+    """
+
+    def __init__(self, settings: ImportSettings, store: str) -> None:
+        """settings: of the quick import. store: absolute path."""
+        self._settings, self._store = settings, Path(store)
+        self.child: ImportJob | None = None
+        self._has_failed = False
+        self._shown: object = self  # key of the last view; no view has this one
+        self._served, self._since = self._shown, 0.0
+
+    def start(self, obj, depsgraph, *modes: str) -> ImportJob | None:
+        """Start `child` if views lack tiles, and return it; None if they lack none.
+
+        modes: of `request.gather`. Raises TerrainError.
+        """
+        tiles: set[int] = set()
+        for mode in modes:
+            with suppress(TerrainError):  # without a camera no view needs any
+                tiles.update(missing_tiles(self._store, _seen_by(obj, depsgraph, mode)))
+        self.child = self._load(tiles) if tiles else None
+        return self.child
+
+    def _load(self, tiles: Iterable[int]) -> ImportJob:
+        """Start a child that loads further tiles. Raises TerrainError."""
+        wanted = loaded_tiles(read_json(self._store)["provenance"]).union(tiles)
+        return ImportJob(dataclasses.replace(self._settings, loaded_tiles=tuple(sorted(wanted))), self._store)
+
+    def turn(self, obj) -> bool:
+        """Load tiles for a view that rests; return whether new ones are there. Call it often on the main thread."""
+        if self.child is not None:
+            progress = self.child.poll()
+            if not progress.done:
+                return False
+            self.child, self._has_failed = None, progress.error is not None  # the import reports the cause
+            return not self._has_failed
+        if obj is None or self._has_failed or bpy.app.is_job_running("RENDER"):
+            return False
+        shown = session.record_of(obj).live_key
+        if shown != self._shown:
+            self._shown, self._since = shown, time.monotonic()
+        elif shown != self._served and time.monotonic() - self._since >= REST_S:
+            self._served = shown
+            with suppress(TerrainError):
+                self.start(obj, bpy.context.evaluated_depsgraph_get(), request.VIEWPORT)
+        return False
+
+    def wait_for(self, obj, depsgraph) -> bool:
+        """Load the tiles that a render lacks, on its thread; return whether it then needs no further detail.
+
+        Raises TerrainError after Esc.
+        """
+        if self.child is not None:
+            render_wait.wait_for_import(self.child)
+        while True:
+            try:
+                seen = _seen_by(obj, depsgraph, request.RENDER)
+                tiles = missing_tiles(self._store, seen)
+                if not tiles:
+                    return is_fine_enough(self._store, seen)
+                child = self._load(tiles)
+            except TerrainError:
+                return False  # the update reports it
+            try:
+                render_wait.wait_for_import(child)
+            finally:
+                child.cancel()
+            if child.poll().error is not None:
+                return False
+
+    def close(self) -> None:
+        """End the child."""
+        if self.child is not None:
+            self.child.cancel()
+
+
+@contextmanager
+def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoader]:
+    """Yield the TileLoader of a terrain while its import runs. uid: session_uid. Others: as of TileLoader."""
+    loader = _loaders[uid] = TileLoader(settings, store)
+    try:
+        yield loader
+    finally:
+        del _loaders[uid]
+        loader.close()
+
+
+def suffice(obj, depsgraph) -> bool:
+    """Return whether a render needs only tiles of an incomplete terrain, and load those. Raises TerrainError."""
+    loader = _loaders.get(obj.session_uid)
+    return loader is not None and loader.wait_for(obj, depsgraph)
+
+
+def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
+    """Return the views of a terrain, and what else determines the tiles that they need. Raises TerrainError."""
+    found = request.gather(obj, depsgraph, mode, about_middle=True)
+    scale = found.vertical_scale, found.vertical_offset
+    return SeenLand(found.views, found.placement, found.criterion.error_px or 1.0, *scale)
+
+
+def loaded_here(context, obj) -> str:
+    """Return the detail of an incomplete terrain where the viewport or the camera looks, as `Loaded to 80 m here`.
+
+    It is that of the whole terrain if no tiles are loaded, and "" for a complete one.
+    """
+    imported, text = imported_of(obj.adaptive_terrain), loaded_text(obj.adaptive_terrain)
+    if imported is None or imported.refined_m is None:
+        return text
+    try:
+        step = loaded_at(session.open_field(absolute_path(obj.adaptive_terrain.store)), *_target_of(context, obj))
+    except (TerrainError, np.linalg.LinAlgError):
+        return text
+    return phrase("Loaded to {} here", length_text(step)) if step else ""
+
+
+def _target_of(context, obj) -> tuple[float, float]:
+    """Return where the middle of a viewport, or of the camera without one, meets the terrain; else the eye's place.
+
+    That is metres from the raster's middle. Raises TerrainError.
+    """
+    space = context.space_data
+    if space is not None and space.type == "VIEW_3D":
+        region = next(region for region in context.area.regions if region.type == "WINDOW")
+        view = cameras.view_from_region(space, region, space.region_3d)
+    elif (camera := sight.camera_of(obj, context.scene)) is not None:
+        view = sight.view_of_camera(context.scene, camera)
+    else:
+        return 0.0, 0.0
+    field, settings = session.open_field(absolute_path(obj.adaptive_terrain.store)), obj.adaptive_terrain
+    from_camera, lattice = inverse(product(view.world_to_camera, raster_placement_of(obj))), field.lattice
+    eye, ahead = from_camera[:3, 3], -from_camera[:3, 2]
+    west, south, east, north = lattice.rectangle()
+    size = np.hypot(east - west, north - south) / np.linalg.norm(ahead)
+    points = eye + ahead * (LOOKS * size)[:, None]
+    points = points[((points[:, :2] >= (west, south)) & (points[:, :2] <= (east, north))).all(axis=1)]
+    columns = np.rint((points[:, 0] - west) / lattice.step_x).astype(np.int64)
+    rows = np.rint((points[:, 1] - south) / lattice.step_y).astype(np.int64)
+    heights = field.heights(rows, columns) * settings.vertical_scale + settings.vertical_offset
+    below = np.flatnonzero(points[:, 2] <= heights)
+    x, y = points[below[0], :2] if len(below) else eye[:2]
+    return float(x), float(y)

@@ -268,7 +268,7 @@ class HeldImport:
     def poll(self):
         if self.job is None and HeldImport.is_released:
             self.job = ImportJob(*self.given)
-        return JobProgress(0.5, "Reading") if self.job is None else self.job.poll()
+        return JobProgress(0.5, "Reading", done=self.cancelled) if self.job is None else self.job.poll()
 
     @property
     def reached(self):

@@ -25,7 +25,7 @@ def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, 
     count = int(np.count_nonzero(missing))
     if count:
         rows[missing] = np.nan
-    if count < rows.size and np.nanmax(np.abs(rows)) > LARGEST_HEIGHT:
+    if count < rows.size and largest_of(rows) > LARGEST_HEIGHT:
         height = float(rows.flat[np.nanargmax(np.abs(rows))])
         raise TerrainError(
             f"{name} holds a height of {height:.8g} m",
@@ -33,6 +33,11 @@ def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, 
             fix="if it marks missing data, give it as the no-data value",
         )
     return rows, count
+
+
+def largest_of(rows: np.ndarray) -> float:
+    """Return the largest absolute value of rows that are not all NaN."""
+    return float(max(np.fmax.reduce(rows, axis=None), -np.fmin.reduce(rows, axis=None)))
 
 
 def fill_missing(samples: np.ndarray, threads: int) -> None:

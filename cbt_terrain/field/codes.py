@@ -140,8 +140,15 @@ class Steps:
     scale: float
     offset: float
 
+    @property
+    def is_plain(self) -> bool:
+        """Return whether heights are whole numbers of metres."""
+        return self.scale == 1.0 and self.offset == 0.0
+
     def heights(self, numbers: np.ndarray) -> np.ndarray:
         """Return heights, float32: the same bits as an import of floats."""
+        if self.is_plain:  # all numbers and heights are exact in float32
+            return numbers.astype(np.float32) + np.float32(self.first)
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)
 
 
@@ -171,7 +178,8 @@ def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
         with np.errstate(over="ignore"):  # infinity is out of range, too
-            found = np.rint((block.astype(np.float64) - steps.offset) / steps.scale) - steps.first
+            found = block if steps.is_plain else (block.astype(np.float64) - steps.offset) / steps.scale
+            found = np.rint(found) - np.float32(steps.first)
         if not (0 <= found.min() and found.max() <= 65535):
             return False
         numbers[row : row + ROWS] = found

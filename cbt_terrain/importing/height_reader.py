@@ -44,8 +44,9 @@ class HeightReader:
         heights, absent = cleaning.clean_rows(values, self.settings.name)
         self.missing += absent
         if absent < heights.size:
-            self.largest = max(self.largest, float(np.nanmax(np.abs(heights))))
-            if not np.can_cast(values.dtype, np.float32):
+            self.largest = max(self.largest, cleaning.largest_of(heights))
+            # NaN differs from itself, and most values are exact
+            if not np.can_cast(values.dtype, np.float32) and np.count_nonzero(values != heights) > absent:
                 self.converted = max(self.converted, float(np.nanmax(np.abs(values - heights))))
         return heights
 

@@ -89,7 +89,7 @@ class _Drawn:
         w = np.where(ahead, clip[:, 3], 1.0)
         self._pixels = (clip[:, :2] / w[:, None] + 1) / 2 * np.array(view.resolution)
         self._weight = 1 / w  # of values interpolated over a triangle
-        self._nearness = 1 / w if perspective else points[:, 2]
+        self._depth_keys = 1 / w if perspective else points[:, 2]
         self._normals = surface.normals
         self._corners = surface.triangles[ahead[surface.triangles].all(axis=1)]
         self.triangles = len(surface.triangles)
@@ -100,15 +100,15 @@ class _Drawn:
         x, y: lower left corner of the part in the scaled frame, pixels. lines: whether to draw the edges of
         triangles. The result is float64 [height, width, 3], linear, row 0 below.
         """
-        places = np.c_[self._pixels * scale - (x, y), self._nearness]
+        places = np.c_[self._pixels * scale - (x, y), self._depth_keys]
         ends = places[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
         inside = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
         corners = np.ascontiguousarray(self._corners[inside])
         shown = np.full(height * width, -1, np.int32)
-        nearness = np.full(height * width, -np.inf)
+        depth_keys = np.full(height * width, -np.inf)
         arrays = [shared(corners.reshape(-1), wp.int32), shared(places, wp.vec3d), width, height]
-        arrays += [shared(nearness, wp.float64), shared(shown, wp.int32)]
+        arrays += [shared(depth_keys, wp.float64), shared(shown, wp.int32)]
         bands, threads = -(-height // int(kernels.BAND)), launch.default_threads()
         launch.spread(kernels.draw_triangles, bands, arrays, step="draw", threads=threads, cost=1e4)
         colours = np.broadcast_to(SKY, (height, width, 3)).copy()

@@ -25,8 +25,8 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 
 @wp.func
-def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
-    """Interpolate row j of the samples `s` (0 .. 1) cells east of column i; return metres.
+def height_along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
+    """Return the height, metres, of the Hermite cubic along row j of the samples, `s` cells (0 .. 1) east of column i.
 
     Samples beyond the border are extrapolated linearly.
     """
@@ -48,22 +48,23 @@ def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
 
     s, t: position in the cell from its south-west corner, 0 .. 1.
     """
-    z1 = along_row(samples, i, j, s)
-    z2 = along_row(samples, i, j + 1, s)
+    z1 = height_along_row(samples, i, j, s)
+    z2 = height_along_row(samples, i, j + 1, s)
     z0 = wp.float64(2.0) * z1 - z2
     z3 = wp.float64(2.0) * z2 - z1
     if j > 0:
-        z0 = along_row(samples, i, j - 1, s)
+        z0 = height_along_row(samples, i, j - 1, s)
     if j < samples.rows - 2:
-        z3 = along_row(samples, i, j + 2, s)
+        z3 = height_along_row(samples, i, j + 2, s)
     return hermite(z0, z1, z2, z3, t)
 
 
 @wp.func
-def heights_about(samples: Samples, i: wp.int32, j: wp.int32):
-    """Return a lower and an upper bound of the surface in cell (i, j).
+def height_bounds(samples: Samples, i: wp.int32, j: wp.int32):
+    """Return a lower and an upper bound, metres, of the bicubic surface in cell (i, j).
 
-    The negative weights of the samples add up to 1/8 at most in one direction, hence to 9/32 in two.
+    The surface is a weighted mean of the 4 x 4 samples around. Its negative weights add up to 1/8 at most in one
+    direction, hence to 9/32 in two, so it leaves the samples' range by at most 9/32 of the range.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)

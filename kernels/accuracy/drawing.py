@@ -10,26 +10,26 @@ BAND = wp.constant(32)  # rows of pixels that one thread draws
 def draw_triangles(
     first: wp.int32,
     corners: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec3d),
+    projected: wp.array(dtype=wp.vec3d),
     width: wp.int32,
     height: wp.int32,
-    nearness: wp.array(dtype=wp.float64),
+    depth_key: wp.array(dtype=wp.float64),
     shown: wp.array(dtype=wp.int32),
 ):
-    """Write to `shown` the triangle at the middle of each pixel in BAND rows.
+    """Write to `shown` the number of the nearest triangle at the middle of each pixel in a band of BAND rows.
 
-    Pixels without a triangle stay as they are.
-
-    `corners`: three entries of `places` for each triangle. `places`: pixels from the left and from below, and a
-    nearness that is linear over the picture and larger for nearer points. `nearness` [height * width] begins with -inf.
+    The thread draws band `first + tid`. Pixels without a triangle stay as they are. corners: three entries of
+    `projected` for each triangle. projected: pixels from the left and from below, and a depth key, which is linear over
+    the picture and larger for nearer points. depth_key [height * width]: that of the triangle shown so far, -inf at
+    first.
     """
     bottom = (first + wp.tid()) * BAND
     top = wp.min(bottom + BAND, height) - 1
     half = wp.float64(0.5)
     for t in range(corners.shape[0] // 3):
-        a = places[corners[3 * t]]
-        b = places[corners[3 * t + 1]]
-        c = places[corners[3 * t + 2]]
+        a = projected[corners[3 * t]]
+        b = projected[corners[3 * t + 1]]
+        c = projected[corners[3 * t + 2]]
         low = wp.max(wp.int32(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])) - half)), bottom)
         high = wp.min(wp.int32(wp.floor(wp.max(a[1], wp.max(b[1], c[1])) - half)), top)
         left = wp.max(wp.int32(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])) - half)), 0)
@@ -44,7 +44,7 @@ def draw_triangles(
                 u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) / area
                 v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) / area
                 w = wp.float64(1.0) - u - v
-                near = u * a[2] + v * b[2] + w * c[2]
-                if wp.min(u, wp.min(v, w)) >= wp.float64(0.0) and near > nearness[y * width + x]:
-                    nearness[y * width + x] = near
+                key = u * a[2] + v * b[2] + w * c[2]
+                if wp.min(u, wp.min(v, w)) >= wp.float64(0.0) and key > depth_key[y * width + x]:
+                    depth_key[y * width + x] = key
                     shown[y * width + x] = t

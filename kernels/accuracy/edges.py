@@ -59,7 +59,7 @@ def difference_at(ground: Reference, f: MeasuredFacet, u: wp.float64, v: wp.floa
 
 @wp.func
 def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
-    """Return where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns, 1/2 if it does not."""
+    """Return where the parabola through (0, e0), (1/2, e1), (1, e2) turns, 1/2 if it does not turn between 0 and 1."""
     curvature = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
     slope = e2 - e0 - curvature
     at = wp.float64(0.5)
@@ -84,10 +84,11 @@ def empty_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
 
 
 @wp.func
-def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.float64:
-    """Return where along the edge (0 .. 1) it meets a grid line; 2 if it is parallel to the line.
+def meets_line(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.float64:
+    """Return where along an edge (0 .. 1) it meets a grid line; 2 if it is parallel to the line.
 
-    at, step: the edge's begin and vector along one axis, lattice units. A cell has 2^bits of them.
+    at, step: the edge's begin and vector along one axis, lattice units. line: number of the grid line; lines are 2^bits
+    units apart.
     """
     along = wp.float64(2.0)
     if step != wp.int64(0):
@@ -97,12 +98,12 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 @wp.func
 def next_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
-    """Return the stretch of edge k that follows `s`: it ends at the next grid line, or at the end of the edge."""
+    """Return the stretch of edge k of triangle f after stretch `s`, up to the next grid line or the end of the edge."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
     dy = f.y[n] - f.y[k]
-    meets_x = meets(f.x[k], dx, s.line_x, wp.int64(ground.bits))
-    meets_y = meets(f.y[k], dy, s.line_y, wp.int64(ground.bits))
+    meets_x = meets_line(f.x[k], dx, s.line_x, wp.int64(ground.bits))
+    meets_y = meets_line(f.y[k], dy, s.line_y, wp.int64(ground.bits))
     s.from_ = s.to
     s.to = wp.min(wp.float64(1.0), wp.min(meets_x, meets_y))
     if meets_x <= s.to:
@@ -139,10 +140,11 @@ def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretc
 
 
 @wp.func
-def rounded_away(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
-    """Return the height in metres by which the rounding to float32 has moved a triangle at corner k.
+def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
+    """Return the height, metres, by which float32 rounding has moved corner k of triangle f off the reference surface.
 
-    It is that of the position in the plane, as the triangle's slope turns it into height, and that of the height.
+    It is a bound with two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z.
+    position: the corner as delivered, metres.
     """
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
@@ -165,7 +167,7 @@ def edge_extremes(
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),
 ):
-    """Raise worst[t] of triangles first .. end - 1 to the largest difference along the edges, metres.
+    """Raise worst[t] of triangles first .. end - 1 to the largest |mesh - reference surface| along their edges, metres.
 
     Write to rounding[t] the largest distance by which float32 has moved a corner, metres.
     """
@@ -175,7 +177,7 @@ def edge_extremes(
         moved = wp.float64(0.0)
         if f.area2 > wp.int64(0):
             for k in range(3):
-                moved = wp.max(moved, rounded_away(ground, f, k, mesh.positions[mesh.corners[3 * t + k]]))
+                moved = wp.max(moved, rounding_at_corner(ground, f, k, mesh.positions[mesh.corners[3 * t + k]]))
                 s = empty_stretch(ground, f, k)
                 while s.to < wp.float64(1.0):
                     s = next_stretch(ground, f, k, s)

@@ -26,7 +26,7 @@ class Reference:
     bicubic: wp.int32  # 1, or 0: bilinear
     curved: wp.int32  # 0: bilinear without detail, so that extrema have a closed form
     layers: PackedLayers
-    max_detail: wp.float64  # metres before scaling that it rises or falls, at most
+    max_detail: wp.float64  # largest magnitude of the displacement layers' sum, metres before scaling
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64
@@ -38,7 +38,7 @@ class Reference:
 
 @wp.struct
 class DeliveredMesh:
-    """A delivered surface."""
+    """A mesh as it was delivered: vertices in metres, and three entries of `corners` for each triangle."""
 
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
@@ -79,9 +79,9 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 
 @wp.func
 def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
-    """Return triangle t as a plane with integer corners.
+    """Return triangle t of a mesh as a plane with integer corners.
 
-    If float32 rounding has folded it over, the plane goes through the lattice points instead.
+    If float32 rounding has folded the triangle over, the plane goes through the lattice points instead.
     """
     f = MeasuredFacet()
     u = wp.vec3d()
@@ -178,7 +178,7 @@ def toward_zero(value: wp.float64) -> wp.float32:
 
 @wp.func
 def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
-    """Return whether a point is to the left of a directed edge (dx, dy), `side` being their cross product.
+    """Return whether a point is to the left of a directed edge (dx, dy). side: their cross product, 0 on the line.
 
     A point on the line is moved a hair away from it: east or west by `shift_x`, and far less north or south by
     `shift_y`. So every point belongs to exactly one triangle.
@@ -191,9 +191,10 @@ def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift
 
 @wp.func
 def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
-    """Return the direction in which a point is moved off an edge.
+    """Return the direction (1 or -1) in which a point on an edge is moved off it, so that it has one owner.
 
-    It is east or north, inward at the far border of the domain.
+    It is 1, east or north, but -1, inward, at the far border of the domain. at: the point's coordinate. end: that of
+    the border.
     """
     return wp.where(at >= end, wp.int64(-1), wp.int64(1))
 
@@ -229,7 +230,7 @@ def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bo
 
 @wp.func
 def sample_box(ground: Reference, f: MeasuredFacet) -> wp.vec4i:
-    """Return first and last column, then first and last row, of the samples in the bounding box of a triangle."""
+    """Return the samples in the bounding box of a triangle: first and last column, then first and last row."""
     bits = wp.int64(ground.bits)
     ahead = (wp.int64(1) << bits) - wp.int64(1)
     return wp.vec4i(

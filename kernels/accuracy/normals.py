@@ -43,7 +43,8 @@ def angles(
 ):
     """Write angles to the reference's normal at every sample that triangles first .. end - 1 own, degrees.
 
-    facet_deg: of the triangle's plane. shading_deg: of the interpolated vertex normals, which are rendered.
+    facet_deg: angles of the triangle's plane. shading_deg: angles of the interpolated vertex normals, which are
+    rendered.
     """
     per_x = ground.scale / ground.step_x
     per_y = ground.scale / ground.step_y

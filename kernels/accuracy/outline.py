@@ -12,7 +12,7 @@ from .screen import Eye, ray_through
 
 @wp.struct
 class Boxes:
-    """A mesh for rays: a hierarchy of its triangles' float32 boxes, grown by more than float32 loses on a ray."""
+    """A mesh for rays: a hierarchy of its triangles' float32 boxes, enlarged by more than a ray's float32 rounding."""
 
     bvh: wp.uint64
     low: wp.vec3d  # of the whole mesh, metres
@@ -51,9 +51,9 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
 def meets_mesh(
     ground: Reference, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
 ) -> wp.bool:
-    """Return whether a ray meets the mesh between start and end (t along the ray).
+    """Return whether a ray meets the mesh between t = start and t = end along the ray.
 
-    The hierarchy of boxes gives candidates in float32; each triangle is then tested in float64.
+    boxes: a hierarchy, which gives candidates in float32; each triangle is then tested in float64.
     """
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
@@ -86,23 +86,25 @@ def mesh_cover(
     mesh: DeliveredMesh,
     boxes: Boxes,
     eye: Eye,
-    place: wp.array(dtype=wp.vec2d),
+    frame_point: wp.array(dtype=wp.vec2d),
     cover: wp.array(dtype=wp.bool),
 ):
-    """Write cover[p]: whether the ray through point p of the frame meets the mesh.
+    """Write cover[p]: whether the ray through point p = offset + tid of the frame meets the mesh.
 
-    place: pixels from the frame's middle.
+    frame_point: pixels from the frame's middle.
     """
     p = offset + wp.tid()
-    cover[p] = meets_mesh(ground, mesh, boxes, ray_through(eye, place[p][0], place[p][1]), eye.start, eye.end)
+    cover[p] = meets_mesh(
+        ground, mesh, boxes, ray_through(eye, frame_point[p][0], frame_point[p][1]), eye.start, eye.end
+    )
 
 
 @wp.func
-def distance_to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, narrow: wp.float64) -> wp.float64:
-    """Return the distance of p from the segment a b. `narrow`: factor on horizontal lengths, for panoramas."""
-    px = (p[0] - a[0]) * narrow
+def distance_to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, x_scale: wp.float64) -> wp.float64:
+    """Return the distance of p from the segment a b, pixels. x_scale: factor on horizontal lengths, for panoramas."""
+    px = (p[0] - a[0]) * x_scale
     py = p[1] - a[1]
-    dx = (b[0] - a[0]) * narrow
+    dx = (b[0] - a[0]) * x_scale
     dy = b[1] - a[1]
     length2 = dx * dx + dy * dy
     along = wp.float64(0.0)
@@ -124,28 +126,29 @@ def nearest(
     first: wp.array(dtype=wp.int32),
     segment: wp.array(dtype=wp.vec2i),
     crossing: wp.array(dtype=wp.vec2d),
-    place: wp.array(dtype=wp.vec2d),
+    frame_point: wp.array(dtype=wp.vec2d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Write the distance in pixels from point p to the nearest segment of the outline, for each p.
+    """Write the distance in pixels from point p = offset + tid to the nearest segment of the outline.
 
-    If the border of the searched area is nearer, that distance is written. segment: pairs of crossings; those of
-    first[n] .. first[n + 1] are in the square between the middles of pixel n and of the next to the north-east.
-    Rings of pixels are searched from the inside out.
+    If the border of the searched area is nearer, that distance is written. frame_point: pixels from the frame's middle.
+    columns, rows, west, south: size in pixels and south-west corner of the area. segment: pairs of entries of
+    `crossing`; those of first[n] .. first[n + 1] are in the square between the middles of pixel n and of the next to
+    the north-east. Rings of pixels are searched from the inside out.
     """
     p = offset + wp.tid()
     one = wp.float64(1.0)
-    x = place[p][0]
-    y = place[p][1]
-    narrow = one
+    x = frame_point[p][0]
+    y = frame_point[p][1]
+    x_scale = one
     if eye.kind == PANORAMIC:
-        narrow = wp.abs(wp.cos(y / eye.pixels_per_radian))
+        x_scale = wp.abs(wp.cos(y / eye.pixels_per_radian))
     i = wp.int32(wp.floor(x - west))
     j = wp.int32(wp.floor(y - south))
-    border = wp.min(x - west, west + wp.float64(columns - 1) - x) * narrow
+    border = wp.min(x - west, west + wp.float64(columns - 1) - x) * x_scale
     best = wp.min(border, wp.min(y - south, south + wp.float64(rows - 1) - y))
     ring = wp.int32(0)
-    while best > (wp.float64(ring) - one) * narrow and ring <= columns + rows:
+    while best > (wp.float64(ring) - one) * x_scale and ring <= columns + rows:
         for b in range(wp.max(j - ring, 0), wp.min(j + ring, rows - 1) + 1):
             step = wp.where(b == j - ring or b == j + ring, 1, wp.max(2 * ring, 1))
             for a in range(i - ring, i + ring + 1, step):
@@ -153,6 +156,8 @@ def nearest(
                     n = b * columns + a
                     for k in range(first[n], first[n + 1]):
                         ends = segment[k]
-                        best = wp.min(best, distance_to_segment(place[p], crossing[ends[0]], crossing[ends[1]], narrow))
+                        best = wp.min(
+                            best, distance_to_segment(frame_point[p], crossing[ends[0]], crossing[ends[1]], x_scale)
+                        )
         ring += 1
     distance[p] = best

@@ -59,7 +59,7 @@ def compute_morton_keys(
 
 @wp.func
 def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
-    """Return the index of the first key that is not below `key`, by bisection."""
+    """Return the index of the first sorted key not below `key`, by bisection; the number of points without one."""
     low = wp.int32(0)
     high = points.count
     while low < high:

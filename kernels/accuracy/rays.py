@@ -15,7 +15,7 @@ import warp as wp
 from ..field.codes import corners_of
 from ..query.rays import within
 from ..unchecked import item_at
-from .cubic import heights_about
+from .cubic import height_bounds
 from .facets import Reference, reference_in_cell
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
@@ -31,7 +31,7 @@ class HeightBlocks:
     levels: wp.int32
     low_z: wp.float64  # of the whole surface, metres
     high_z: wp.float64
-    tolerance: wp.float64  # metres: a surface that is less than this beyond a ray does not hide
+    tolerance: wp.float64  # metres: a surface that rises above a ray by less than this does not hide
     base: wp.array(dtype=wp.int64)
     width: wp.array(dtype=wp.int32)
     low: wp.array(dtype=wp.float32)
@@ -40,7 +40,10 @@ class HeightBlocks:
 
 @wp.struct
 class SightRay:
-    """Points (u, v, z) + t * (du, dv, dz): cells and metres. `tolerance`: metres that it may be beyond the surface."""
+    """Points (u, v, z) + t * (du, dv, dz): cells and metres.
+
+    `tolerance`: metres below the surface that count as on it.
+    """
 
     u: wp.float64
     v: wp.float64
@@ -53,7 +56,10 @@ class SightRay:
 
 @wp.func
 def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
-    """Return 1 if a height difference e is above the surface, -1 if below, 0 if it is within the tolerance (metres)."""
+    """Return 1 if a ray is above the surface, -1 if it is below, 0 if it is within the tolerance.
+
+    e: height of the ray less that of the surface, metres. tolerance: metres.
+    """
     side = wp.float64(0.0)
     if e > tolerance:
         side = wp.float64(1.0)
@@ -78,11 +84,10 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 def in_one_cell(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return where the ray crosses the surface between t = first and last, and its side at the end.
+    """Return (t, side): where the ray crosses the bilinear surface in cell (i, j), and its side at the cell's end.
 
-    t is infinite if it crosses nowhere.
-
-    `side`: the side that the ray comes from, 0 if it has been on the surface so far.
+    t is between first and last, which are the ray's t at the ends of the cell, or NOWHERE without a crossing. side: 1
+    above the surface, -1 below, 0 if the ray has been on it so far; the argument is that at `first`.
     """
     zero = wp.float64(0.0)
     p = corners_of(ground.samples, i, j)
@@ -119,8 +124,8 @@ def in_one_cell(
 
 
 @wp.func
-def above_patch(ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
-    """Return the height of the ray above the surface at t, metres. (i, j): the cell that contains the point."""
+def height_above_patch(ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
+    """Return the height of the ray above the surface, metres, at its point t, which is in cell (i, j)."""
     return ray.z + t * ray.dz - reference_in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
@@ -136,7 +141,7 @@ def bisect_crossing(
     high = last
     for _ in range(HALVINGS):
         middle = wp.float64(0.5) * (low + high)
-        if side * above_patch(ground, ray, i, j, middle) + ray.tolerance < wp.float64(0.0):
+        if side * height_above_patch(ground, ray, i, j, middle) + ray.tolerance < wp.float64(0.0):
             high = middle
         else:
             low = middle
@@ -145,7 +150,7 @@ def bisect_crossing(
 
 @wp.func
 def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return 1 if the ray is above all heights between a and b from t to `out`, -1 if below them, else 0.
+    """Return 1 if the ray is above all heights between a and b from t to `out`, -1 if it is below them, 0 if neither.
 
     a, b: metres, in either order. The ray must clear them by its tolerance.
     """
@@ -163,12 +168,14 @@ def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b
 def in_one_patch(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return the hit (t or NOWHERE) of a ray in a cell of a curved surface, and the side on which it leaves.
+    """Return (t, side): where the ray crosses the curved surface in cell (i, j), and its side at the cell's end.
 
-    As `in_one_cell`, but found at PLACES + 1 points of the ray, since there is no closed form.
+    There is no closed form: PLACES + 1 points of the ray between t = first and last are compared with the surface, and
+    a change of sides is bisected. t is NOWHERE without a crossing. side: 1 above, -1 below, 0 on the surface so far;
+    the argument is that at `first`.
     """
     hit = NOWHERE
-    a, b = heights_about(ground.samples, i, j)
+    a, b = height_bounds(ground.samples, i, j)
     a = (a - ground.max_detail) * ground.scale + ground.offset
     b = (b + ground.max_detail) * ground.scale + ground.offset
     on_side = side_of_span(ray, first, last, a, b)
@@ -181,7 +188,7 @@ def in_one_patch(
         k = wp.int32(0)
         while k <= PLACES and hit == NOWHERE:
             t = first + (last - first) * (wp.float64(k) / wp.float64(PLACES))
-            e = above_patch(ground, ray, i, j, t)
+            e = height_above_patch(ground, ray, i, j, t)
             if side == wp.float64(0.0):
                 side = side_of(e, ray.tolerance)
             elif side * e + ray.tolerance < wp.float64(0.0):
@@ -203,8 +210,8 @@ def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: w
 
 
 @wp.func
-def time_to(start: wp.float64, direction: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
-    """Return t where the ray leaves the cells low .. high along one axis, NOWHERE where it runs parallel.
+def exit_along_axis(start: wp.float64, direction: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
+    """Return the ray's t where it leaves cells low .. high - 1 along one axis, NOWHERE if it never does.
 
     start, direction: the ray's position and direction along the axis, in cells.
     """
@@ -215,10 +222,12 @@ def time_to(start: wp.float64, direction: wp.float64, low: wp.int32, high: wp.in
 
 
 @wp.func
-def cell_behind(start: wp.float64, direction: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
-    """Return the cell along one axis that contains the ray at t = `out`, clamped to low .. high - 1.
+def cell_along_axis(
+    start: wp.float64, direction: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32
+) -> wp.int32:
+    """Return the cell along one axis that contains the ray's point t = `out`, clamped to low .. high - 1.
 
-    start, direction: of the ray along that axis, in cells.
+    start, direction: the ray's position and direction along that axis, in cells.
     """
     return wp.clamp(wp.int32(wp.floor(start + out * direction)), low, high - 1)
 
@@ -240,16 +249,16 @@ def first_crossing(
         return hit
     side = zero
     level = wp.min(start_level, blocks.levels)
-    i = cell_behind(ray.u, ray.du, t, 0, cells_x)
-    j = cell_behind(ray.v, ray.dv, t, 0, cells_y)
+    i = cell_along_axis(ray.u, ray.du, t, 0, cells_x)
+    j = cell_along_axis(ray.v, ray.dv, t, 0, cells_y)
     while True:
         bits = wp.where(level == 0, 0, level + CELL_BITS)
         x0 = (i >> bits) << bits
         y0 = (j >> bits) << bits
         x1 = wp.min(x0 + (1 << bits), cells_x)
         y1 = wp.min(y0 + (1 << bits), cells_y)
-        to_x = time_to(ray.u, ray.du, x0, x1)
-        to_y = time_to(ray.v, ray.dv, y0, y1)
+        to_x = exit_along_axis(ray.u, ray.du, x0, x1)
+        to_y = exit_along_axis(ray.v, ray.dv, y0, y1)
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
         clear = True
         if level == 0 and ground.curved == 1:
@@ -271,10 +280,10 @@ def first_crossing(
             if to_x <= to_y:
                 line = wp.where(ray.du > zero, x1, x0)
                 i = wp.where(ray.du > zero, x1, x0 - 1)
-                j = cell_behind(ray.v, ray.dv, out, y0, y1)
+                j = cell_along_axis(ray.v, ray.dv, out, y0, y1)
             else:
                 j = wp.where(ray.dv > zero, y1, y0 - 1)
-                i = cell_behind(ray.u, ray.du, out, x0, x1)
+                i = cell_along_axis(ray.u, ray.du, out, x0, x1)
             t = out
             if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
                 break

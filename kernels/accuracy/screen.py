@@ -68,7 +68,7 @@ def to_camera(eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64) -> wp.vec3d
 
 @wp.func
 def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
-    """Project a point of camera space to normalised device coordinates, -1 .. 1 in the frame. Not for a panorama."""
+    """Project a point of camera space (metres) to normalised device coordinates: -1 .. 1 in the frame. No panoramas."""
     p = wp.vec4d(camera[0], camera[1], camera[2], wp.float64(1.0))
     w = wp.dot(eye.to_w, p)
     return wp.vec2d(wp.dot(eye.to_x, p) / w, wp.dot(eye.to_y, p) / w)
@@ -90,7 +90,7 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
 
 @wp.func
 def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
-    """Return `point`, or where the way to it from `truth` reaches the depth `eye.near`.
+    """Return `point`, moved towards `truth` to the depth `eye.near` if it is nearer than that.
 
     Points of camera space, metres. Nearer than that depth no error is bounded, so it must not be measured.
     """
@@ -102,9 +102,10 @@ def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Return the distance in pixels between the projections of a and b, points of camera space.
+    """Return the distance in pixels between the projections of a and b, two displaced copies of the reference point.
 
-    truth: the reference point; a and b are moved in front of the camera with it.
+    truth, a, b: points of camera space, metres; `truth` is the reference point. It is 0 if that is nearer than
+    `eye.near`, where no error is bounded.
     """
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
@@ -185,9 +186,10 @@ def point_errors(
     after: wp.array(dtype=wp.float64),
     pixels: wp.array(dtype=wp.float32),
 ):
-    """Write the distance in pixels between two displaced copies of each reference point.
+    """Write the distance in pixels between the projections of two displaced copies of point offset + tid.
 
-    before, after: metres above the reference, such as of two meshes. x, y: units of 2^-(bits + 7) cells.
+    x, y: the reference point, units of 2^-(bits + 7) cells. before, after: heights of the copies above the reference
+    surface, metres.
     """
     p = offset + wp.tid()
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
@@ -229,16 +231,16 @@ def seen_points(
     ground: Reference,
     blocks: HeightBlocks,
     eye: Eye,
-    place: wp.array(dtype=wp.vec2d),
+    frame_point: wp.array(dtype=wp.vec2d),
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
 ):
-    """Write the point of the reference surface that each point of the frame shows; x = -1 if it shows none.
+    """Write to (x, y) the point of the reference surface that is seen at point offset + tid of the frame.
 
-    place: pixels from the frame's middle. x, y: units of 2^-(bits + 7) cells.
+    frame_point: pixels from the frame's middle. x, y: units of 2^-(bits + 7) cells; x is -1 where no ground is seen.
     """
     p = offset + wp.tid()
-    ray = ray_through(eye, place[p][0], place[p][1])
+    ray = ray_through(eye, frame_point[p][0], frame_point[p][1])
     t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels)
     x[p] = wp.int64(-1)
     if t < NOWHERE:

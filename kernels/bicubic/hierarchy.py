@@ -17,9 +17,9 @@ from ..unchecked import put
 def cover_sides(
     offset: wp.int64, cells: Depth, curvatures: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)
 ):
-    """Raise the error of cell `offset + tid` to half the largest curvature of itself and its sides.
+    """Raise the error of cell `offset + tid` to half the largest curvature of the cell and its four neighbours, metres.
 
-    So the error also bounds triangles that meet on the cell's sides.
+    So the error also bounds triangles whose longest edge is a side of the cell.
     """
     p = diamond(cells, offset + wp.int64(wp.tid()))
     at = entry(cells, p[0], p[1])
@@ -42,21 +42,21 @@ def add_errors(
     table: wp.array(dtype=wp.float32),
     group: int,
     codes: wp.array(dtype=wp.uint8),
-    off: wp.array(dtype=wp.float32),
+    distance: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute errors of diamonds on another surface: those on the bilinear one plus the distance between both.
+    """Compute the error of diamond `offset + tid` on the bicubic surface, metres: never less than that of its children.
 
-    whole: layout of `codes`, the errors on the bilinear surface, by diamonds of the raster; `table` has their metres,
-    and `group` is that of the depth. off: largest distance of the two surfaces, metres; it becomes the largest of the
-    children. An error is the sum, and at least the children's.
+    It is the stored error on the bilinear surface plus the largest distance between both surfaces. distance: that
+    distance, metres; the diamond's becomes the largest of its children. whole: layout of `codes`, the bilinear errors
+    of the whole raster, whose metres are in group `group` of `table`. corner: the window's first diamond in the raster.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         at = entry(coarser, p[0], p[1])
-        plain = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
-        off[at] = largest_below(off, finer, coarser, p)
-        raised = round_up(wp.float64(plain) + wp.float64(off[at]))
+        bilinear_error = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
+        distance[at] = largest_below(distance, finer, coarser, p)
+        raised = round_up(wp.float64(bilinear_error) + wp.float64(distance[at]))
         errors[at] = wp.max(raised, largest_below(errors, finer, coarser, p))
 
 

@@ -78,9 +78,10 @@ def samples_of_column(raster: Samples, x: int, cy: int) -> wp.vec4d:
 
 @wp.func
 def column(raster: Samples, x: int, cy: int):
-    """Return four vectors of column x, -1 .. columns, one after the other.
+    """Return the control values of column x (-1 .. columns) between the sample rows cy and cy + 1, and a 0.
 
-    They are control heights (4), slopes (3), second derivatives (2), and heights off the chord (2).
+    Values 0 .. 3: control heights. 4 .. 6: slopes to the north. 7 .. 8: second derivatives. 9 .. 10: heights off the
+    chord. All in metres and cells. Columns -1 and `columns` are extrapolated.
     """
     p = wp.vec4d()
     if x < 0:
@@ -98,19 +99,19 @@ def column(raster: Samples, x: int, cy: int):
 
 @wp.func
 def max_of_4(known: wp.float64, v: wp.vec4d) -> wp.float64:
-    """Return the larger one of `known` and the largest magnitude of four values."""
+    """Return the larger of `known` and the largest magnitude of the four values of v."""
     return wp.max(known, wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.max(wp.abs(v[2]), wp.abs(v[3]))))
 
 
 @wp.func
 def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
-    """Return the larger one of `known` and the largest magnitude of three values."""
+    """Return the larger of `known` and the largest magnitude of the three values of v."""
     return wp.max(known, wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2]))))
 
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """Return value k of four columns from west to east. Each column has 12 values, see `column`."""
+    """Return value k of four neighbouring columns from west to east. a .. d: results of `column`, 12 values each."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
@@ -132,9 +133,9 @@ def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
 
 @wp.kernel
 def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
-    """Compute limits of row `offset + tid` of cells.
+    """Write to found[offset + tid] the limits of a row of cells, which bound the bicubic surface there.
 
-    They are the lowest and highest control height, and the steepest slopes east and north, metres a cell.
+    They are the lowest and highest control height, metres, and the steepest slopes east and north, metres a cell.
     """
     cy = offset + wp.tid()
     low = wp.float64(wp.inf)
@@ -161,9 +162,10 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
 
 @wp.func
 def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """Return a quarter of the largest norm of the second derivatives of a patch, metres.
+    """Return a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
 
-    All three are raised to the degree 3 x 3, because the norm of their values at one control point is convex.
+    a .. d: results of `column` for four columns from west to east. The derivatives xx, xy and yy are raised to the
+    degree 3 x 3, so that the norm, which is convex, is bounded by its values at the control points.
     """
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
@@ -203,9 +205,9 @@ def elevate_degree(q: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """Return a bound of the distance between the bicubic patch of a cell and the bilinear one, metres.
+    """Return a bound of the distance between the bicubic and the bilinear patch between columns b and c, metres.
 
-    a .. d: columns from west to east, see `column`.
+    a .. d: results of `column` for four columns from west to east.
     """
     zero = wp.float64(0.0)
     # Control heights of the difference: off the chord along the rows, along the columns, and both where they meet.
@@ -235,14 +237,15 @@ def patch_errors(
     corner: wp.vec2i,
     columns: int,
     cells: Depth,
-    off: wp.array(dtype=wp.float32),
+    distance: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
     curvatures: wp.array(dtype=wp.float32),
 ):
-    """Compute bounds for row `offset + tid` of the cells of a window of the raster.
+    """Compute bounds, metres, for row `offset + tid` of the cells of a window of the raster.
 
-    corner: column and row of the window's first cell. columns: cells in its rows. cells: layout of the results, by
-    cells of the window. off: distance to the bilinear patch. errors: error of the cell's leaf.
+    distance: that of the bicubic patch from the bilinear one. errors: largest distances of the surface from the cell's
+    two triangles. curvatures: a quarter of the largest second derivative. corner: column and row of the window's first
+    cell. columns: cells in its rows. cells: layout of these three arrays by cells of the window.
     """
     y = offset + wp.tid()
     cy = corner[1] + y
@@ -255,7 +258,7 @@ def patch_errors(
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
         at = entry(cells, x, y)
-        put(off, at, apart)
+        put(distance, at, apart)
         exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
         put(errors, at, wp.min(exact, curvature))
         put(curvatures, at, curvature)
@@ -273,9 +276,9 @@ def patch_ranges(
     cells: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Compute the lowest and highest control height of the cells of row `offset + tid`, as 16-bit codes.
+    """Write the lowest and highest control height of each cell of row `offset + tid` to `ranges`, as 16-bit codes.
 
-    Code q is the height base + q step, metres; the range is rounded outwards.
+    Code q is the height base + q step, metres; the range is rounded outwards. cells: layout of `ranges` by cells.
     """
     cy = offset + wp.tid()
     per_step = wp.float64(1.0) / step

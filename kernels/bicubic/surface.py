@@ -43,9 +43,9 @@ def slopes(s: wp.float64) -> wp.vec4d:
 
 @wp.func
 def border_weights(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
-    """Return weights w corrected for the first and last cell of a row, where a sample is extrapolated.
+    """Return four sample weights `w` corrected for the first and last cell of a row, where a sample is extrapolated.
 
-    at: number of the cell. count: samples of the row.
+    at: number of the cell in the row. count: samples of the row.
     """
     zero = wp.float64(0.0)
     two = wp.float64(2.0)

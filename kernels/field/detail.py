@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Displacement below the raster's cells: octaves of noise or an image.
 
-Positions are metres from the terrain's middle in float64, so precision does not depend on the distance.
-kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
+Positions are metres from the raster's middle in float64, so precision does not depend on the distance. Heights are
+metres before vertical scaling. kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
 """
 
 import warp as wp
@@ -56,27 +56,30 @@ class PackedLayers:
 
 
 @wp.func
-def noise_detail(d: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return the height of all octaves of noise at (x, y) metres, with its slopes: (height, along x, along y)."""
-    found = wp.vec3d()
-    a = d.amplitude
-    c = d.frequency
+def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
+    """Return height (metres) and slopes along x and y of all octaves of a layer's noise at (x, y) metres."""
+    total = wp.vec3d()
+    a = layer.amplitude
+    c = layer.frequency
     s = wp.float64(0.0)
-    for k in range(d.octaves):
+    for k in range(layer.octaves):
         shift = wp.float64(k + 1)
-        n = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, d.seed)
-        d.seed = d.seed + wp.uint32(-0x61C88647)
-        found += a * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
+        n = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, layer.seed)
+        layer.seed = layer.seed + wp.uint32(-0x61C88647)
+        total += a * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
         turned = wp.float64(1.6) * c - wp.float64(1.2) * s
         s = wp.float64(1.6) * s + wp.float64(1.2) * c
         c = turned
-        a = a * d.gain
-    return found
+        a = a * layer.gain
+    return total
 
 
 @wp.func
 def basis(t: wp.float64) -> wp.vec4d:
-    """Return the uniform cubic B-spline weights of four control heights; t is from the second to the third."""
+    """Return the weights of four control heights in a uniform cubic B-spline.
+
+    t: from the second to the third, 0 .. 1.
+    """
     one = wp.float64(1.0)
     r = one - t
     second = SIXTH * (wp.float64(4.0) + t * t * (wp.float64(3.0) * t - wp.float64(6.0)))
@@ -95,77 +98,80 @@ def slope_basis(t: wp.float64) -> wp.vec4d:
 
 
 @wp.func
-def image_detail(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return the height of a periodic image at (x, y) metres, and its slopes, as `noise_detail` does.
+def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp.float64):
+    """Return height (metres) and slopes along x and y of a layer's image, (x, y) metres from the raster's middle.
 
-    The pixels around are control heights of a bicubic B-spline.
+    The image repeats; its pixels are control heights of a bicubic B-spline.
     """
-    u = x * d.frequency
-    v = y * d.frequency
+    u = x * layer.frequency
+    v = y * layer.frequency
     fu = wp.floor(u)
     fv = wp.floor(v)
-    i = wp.int32(wp.int64(fu) % wp.int64(d.columns))
-    j = wp.int32(wp.int64(fv) % wp.int64(d.rows))
+    i = wp.int32(wp.int64(fu) % wp.int64(layer.columns))
+    j = wp.int32(wp.int64(fv) % wp.int64(layer.rows))
     across = basis(u - fu)
     across1 = slope_basis(u - fu)
     up = basis(v - fv)
     up1 = slope_basis(v - fv)
-    found = wp.vec3d()
+    total = wp.vec3d()
     for b in range(4):
-        row = d.pixel + wp.int64((j + b + wp.int32(2) * d.rows - wp.int32(1)) % d.rows) * wp.int64(d.columns)
+        row = layer.pixel + wp.int64((j + b + wp.int32(2) * layer.rows - wp.int32(1)) % layer.rows) * wp.int64(
+            layer.columns
+        )
         z = wp.float64(0.0)
         z1 = wp.float64(0.0)
         for a in range(4):
-            column = (i + a + wp.int32(2) * d.columns - wp.int32(1)) % d.columns
-            h = wp.float64(c.pixels[row + wp.int64(column)])
+            column = (i + a + wp.int32(2) * layer.columns - wp.int32(1)) % layer.columns
+            h = wp.float64(layers.pixels[row + wp.int64(column)])
             z += across[a] * h
             z1 += across1[a] * h
-        found += wp.vec3d(up[b] * z, up[b] * z1 * d.frequency, up1[b] * z * d.frequency)
-    return d.amplitude * found
+        total += wp.vec3d(up[b] * z, up[b] * z1 * layer.frequency, up1[b] * z * layer.frequency)
+    return layer.amplitude * total
 
 
 @wp.func
-def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
-    """Return the mask of a layer at (x, y) metres, 0 .. 1, with its slopes: (mask, 1/m along x, 1/m along y).
+def mask_at(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
+    """Return the weight of a mask, 0 .. 1, and its slopes along x and y, 1/m, (x, y) metres from the raster's middle.
 
-    first: index of the mask's first byte.
+    first: index of the mask's first byte in `layers.masks`.
     """
-    s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
-    t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
-    i = wp.min(wp.int32(s), c.columns - 2)
-    j = wp.min(wp.int32(t), c.rows - 2)
+    s = wp.clamp((x - layers.west) * layers.per_x, wp.float64(0.0), wp.float64(layers.columns - 1))
+    t = wp.clamp((y - layers.south) * layers.per_y, wp.float64(0.0), wp.float64(layers.rows - 1))
+    i = wp.min(wp.int32(s), layers.columns - 2)
+    j = wp.min(wp.int32(t), layers.rows - 2)
     s -= wp.float64(i)
     t -= wp.float64(j)
-    south = first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)
-    north = south + wp.int64(c.columns)
-    a = wp.float64(item_at(c.masks, south))
-    b = wp.float64(item_at(c.masks, south + wp.int64(1))) - a
-    e = wp.float64(item_at(c.masks, north))
-    f = wp.float64(item_at(c.masks, north + wp.int64(1))) - e
+    south = first + wp.int64(j) * wp.int64(layers.columns) + wp.int64(i)
+    north = south + wp.int64(layers.columns)
+    a = wp.float64(item_at(layers.masks, south))
+    b = wp.float64(item_at(layers.masks, south + wp.int64(1))) - a
+    e = wp.float64(item_at(layers.masks, north))
+    f = wp.float64(item_at(layers.masks, north + wp.int64(1))) - e
     low = a + b * s
     rise = e + f * s - low
-    return BYTE * wp.vec3d(low + rise * t, (b + (f - b) * t) * c.per_x, rise * c.per_y)
+    return BYTE * wp.vec3d(low + rise * t, (b + (f - b) * t) * layers.per_x, rise * layers.per_y)
 
 
 @wp.func
-def detail_at(c: PackedLayers, x: wp.float64, y: wp.float64):
-    """Return the height of all displacement layers at (x, y) metres, with its slopes: (height, along x, along y).
+def detail_at(layers: PackedLayers, x: wp.float64, y: wp.float64):
+    """Return height and slopes along x and y of all displacement layers at (x, y) metres in terrain space.
 
-    Layers do not depend on the anchor.
+    Height: metres before vertical scaling. Layers begin at the raster's middle, so the result does not depend on the
+    anchor, the origin of the terrain's space.
     """
-    found = wp.vec3d()
-    x += c.anchor_x
-    y += c.anchor_y
-    for k in range(c.count):
-        d = c.layer[k]
-        m = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
-        if d.masked == 1:
-            m = mask_at(c, d.mask, x, y)
-        if m[0] > wp.float64(0.0):
+    total = wp.vec3d()
+    x += layers.anchor_x
+    y += layers.anchor_y
+    for k in range(layers.count):
+        layer = layers.layer[k]
+        mask = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+        if layer.masked == 1:
+            mask = mask_at(layers, layer.mask, x, y)
+        if mask[0] > wp.float64(0.0):
             h = wp.vec3d()
-            if d.columns > 0:
-                h = image_detail(c, d, x, y)
+            if layer.columns > 0:
+                h = image_detail(layers, layer, x, y)
             else:
-                h = noise_detail(d, x, y)
-            found += wp.vec3d(m[0] * h[0], m[0] * h[1] + m[1] * h[0], m[0] * h[2] + m[2] * h[0])
-    return found
+                h = noise_detail(layer, x, y)
+            total += wp.vec3d(mask[0] * h[0], mask[0] * h[1] + mask[1] * h[0], mask[0] * h[2] + mask[2] * h[0])
+    return total

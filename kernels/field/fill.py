@@ -62,11 +62,11 @@ def nearest_columns(
     start: wp.array(dtype=wp.float64),
     column: wp.array(dtype=wp.int32),
 ):
-    """Write the column of the nearest valid sample to each missing one of rows `begin` .. `end` after row `first`.
+    """Write the column of the nearest valid sample to `column` for each missing one of rows begin .. end - 1.
 
-    nearest: from `nearest_in_columns`, which has the sample's row at that column. The parabolas of a row's lower
-    envelope have their apex in the columns `apex`, and each is the lowest from `start` on; both [width] are this
-    thread's scratch.
+    nearest: from `nearest_in_columns`: the row of the nearest valid sample in each column. first: row of the raster of
+    their row 0. missing: 1 at missing samples. A row's lower envelope of parabolas has their apexes in the columns
+    `apex`, and each is the lowest from `start` on; both [width] are scratch of this thread.
     """
     for y in range(begin, end):
         count = wp.int32(0)
@@ -74,7 +74,7 @@ def nearest_columns(
             row = nearest[y * width + x]
             if row >= 0:
                 distance = wp.float64(row - first - y)
-                sum_squares = distance * distance + wp.float64(x) * wp.float64(x)
+                sum2 = distance * distance + wp.float64(x) * wp.float64(x)
                 from_x = wp.float64(-1.0e300)
                 searching = wp.int32(1)
                 while searching == 1:
@@ -82,8 +82,8 @@ def nearest_columns(
                     if count > 0:
                         last_x = apex[count - 1]
                         last_distance = wp.float64(nearest[y * width + last_x] - first - y)
-                        last_sum_squares = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
-                        from_x = (sum_squares - last_sum_squares) / (wp.float64(2.0) * wp.float64(x - last_x))
+                        last_sum2 = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
+                        from_x = (sum2 - last_sum2) / (wp.float64(2.0) * wp.float64(x - last_x))
                         if from_x <= start[count - 1]:
                             count = count - 1
                             searching = wp.int32(1)

@@ -39,16 +39,17 @@ def row_error(
 
 @wp.func
 def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
-    """Return the height of vertex (x, y), in samples, metres; beyond the border that of the nearest sample."""
+    """Return the height, metres, at sample (x, y); beyond the border that of the nearest sample."""
     at = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
     return wp.float64(item_at(raster.floats, at))
 
 
 @wp.func
 def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
-    """Return the largest distance of the samples (x, y) .. (x + count - 1, y) from a line, metres.
+    """Return the largest distance of the samples (x, y) .. (x + count - 1, y) from a line, metres; 0 if none is inside.
 
-    The line is `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not count.
+    The line has the height `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not
+    count.
     """
     inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
@@ -117,7 +118,7 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Dep
 def corner_error(
     raster: Samples, x: int, y: int, right: int, up: int, legs: int, plane: wp.float64, slope: wp.vec2d
 ) -> wp.float64:
-    """Return the largest distance of the surface over a right triangle from a plane, in rows and along the diagonal.
+    """Return the largest distance, metres, of the surface over a right triangle from a plane, in rows and diagonally.
 
     The plane has the height `plane` at the triangle's corner (x, y). From there legs of `legs` samples run east
     (`right` 1) or west (-1), and north (`up` 1) or south (-1). slope: metres a sample along x and y.

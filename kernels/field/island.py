@@ -15,7 +15,7 @@ RELIEF_OCTAVES = wp.constant(9)
 
 @wp.func
 def gradient_at(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
-    """Return the gradient (x, y) at lattice point i of a row, and its plane's value at the offset (u, v).
+    """Return the random gradient (x, y) at lattice point i of a row, and the height of its plane at the offset (u, v).
 
     row: hash of the row's number.
     """
@@ -56,7 +56,7 @@ def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
 
 @wp.func
 def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
-    """Return a sum of octaves in which steep places get less of the finer ones: ridges stay sharp and valleys smooth.
+    """Return a sum of octaves of noise at (x, y) with fewer fine ones on steep ground: sharp ridges, smooth valleys.
 
     `detail` (0 .. 1) scales all octaves after the third, which cost most of the time and do not show on the sea bed.
     The damping by the summed slope is Quilez' ("more noise", 2008).
@@ -92,7 +92,10 @@ def smooth(low: wp.float64, high: wp.float64, value: wp.float64):
 
 @wp.func
 def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
-    """Return 0 on a ridge to 1 in the bed of a valley; about 6 * turns valleys run outward from (0, 0)."""
+    """Return 0 on a ridge to 1 in the bed of a valley; about 6 * turns valleys run outward from (0, 0).
+
+    x, y: position relative to that centre, in units of the whole form.
+    """
     away = wp.sqrt(x * x + y * y) + wp.float64(1e-3)
     wander = wp.float64(1.2) * away
     n = noise(x / away * turns + wander, y / away * turns - wander, seed)

@@ -67,7 +67,7 @@ def finest_ranges(
 
 @wp.func
 def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
-    """Return the union of range a and that of the diamond at an index of `ranges`."""
+    """Return the union of range a (lower and upper code) and that of the diamond at an index of `ranges`."""
     at = wp.int64(2) * index
     return wp.vec2us(wp.min(a[0], item_at(ranges, at)), wp.max(a[1], item_at(ranges, at + wp.int64(1))))
 
@@ -76,9 +76,10 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 def patches_around(
     offset: int, columns: int, rows: int, cells: Depth, finest: Depth, ranges: wp.array(dtype=wp.uint16)
 ):
-    """Compute the ranges of the finest diamonds of row `offset + tid` from all cells around each.
+    """Compute the ranges of the finest diamonds in row `offset + tid` from the cells within REACH of each.
 
-    For a bicubic surface, whose cells have ranges. columns, rows: cells of the raster.
+    For a bicubic surface, whose cells have ranges. A row is two samples apart from the next; diamonds are where x + y
+    is odd. columns, rows: cells of the raster.
     """
     y = offset + wp.tid()
     for x in range(1 - (y & 1), finest.columns + 1, 2):

@@ -8,7 +8,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import pack_samples
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.kernels.accuracy.cubic import cubic_at, heights_about
+from adaptive_terrain.kernels.accuracy.cubic import cubic_at, height_bounds
 from adaptive_terrain.kernels.bicubic.surface import in_patch
 from adaptive_terrain.kernels.field.codes import Samples
 from adaptive_terrain.kernels.mesh.displace import on_sample
@@ -30,7 +30,7 @@ def evaluate(
     i = cell[p][0]
     j = cell[p][1]
     found[p] = in_patch(samples, i, j, place[p][0], place[p][1])
-    low, high = heights_about(samples, i, j)
+    low, high = height_bounds(samples, i, j)
     measured[p] = wp.vec3d(low, cubic_at(samples, i, j, place[p][0], place[p][1]), high)
 
 

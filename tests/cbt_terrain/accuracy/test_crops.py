@@ -24,11 +24,11 @@ def test_each_pixel_has_the_nearest_triangle_over_its_middle():
     places = np.c_[rng.uniform(-20, 90, (3 * count, 2)), rng.uniform(1, 2, 3 * count)]
     corners = np.arange(3 * count, dtype=np.int32)
     places[3:6, :2] = [(5, 5), (15, 15), (25, 25)]  # seen from its edge
-    shown, nearness = np.full(width * height, -1, np.int32), np.full(width * height, -np.inf)
+    shown, depth_keys = np.full(width * height, -1, np.int32), np.full(width * height, -np.inf)
     arrays = [shared(corners, wp.int32), shared(places, wp.vec3d), width, height]
     bands = -(-height // int(drawing.BAND))
     launch.spread(
-        drawing.draw_triangles, bands, [*arrays, shared(nearness, wp.float64), shared(shown, wp.int32)], step="draw"
+        drawing.draw_triangles, bands, [*arrays, shared(depth_keys, wp.float64), shared(shown, wp.int32)], step="draw"
     )
     y, x = np.divmod(np.arange(width * height), width)
     best, expected = np.full(width * height, -np.inf), np.full(width * height, -1)

@@ -77,7 +77,7 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
         # Near the zenith a disc covers every azimuth, but no ground hides it there.
         turned = azimuth + across * radius / max(math.cos(elevation), radius)
         strips["azimuth"][k] = _rounded_to_single(math.cos(turned)), _rounded_to_single(math.sin(turned))
-        strips["half"][k] = _rounded_to_single(math.sqrt(1.0 - across * across))
+        strips["half_height"][k] = _rounded_to_single(math.sqrt(1.0 - across * across))
     elevation = _rounded_to_single(elevation)
     low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))
     return {

@@ -99,7 +99,7 @@ def route(
     d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
     d.label, d.order = flat(np.zeros(count, np.int32), wp.int32), flat(order, wp.int32)
     spread = partial(launch.spread, step="routing", threads=threads)
-    inputs = [d, _nearness(grid, draw), draw or routing.Draw()]
+    inputs = [d, _inverse_distances(grid, draw), draw or routing.Draw()]
     spread(routing.find_receivers, rows, inputs, cost=columns / 8)
     launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
@@ -114,21 +114,21 @@ def route(
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
     """Return the size and the weights of a grid for kernels, by directions: along x, along y and diagonal.
 
-    step_x, step_y: metres. `nearness` is 1 / distance, `share` the length of contour over distance.
+    step_x, step_y: metres. `inverse_distance` is 1 / distance, `share` the length of contour over distance.
     """
     grid, diagonal = kernels.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
-    grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)
+    grid.inverse_distance = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)
     # Length of contour over distance: half a side for the axes; for diagonals the value of Quinn et al. on squares.
     grid.share = wp.vec3d(0.5 * step_y / step_x, 0.5 * step_x / step_y, 0.5 * step_x * step_y / diagonal)
     return grid
 
 
-def _nearness(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
+def _inverse_distances(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
     """Return 1 / distance by direction, with the factors of DIAGONAL, for the choice of receivers."""
     if draw is None or draw.jitter == 0.0:
-        return grid.nearness
-    ew, ns, across = grid.nearness
+        return grid.inverse_distance
+    ew, ns, across = grid.inverse_distance
     axes = math.sqrt(ew / ns)
     return wp.vec3f(ew * axes, ns / axes, DIAGONAL * across)
 

@@ -55,7 +55,7 @@ class Bed:
         uplift: float32, U in m/year.
         cell_weight: float64, upstream samples a sample stands for, including those outside the tile.
         first: row and column of the first sample in the whole level, which places the noise.
-        seed: of the noise.
+        seed: the noise's seed.
         curvature: float32 1/m, see `curvature_of`, or 0.
         border, outlet_level: indices of border samples, and the float32 level in metres where water leaves there.
         inflow: float64, sediment that enters the tile, metres times samples a year, or None.
@@ -167,8 +167,8 @@ def _incise(
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
     r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
     r.cell, r.hillslope, r.strength = bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years
-    # Largest height above the receiver, metres, by direction: the steepest slope times the distance, 1 / nearness.
-    r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.nearness])))
+    # Largest height above the receiver, metres, by direction: the steepest slope times the distance.
+    r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.inverse_distance])))
     r.to, r.order = flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
     r.area = flat(drainage.catchments, wp.float64)
     r.erodibility, r.weight = flat(bed.erodibility, wp.float32), flat(bed.weight, wp.float32)

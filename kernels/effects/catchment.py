@@ -23,7 +23,10 @@ def fill_lakes(d: DrainageArrays):
 
 @wp.func
 def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
-    """Return the weight of the flow from sample i to its neighbour in direction k (0 .. 8); 0 if that is not lower."""
+    """Return the weight of the flow from sample i to its neighbour in direction k: metres of fall times contour share.
+
+    k: 0 .. 8, as 3 * (dy + 1) + dx + 1. It is 0 if the neighbour is not lower on the filled surface.
+    """
     fall = wp.float64(d.filled[i]) - wp.float64(d.filled[towards(i, k, d.grid.width)])
     return wp.max(fall, wp.float64(0.0)) * d.grid.share[axis(k)]
 

@@ -27,9 +27,10 @@ def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> 
 
 @wp.func
 def value_at(ground: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
-    """Interpolate a pyramid of values at a point (metres) and a fractional level.
+    """Return a pyramid's value at a point (metres), interpolated between its samples and between its levels.
 
-    coarser_by: level of the raster that is level 0 of this pyramid, which may be coarser.
+    level: level of the raster, also fractional: log2 of the samples that a pixel covers. coarser_by: level of the
+    raster that is level 0 of this pyramid.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
@@ -55,10 +56,10 @@ def flow_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the drainage area at point `offset + tid`, m2.
+    """Write to out[offset + tid] the drainage area at a point, m2.
 
-    ground: pyramid of its natural logarithm. coarser_by: levels that it is coarser than the raster. levels: scale
-    of each point, see footprint.py.
+    ground: pyramid of the area's natural logarithm. coarser_by: levels that its first level is coarser than the raster.
+    levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
     out[v] = wp.float32(exponential(value_at(ground, coarser_by, positions[v], levels[v])))
@@ -72,9 +73,9 @@ def layer_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Interpolate a layer at point `offset + tid`.
+    """Write to out[offset + tid] a layer's value at a point.
 
-    ground: pyramid of the layer's values. levels: scale of each point.
+    ground: pyramid of the layer's values. levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
     out[v] = wp.float32(value_at(ground, wp.float32(0.0), positions[v], levels[v]))
@@ -89,9 +90,10 @@ def wetness_at(
     normal: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the wetness index ln(a / tan slope) of point `offset + tid` (Beven and Kirkby 1979).
+    """Write to out[offset + tid] the wetness index ln(a / tan slope) of a point (Beven and Kirkby 1979).
 
-    a: drainage area `flow` over the contour length `width`, metres. min_tangent: lower limit of the slope.
+    a: drainage area `flow` (m2) over the contour length `width`, metres. min_tangent: lower limit of tan slope. normal:
+    unit normals, which give the slope.
     """
     v = offset + wp.tid()
     n = normal[v]

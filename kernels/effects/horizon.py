@@ -37,7 +37,10 @@ class Occluder:
 
 @wp.func
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
-    """Return the height of the bilinear surface at (x, y) cells from the first sample, times the vertical scale."""
+    """Return the height, metres, of the bilinear surface times the vertical scale.
+
+    x, y: cells from the first sample.
+    """
     i = wp.min(wp.int32(x), g.samples.columns - 2)
     j = wp.min(wp.int32(y), g.samples.rows - 2)
     p = corners_of(g.samples, i, j)

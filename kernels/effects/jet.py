@@ -106,9 +106,10 @@ def from_jets(
     levels: wp.array(dtype=wp.float32),
     values: Values,
 ):
-    """Compute the requested values (height, slope, curvature ..) at point `offset + tid`.
+    """Compute the requested values (height, slope, curvatures ..) at point `offset + tid` from the ground's jet there.
 
-    levels: scale of each point. values: output arrays, and bits that tell which ones are requested.
+    levels: log2 of the samples that a pixel covers at each point. values: the output arrays, and bits for those that
+    are requested.
     """
     v = offset + wp.tid()
     p = positions[v]

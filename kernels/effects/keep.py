@@ -17,23 +17,24 @@ LOOK = wp.constant(32)  # points of both surfaces together that may be skipped t
 
 @wp.func
 def next_common(
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     v: wp.int32,
     count: wp.int32,
     last: wp.array(dtype=wp.vec3f),
     at: wp.int32,
     last_count: wp.int32,
 ):
-    """Return how many points to skip in this and in the last surface until they agree.
+    """Return how many points to skip in this and in the last surface until the next ones agree.
 
-    (-1, -1) if more than LOOK points in all would have to be skipped. v, at: current points of the two.
+    It is (-1, -1) if more than LOOK points in all would have to be skipped. v, at: current points of this and of the
+    last surface. count, last_count: numbers of points.
     """
     skip = wp.vec2i(-1, -1)
     total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
         for a in range(total + 1):
             if skip[0] < 0 and v + a < count and at + total - a < last_count:
-                if count_same_vec3s(places, v + a, last, at + total - a, 1) == 1:
+                if count_same_vec3s(positions, v + a, last, at + total - a, 1) == 1:
                     skip = wp.vec2i(a, total - a)
         total += 1
     return skip
@@ -41,7 +42,7 @@ def next_common(
 
 @wp.kernel
 def match_in_order(
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     count: int,
     last: wp.array(dtype=wp.vec3f),
     last_count: int,
@@ -58,13 +59,13 @@ def match_in_order(
     k = wp.int32(0)
     lost = wp.int32(0)
     while v < count and lost == 0:
-        same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
+        same = count_same_vec3s(positions, v, last, at, wp.min(count - v, last_count - at))
         if same > 0:
             runs[k] = wp.vec3i(v, at, same)
             k += 1
         v += same
         at += same
-        skip = next_common(places, v, count, last, at, last_count)
+        skip = next_common(positions, v, count, last, at, last_count)
         if skip[0] < 0:
             lost = 1
         else:
@@ -83,7 +84,7 @@ def hash_slot(p: wp.vec3f, bits: wp.int32) -> wp.int32:
 
 @wp.kernel
 def match_anywhere(
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     count: int,
     last: wp.array(dtype=wp.vec3f),
     last_count: int,
@@ -92,10 +93,11 @@ def match_anywhere(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """List runs of the other points in any order, if the last surface has about five eighths of them.
+    """Append runs of points that both surfaces have in any order, if the last one has about five eighths of the rest.
 
-    `table` [2**bits] is -1 before. It has one point for each hash of x and y, so that a run may begin late, but none is
-    wrong. Points of one hash in 64 estimate the fraction; after a cut it is too small to search.
+    One thread. runs, found: continued from `match_in_order`. table [2**bits]: scratch, -1 before. It has one point for
+    each hash of x and y, so that a run may begin late, but none is wrong. Points of one hash in 64 estimate the
+    fraction; after a cut it is too small to search.
     """
     for i in range(last_count):
         slot = hash_slot(last[i], bits)
@@ -103,22 +105,22 @@ def match_anywhere(
             put(table, wp.int64(slot), i)
     k = found[0]
     v = found[1]
-    common = wp.int32(ALWAYS)
+    balance = wp.int32(ALWAYS)
     for i in range(v, count):
-        slot = hash_slot(places[i], bits)
+        slot = hash_slot(positions[i], bits)
         if (slot & 63) == 0:
-            common -= 5
+            balance -= 5
             if item_at(table, slot) >= 0:
-                common += 8 * count_same_vec3s(places, i, last, item_at(table, slot), 1)
-    if common < 0:
+                balance += 8 * count_same_vec3s(positions, i, last, item_at(table, slot), 1)
+    if balance < 0:
         return
     for i in range(last_count):
         put(table, wp.int64(hash_slot(last[i], bits)), i)
     while v < count:
-        at = item_at(table, hash_slot(places[v], bits))
+        at = item_at(table, hash_slot(positions[v], bits))
         same = wp.int32(0)
         if at >= 0:
-            same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
+            same = count_same_vec3s(positions, v, last, at, wp.min(count - v, last_count - at))
             if same > 0:
                 runs[k] = wp.vec3i(v, at, same)
                 k += 1
@@ -138,7 +140,8 @@ def list_fresh(
 ):
     """List the points whose values have to be computed: those in no run, or with another level than before.
 
-    One thread. runs: see `match_in_order`. found [0] becomes the number of listed points.
+    One thread. runs: (first point, first point of the last surface, count). levels, last_levels: log2 of the samples
+    that a pixel covers at each point, now and before. found[0] becomes the number of listed points.
     """
     n = wp.int32(0)
     v = wp.int32(0)

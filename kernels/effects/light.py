@@ -20,11 +20,12 @@ def elevation_of(slope: wp.float64) -> wp.float64:
 
 @wp.func
 def open_fraction(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
-    """Return the cosine-weighted fraction of the half plane over an azimuth above the horizon `slope`, at most 1.
+    """Return the visible fraction, at most 1, of the sky over one azimuth, cosine-weighted.
 
-    The cosine is relative to the normal n of the ground with the gradient `g`. With w = (cos e azimuth, sin e) the
-    fraction is 2 * integral of max(n . w, 0) cos e de from the horizon's elevation to the zenith, in closed form
-    (Timonen and Westerholm 2010, section 3). The mean over all azimuths is the visible fraction of the sky.
+    slope: the horizon's slope, metres a metre. g: gradient of the ground (east, north). azimuth: unit vector. The
+    cosine is relative to the ground's normal n. With w = (cos e azimuth, sin e) the fraction is 2 * integral of max(n .
+    w, 0) cos e de from the horizon's elevation to the zenith, in closed form (Timonen and Westerholm 2010, section 3).
+    The mean over all azimuths is the visible fraction of the sky.
     """
     one = wp.float64(1.0)
     up = one / wp.sqrt(one + wp.dot(g, g))
@@ -42,18 +43,18 @@ def sky_seen(
     azimuths: wp.array(dtype=wp.vec2d),
     first: int,
     end: int,
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
     """Add the visible part of the sky in azimuths first .. end - 1 to out[i], for point i = offset + tid.
 
-    The last azimuth clamps the sum to 0 .. 1. far: metres of ground that can hide sky. lowest: slope below which
-    everything counts as hidden, like everything below the tangent plane.
+    The call with the last azimuth clamps the sum to 0 .. 1. positions: metres. far: metres of ground that can hide sky.
+    lowest: slope below which everything counts as hidden, like everything below the tangent plane.
     """
     i = offset + wp.tid()
     count = azimuths.shape[0]
-    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
+    x = cells_of(wp.float64(positions[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
+    y = cells_of(wp.float64(positions[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
     z = surface(occluder, x, y)
     g = gradient(occluder, x, y)
     total = out[i]
@@ -72,7 +73,7 @@ class SunStrip:
     """An upright strip of the sun's disc: its azimuth, and half its height in radii of the disc."""
 
     azimuth: wp.vec2d
-    half: wp.float64
+    half_height: wp.float64
 
 
 @wp.kernel
@@ -84,25 +85,26 @@ def sun_seen(
     low: wp.float64,
     high: wp.float64,
     strips: wp.array(dtype=SunStrip),
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the part of the sun's disc above the horizon at point `offset + tid`.
+    """Write to out[offset + tid] the part of the sun's disc, 0 .. 1, above the horizon at a point.
 
-    elevation, radius: of the disc, radians. low, high: slopes just below and above the disc; only a horizon between
-    them needs precision. strips: upright strips that make up the disc.
+    elevation: angle of the disc's centre above the horizon; radius: its angular radius; radians. low, high: slopes just
+    below and above the disc; only a horizon between them needs precision. strips: upright strips that make up the disc.
+    positions: metres.
     """
     i = offset + wp.tid()
-    x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
+    x = cells_of(wp.float64(positions[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
+    y = cells_of(wp.float64(positions[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
     z = surface(occluder, x, y)
     zero = wp.float64(0.0)
     seen = zero
     whole = zero
     for k in range(strips.shape[0]):
-        half = strips[k].half
+        half_height = strips[k].half_height
         slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
         hidden = (elevation_of(slope) - elevation) / radius
-        seen += wp.clamp(half - hidden, zero, wp.float64(2.0) * half)
-        whole += wp.float64(2.0) * half
+        seen += wp.clamp(half_height - hidden, zero, wp.float64(2.0) * half_height)
+        whole += wp.float64(2.0) * half_height
     out[i] = wp.float32(seen / whole)

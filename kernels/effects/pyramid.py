@@ -38,7 +38,7 @@ class Pyramid:
 
 @wp.func
 def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64:
-    """Return value i of a level of the pyramid, row by row; metres before vertical scaling for heights."""
+    """Return value i of a level of the pyramid, row by row: metres before vertical scaling if it holds heights."""
     h = wp.float32(0.0)
     if level == 0:
         h = sample_at(ground.samples, i)
@@ -49,9 +49,9 @@ def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64
 
 @wp.func
 def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return sample x of row y of a level.
+    """Return sample x of row y of a level, metres; beyond the ends of the row it is extrapolated.
 
-    Beyond the ends of the row it is 2 last - mirrored, which continues slopes.
+    The extrapolation is 2 last - mirrored, which continues slopes.
     """
     last = ground.columns[level] - 1
     edge = wp.clamp(x, 0, last)
@@ -64,7 +64,7 @@ def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp
 
 @wp.func
 def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return sample (x, y) of a level; beyond the border it is extrapolated as in `row_height`."""
+    """Return sample (x, y) of a level, metres. Beyond the border it is 2 last - mirrored, which continues slopes."""
     edge = wp.clamp(y, 0, ground.rows[level] - 1)
     h = row_height(ground, level, x, edge)
     if y != edge:

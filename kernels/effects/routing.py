@@ -59,10 +59,11 @@ def straight_first(q: wp.int32) -> wp.int32:
 
 
 @wp.kernel
-def find_receivers(offset: int, d: DrainageArrays, nearness: wp.vec3f, draw: Draw):
+def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, draw: Draw):
     """Write the D8 receiver of each sample of row `offset + tid`, ROOT if no neighbour is lower.
 
-    (O'Callaghan and Mark 1984.) nearness: 1 / distance by axis, 1/m. draw: noise that breaks straight lines.
+    (O'Callaghan and Mark 1984.) inverse_distance: 1 / distance of the neighbours east-west, north-south and diagonally,
+    1/m. draw: noise that breaks straight lines.
     """
     y = offset + wp.tid()
     first = y * d.grid.width
@@ -75,14 +76,15 @@ def find_receivers(offset: int, d: DrainageArrays, nearness: wp.vec3f, draw: Dra
         noise = scramble(wp.uint32(draw.row + y) + draw.seed) + wp.uint32(draw.column)
         lowest = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
         step = draw.jitter * wp.float32(0.00390625)
-        find_receivers_of_row(d, y, nearness, lowest, step, noise)
+        find_receivers_of_row(d, y, inverse_distance, lowest, step, noise)
 
 
 @wp.func
-def grow(d: DrainageArrays, end: wp.int32):
-    """Route level samples without a receiver towards the queue along shortest paths (breadth first).
+def route_flats(d: DrainageArrays, end: wp.int32):
+    """Route level samples without a receiver towards the samples in the queue, along shortest paths (breadth first).
 
-    The queue is the first `end` entries of `order`; samples that are routed join it.
+    The queue is the first `end` entries of `order`; samples that are routed join it. Samples of `base` are never
+    routed.
     """
     at = wp.int32(0)
     while at < end:
@@ -103,7 +105,7 @@ def grow(d: DrainageArrays, end: wp.int32):
 def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """Drain flats to their nearest outlet, serially; a flat without one drains to its first sample, a pit.
 
-    `order` is scratch, `pits` [1] becomes the number of pits, and `label` of each its number from 2 on.
+    Overwrites `order`. pits [1] becomes the number of pits; the pits get the labels 2, 3 .. in this order.
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)
@@ -120,14 +122,14 @@ def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
                 d.order[end] = i
                 end += 1
         i = next_pit(d, i + 1)
-    grow(d, end)
+    route_flats(d, end)
     count = wp.int32(0)
     # Samples that flow to a pit already have a receiver when the scan reaches them.
     i = next_pit(d, 0)
     while i < n:
-        d.base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
+        d.base[i] = wp.uint8(1)  # for this call, so that nothing gives it a receiver
         d.order[0] = i
-        grow(d, wp.int32(1))
+        route_flats(d, wp.int32(1))
         d.base[i] = wp.uint8(0)
         d.label[i] = count + 2
         count += 1
@@ -137,9 +139,10 @@ def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
 
 @wp.kernel
 def label_basins(offset: int, block: int, d: DrainageArrays):
-    """Set the labels of block `offset + tid`, 0 before, to the number of the pit downstream, 1 for `base`.
+    """Label the samples of block `offset + tid` with the number of the pit downstream; 1 if that is an outlet (`base`).
 
-    A thread may write labels of other blocks; all write the same, since a sample has one root.
+    block: samples of a block. A label of 0 means that a sample has none yet. A thread may write labels of other blocks;
+    all write the same, since a sample has one root.
     """
     first = (offset + wp.tid()) * block
     label_samples(d, first, wp.min(first + block, d.grid.width * d.grid.height))
@@ -154,10 +157,10 @@ def find_passes(
     key: wp.array(dtype=wp.float32),
     edge: wp.array(dtype=wp.int32),
 ):
-    """Count the passes of row `offset + tid` to other basins in directions 5 - 8 into `start`, or list them (`emit`).
+    """Count or list the passes of row `offset + tid`: pairs of neighbours in different basins, in directions 5 .. 8.
 
-    The list has the height of each pass and 4 * sample + direction - 5, from `start` on. The last row is left out, as
-    both ends of its passes are of `base`.
+    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on. key: heights of the passes,
+    metres. edge: 4 * sample + direction - 5. The last row is left out, as both ends of its passes are of `base`.
     """
     y = offset + wp.tid()
     if emit == 0:
@@ -182,7 +185,7 @@ def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
 def redirect_basin(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
     """Make sample i drain in direction k, and reverse the old path from i to its root.
 
-    So the whole basin of that root drains through i.
+    So the whole basin of that root drains through i. to: directions of the receivers. width: samples in a row.
     """
     at = wp.int32(i)
     new = wp.int32(k)
@@ -201,7 +204,8 @@ def redirect_basin(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width
 def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=wp.int32), up: wp.array(dtype=wp.int32)):
     """Link basins over the passes in ascending order, serially: one of two unlinked basins drains over the pass.
 
-    It is never the one of `base`. `up` [pits + 2]: sets of linked basins, one for each basin before.
+    The basins of `base`, label 1, never drain elsewhere. count: number of passes. edge: 4 * sample + direction - 5 of
+    each pass, ascending by height. up [pits + 2]: parent of each basin in the sets of linked basins; at first itself.
     """
     outside = wp.int32(1)
     left = wp.int32(pits)

@@ -13,12 +13,12 @@ import warp as wp
 class Grid:
     """Samples in rows, and weights by direction: east-west, north-south, diagonal.
 
-    `nearness`: 1 / distance in 1/m. `share`: weight of the flow to several neighbours for a metre of fall.
+    `inverse_distance`: 1 / distance in 1/m. `share`: weight of the flow to several neighbours for a metre of fall.
     """
 
     width: wp.int32
     height: wp.int32
-    nearness: wp.vec3f
+    inverse_distance: wp.vec3f
     share: wp.vec3d
 
 
@@ -44,7 +44,7 @@ class DrainageArrays:
     const float* __restrict n = m + width;
     const unsigned char* __restrict stops = d.base.data + (size_t)y * width;
     unsigned char* __restrict out = d.to.data + (size_t)y * width;
-    const float ew = nearness[0], ns = nearness[1], across = nearness[2];
+    const float ew = inverse_distance[0], ns = inverse_distance[1], across = inverse_distance[2];
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 1; x < width - 1; ++x) {
         unsigned a = noise + (unsigned)x, b;
@@ -75,11 +75,11 @@ class DrainageArrays:
     }
 """)
 def find_receivers_of_row(
-    d: DrainageArrays, y: int, nearness: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
+    d: DrainageArrays, y: int, inverse_distance: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
 ):
     """Find the receivers of row y: steepest descents, each slope times a random factor, see Draw.
 
-    nearness: 1 / distance by axis. A factor is lowest + step * byte, the bytes from hashes of noise + column.
+    inverse_distance: 1 / distance by axis. A factor is lowest + step * byte, the bytes from hashes of noise + column.
     """
     ...
 
@@ -147,7 +147,7 @@ def next_pit(d: DrainageArrays, i: int) -> int:
 def label_samples(d: DrainageArrays, first: int, end: int):
     """Label samples first .. end - 1, and those downstream of them, with the basin of their root.
 
-    A label of 0 means that the sample has none yet.
+    A label of 0 means that the sample has none yet; a root without a label has label 1.
     """
     ...
 

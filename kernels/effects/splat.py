@@ -32,7 +32,7 @@ MIN_SUM = wp.constant(wp.float32(1e-12))
 
 @wp.struct
 class SplatRule:
-    """A rule.
+    """A rule: the weight of a layer by a value, 1 between `low` and `high`.
 
     `at`: row of `values`, index of the layer, or first pixel of the image [rows, columns]. `sine`, `cosine`: of the
     direction.
@@ -42,8 +42,8 @@ class SplatRule:
     at: wp.int32
     low: wp.float32
     high: wp.float32
-    edge: wp.float32
-    per_edge: wp.float32
+    edge: wp.float32  # width of the soft edges at `low` and `high`, in the value's unit
+    per_edge: wp.float32  # 1 / edge
     sine: wp.float32
     cosine: wp.float32
     rows: wp.int32
@@ -56,9 +56,9 @@ class SplatLayer:
 
     first: wp.int32
     end: wp.int32
-    on_top: wp.int32
-    strength: wp.float32
-    ragged: wp.float32
+    on_top: wp.int32  # 1: it covers the layers before it; 0: it shares the ground with them
+    strength: wp.float32  # factor on the weight of its rules
+    ragged: wp.float32  # amplitude of the noise that shifts the rules' values, in widths of their edges
     noise_size: wp.float64
     seed: wp.uint32
 
@@ -85,7 +85,7 @@ class Splat:
 
 @wp.func
 def smooth(x: wp.float32) -> wp.float32:
-    """Return the smoothstep, 0 below 0 and 1 above 1."""
+    """Return the smoothstep of x: 0 below 0, 1 above 1."""
     t = wp.clamp(x, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -123,7 +123,7 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
 
     footprint: metres that a pixel covers.
     """
-    sum = wp.float32(0.0)
+    total = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
         per = wp.float64(1.0) / layer.noise_size
         footprints_per_wave = wp.float32(layer.noise_size / footprint)
@@ -131,12 +131,12 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
         octave = wp.int32(0)
         while octave < OCTAVES and footprints_per_wave > 1.0:
             waves = wave(x * per, y * per, layer.seed + wp.uint32(octave) * GOLDEN)
-            sum += amount * wp.min(footprints_per_wave - 1.0, 1.0) * waves
+            total += amount * wp.min(footprints_per_wave - 1.0, 1.0) * waves
             amount *= 0.5
             footprints_per_wave *= 0.5
             per *= wp.float64(2.0)
             octave += 1
-    return sum
+    return total
 
 
 @wp.func
@@ -157,10 +157,11 @@ def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v:
 
 
 @wp.func
-def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
-    """Return the weight of a rule, 0 .. 1: 1 between `low` and `high`, with soft edges.
+def rule_weight(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
+    """Return the weight of a rule, 0 .. 1: 1 if `low` <= q <= `high`, less at the soft edges.
 
-    q: the value that the rule reads. per_edge: 1 / width of an edge. Edges are linear if the value is a weight itself.
+    q: the value that the rule reads. per_edge: 1 / width of an edge. kind: the rule's kind; edges are linear for LAYER
+    and IMAGE, whose values are weights themselves, and a smoothstep for the others.
     """
     a = (q - low) * per_edge + 0.5
     b = (high - q) * per_edge + 0.5
@@ -177,10 +178,9 @@ def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float
 
 @wp.func
 def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp.float64) -> Weights:
-    """Return the cover of each layer by its own rules: its strength times the weights of the rules, at point v.
+    """Return each layer's cover at point v before layers share the ground: its strength times its rules' weights.
 
-    x, y: metres. footprint: metres that a pixel covers. Noise is expensive, so a second turn evaluates the rules for
-    which it matters.
+    x, y: position of the point, metres from the raster's south-west corner. footprint: metres that a pixel covers.
     """
     covers = Weights()
     for number in range(s.layer_count):
@@ -217,7 +217,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                     elif turn == 0:
                         q = image_at(s.images, r, x / s.across, y / s.up)
                     if needed == turn:
-                        cover *= covered(q, r.low, r.high, r.per_edge, r.kind)
+                        cover *= rule_weight(q, r.low, r.high, r.per_edge, r.kind)
                     elif needed == 1:
                         turns = wp.int32(2)
             turn += 1
@@ -226,10 +226,10 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
 
 
 @wp.func
-def shares_of(w: Weights, count: wp.int32) -> Weights:
-    """Return the weights of `count` layers scaled to a sum of 1, as multiples of 2^-24.
+def normalised(w: Weights, count: wp.int32) -> Weights:
+    """Return the first `count` weights of w scaled to a sum of 1, as multiples of 2^-24.
 
-    The largest weight absorbs the rounding.
+    The largest weight absorbs the rounding. If all are 0, the first becomes 1.
     """
     total = wp.float32(0.0)
     largest = wp.int32(0)
@@ -263,7 +263,8 @@ def splats(
 ):
     """Compute the weights of all splat layers at point `offset + tid`.
 
-    levels: scale of each point. wanted: bit k requests layers 4 k .. 4 k + 3, written to out_(k + 1).
+    positions: metres. levels: log2 of the samples that a pixel covers at each point. wanted: bit k requests layers 4 k
+    .. 4 k + 3, written to out_(k + 1).
     """
     v = offset + wp.tid()
     x = wp.float64(positions[v][0]) - s.west
@@ -290,7 +291,7 @@ def splats(
         else:
             w[k] = cover
             sum += cover
-    w = shares_of(w, s.layer_count)
+    w = normalised(w, s.layer_count)
     if (wanted & 1) != 0:
         out_1[v] = wp.vec4f(w[0], w[1], w[2], w[3])
     if (wanted & 2) != 0:

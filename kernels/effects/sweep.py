@@ -86,7 +86,7 @@ class Sweep:
 """.replace("LINES", str(LINES))
 )
 def sweep_lines(s: Sweep, item: int):
-    """Compute the horizons of the LINES lines of an item, and interpolate them at the samples between two lines."""
+    """Compute the horizons of the LINES lines of an item of work, and write those of the samples between two lines."""
     ...
 
 
@@ -139,15 +139,16 @@ class Sky:
 def add_sky_of_row(sky: Sky, y: int):
     """Add to `sky.out` the visible part of the sky in one azimuth, times `share`, for the samples of row y.
 
-    `sky.horizons` are slopes, metres a metre. It is `open_fraction` of light.py, vectorized in single precision,
-    which takes a tenth of the time. Slopes of the ground are central differences, one-sided at the border.
+    The horizon is `sky.horizons`, metres a metre. The formula is that of `open_fraction` in light.py, vectorized in
+    single precision, which takes a tenth of the time. Slopes of the ground are central differences, one-sided at the
+    border.
     """
     ...
 
 
 @wp.kernel
 def add_sky(offset: int, sky: Sky):
-    """Add the visible part of the sky in one azimuth to the samples of row `offset + tid`."""
+    """Add to `sky.out` the visible part of the sky in one azimuth, times `share`, for row `offset + tid`."""
     add_sky_of_row(sky, offset + wp.tid())
 
 
@@ -166,7 +167,10 @@ class SkyLayer:
 
 @wp.func
 def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Interpolate a layer's values from index `first` on, at (x, y) samples from its first one."""
+    """Return a layer's value at (x, y) samples from its first one, bilinearly.
+
+    first: entry of the layer in its array.
+    """
     i = wp.min(wp.int32(x), layer.columns - 2)
     j = wp.min(wp.int32(y), layer.rows - 2)
     at = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
@@ -180,11 +184,11 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
 
 
 @wp.kernel
-def layer_at_points(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
-    """Interpolate a layer at point `offset + tid`, clamped to the raster; values are 0 .. 1."""
+def layer_at_points(offset: int, layer: SkyLayer, positions: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
+    """Write to out[offset + tid] a layer's value at a point, 0 .. 1. positions: metres, clamped to the raster."""
     i = offset + wp.tid()
-    x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
-    y = cells_of(wp.float64(places[i][1]), layer.south, layer.step_y, layer.rows - 1)
+    x = cells_of(wp.float64(positions[i][0]), layer.west, layer.step_x, layer.columns - 1)
+    y = cells_of(wp.float64(positions[i][1]), layer.south, layer.step_y, layer.rows - 1)
     out[i] = wp.clamp(wp.float32(bilinear(layer, wp.int64(0), x, y)), wp.float32(0.0), wp.float32(1.0))
 
 
@@ -194,16 +198,17 @@ def sky_between(
     occluder: Occluder,
     horizons: SkyLayer,
     azimuths: wp.array(dtype=wp.vec2d),
-    places: wp.array(dtype=wp.vec3f),
+    positions: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the visible sky of point `offset + tid` from horizons of a coarser raster and the fine ground's slope.
+    """Write to out[offset + tid] the visible part of the sky at a point, 0 .. 1.
 
-    horizons: a layer for each azimuth, slopes in metres a metre.
+    horizons: slopes in metres a metre on a coarser raster, a layer for each of `azimuths`. The slope of the fine ground
+    (occluder) at the point is added to them. positions: metres.
     """
     i = offset + wp.tid()
-    east = wp.float64(places[i][0])
-    north = wp.float64(places[i][1])
+    east = wp.float64(positions[i][0])
+    north = wp.float64(positions[i][1])
     fine_x = cells_of(east, occluder.west, occluder.step_x, occluder.samples.columns - 1)
     fine_y = cells_of(north, occluder.south, occluder.step_y, occluder.samples.rows - 1)
     x = cells_of(east, horizons.west, horizons.step_x, horizons.columns - 1)

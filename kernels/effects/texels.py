@@ -20,7 +20,7 @@ class Texels:
 
 @wp.kernel
 def texel_places(offset: int, first: int, ground: Pyramid, texels: Texels, out: wp.array(dtype=wp.vec3f)):
-    """Compute the position on the ground of texel `first + offset + tid`.
+    """Write to out[offset + tid] the position on the ground, metres, of texel `first + offset + tid` of an image.
 
     Heights are bilinear between samples; texels beyond the raster get its border.
     """

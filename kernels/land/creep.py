@@ -51,13 +51,13 @@ class Soil:
     }
 """)
 def creep_of_row(soil: Soil, y: int):
-    """Take an explicit step of diffusion in row y, from `old` to `h`."""
+    """Take an explicit step of diffusion in row y: heights `old` to `h`, times the weights of `soil`."""
     ...
 
 
 @wp.kernel
 def creep(offset: int, soil: Soil):
-    """Take an explicit step of diffusion in row offset + tid + 1, from `old` to `h`."""
+    """Take an explicit step of diffusion, from the heights `soil.old` to `soil.h`, in row offset + tid + 1."""
     creep_of_row(soil, offset + wp.tid() + 1)
 
 

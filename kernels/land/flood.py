@@ -72,7 +72,7 @@ _PUSH = """
 
 @wp.func_native(_PUSH)
 def push_row(s: FloodStep, y: int, to_north: int):
-    """Compute the fluxes from the samples of row y to their neighbours in the east, or (to_north = 1) in the north."""
+    """Compute the fluxes, m2/s, from the samples of row y to the next ones in the east (to_north 0) or north (1)."""
     ...
 
 
@@ -103,7 +103,7 @@ _LIMIT = """
 
 @wp.func_native(_LIMIT)
 def limit_row(water: FloodStep, y: int):
-    """Compute `part` of row y: the fraction of its outflow for which a sample has water."""
+    """Compute `water.part` of row y: the fraction of its outflow for which a sample has water, at most 1."""
     ...
 
 

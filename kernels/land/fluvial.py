@@ -27,7 +27,7 @@ class River:
     area: wp.array(dtype=wp.float64)  # A in samples
     erodibility: wp.array(dtype=wp.float32)  # factor on K
     weight: wp.array(dtype=wp.float32)  # of the mask
-    rate: wp.array(dtype=wp.float32)  # F, see `find_rates`
+    rate: wp.array(dtype=wp.float32)  # F: samples that erosion travels upstream in the step
     raised: wp.array(dtype=wp.float32)  # heights before the step, with uplift
     filled: wp.array(dtype=wp.float32)  # surface of the water after incision
     load: wp.array(dtype=wp.float64)  # see `deposit`
@@ -39,7 +39,7 @@ class River:
     const float* __restrict p = r.erodibility.data + (size_t)y * r.grid.width;
     const unsigned char* __restrict k = r.to.data + (size_t)y * r.grid.width;
     float* __restrict out = r.rate.data + (size_t)y * r.grid.width;
-    const float ew = r.grid.nearness[0], ns = r.grid.nearness[1], across = r.grid.nearness[2];
+    const float ew = r.grid.inverse_distance[0], ns = r.grid.inverse_distance[1], across = r.grid.inverse_distance[2];
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 0; x < r.grid.width; ++x) {
         float m2 = (float)a[x] * r.cell;
@@ -49,7 +49,7 @@ class River:
     }
 """)
 def rate_of_row(r: River, y: int):
-    """Compute the factor F of implicit erosion for row y: K t A^(1/2) / distance, see `find_rates`."""
+    """Compute F = K dt (A + A0)^(1/2) / dx in row y: samples that erosion travels upstream in the step."""
     ...
 
 
@@ -80,7 +80,10 @@ def find_rates(offset: int, r: River):
     }
 """)
 def cut_samples(r: River):
-    """Incise all samples from the outlets upstream by the implicit stream power step, see `cut_down`."""
+    """Incise all samples from the outlets upstream: h_i = (h_i + F h_r) / (1 + F), r the receiver; then limit slopes.
+
+    F: `r.rate`. The slope is limited by `r.drop`, the largest height above the receiver.
+    """
     ...
 
 
@@ -125,7 +128,7 @@ def cut_down(r: River):
     }
 """)
 def deposit_samples(r: River):
-    """Carry eroded material downstream and deposit a part of it at each sample, see `deposit`."""
+    """Carry eroded material downstream and deposit a part of it at each sample; `deposit` explains which part."""
     ...
 
 
@@ -134,10 +137,10 @@ def deposit(r: River):
     """Carry eroded material downstream, serially from the springs, and deposit a part of it.
 
     A channel deposits G / A of its load, A in samples (Davy and Lague 2009; Yuan et al. 2019, equation 7), but at most
-    half of its incision and a twentieth of the load, divided by 1 + F as every height above a receiver. A lake, where
+    half of its incision plus a twentieth of the load, divided by 1 + F as every height above a receiver. A lake, where
     `filled` is above the ground, deposits up to a quarter of its depth in a step, so that no path through it fills
-    first. load: 0 or the inflow of a tile at first; then metres times samples that came to each sample, at outlets what
-    has left. It sums differences of stored heights, so that rounding loses no mass.
+    first. load: the inflow of a tile or 0 at first; then metres times samples that came to each sample, and at outlets
+    the sediment that has left. It sums differences of stored heights, so that rounding loses no mass.
     """
     deposit_samples(r)
 
@@ -194,8 +197,9 @@ def settle(
 ):
     """Move sediment under water downhill once, in samples first .. last of segment `offset + tid`, part of a row.
 
-    Between lake samples `apart` along rows and columns moves a fifth of the difference of heights, at most a fifth
-    of the upper one's sediment. rock, old: metres of ground and sediment; deposited: the sediment afterwards.
+    Between lake samples `apart` samples away from each other along rows and columns a fifth of the difference of
+    heights moves, at most a fifth of the upper one's sediment. lake: 1 in lakes. rock, old: metres of ground and of
+    sediment on it; deposited: the sediment afterwards. width: samples in a row.
     """
     segment = offset + wp.tid()
     settle_samples(first[segment], last[segment] + 1, width, apart, lake, rock, old, deposited)
@@ -209,13 +213,14 @@ def vary_rock(
     steps: wp.vec2d,
     longest: wp.float64,
     octaves: int,
-    half: wp.float64,
+    strength: wp.float64,
     seed: wp.uint32,
     erodibility: wp.array(dtype=wp.float32),
 ):
-    """Multiply the erodibility of row `offset + tid` by about exp(2 half * noise), a function of the position.
+    """Multiply the erodibility of row `offset + tid` by about exp(2 strength * noise), a function of the position.
 
-    The noise has `octaves` of equal amplitude, the first with waves of `longest` metres.
+    The noise has `octaves` of equal amplitude, the first with waves of `longest` metres. first: row and column of
+    sample [0, 0] in the whole level. steps: metres between samples to the east and north.
     """
     y = offset + wp.tid()
     for x in range(grid.width):
@@ -227,6 +232,6 @@ def vary_rock(
             noise = value_noise(east * scale, north * scale, seed + wp.uint32(octave) * wp.uint32(-0x61C88647))
             total += noise[2]
             scale *= wp.float64(2.0)
-        t = wp.clamp(half * total, wp.float64(-0.8), wp.float64(0.8))
+        t = wp.clamp(strength * total, wp.float64(-0.8), wp.float64(0.8))
         i = y * grid.width + x
         erodibility[i] = erodibility[i] * wp.float32((wp.float64(1.0) + t) / (wp.float64(1.0) - t))

@@ -16,17 +16,17 @@ MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 
 
 @wp.func
-def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
+def mountains_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of a range from west to east with forelands on both sides; metres, above 0.
 
-    x, y: metres from the middle of a square of twice `half`.
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
     fine_warp = noise(x / wp.float64(4700.0), y / wp.float64(4700.0), seed + wp.uint32(32))
     wx = x + wp.float64(1500.0) * coarse_warp[0] + wp.float64(350.0) * fine_warp[0]
     wy = y + wp.float64(3800.0) * coarse_warp[2] + wp.float64(700.0) * fine_warp[2]
-    across = wp.abs(wy) / half
+    across = wp.abs(wy) / half_side
     inland = one - smooth(wp.float64(0.2), wp.float64(0.95), across)
     rough = relief(wx / wp.float64(5200.0), wy / wp.float64(5200.0), wp.float64(0.55) + wp.float64(0.45) * inland, seed)
     chain = smooth(wp.float64(-0.5), wp.float64(0.5), noise(wx / wp.float64(5200.0), wy / wp.float64(3600.0), seed)[2])
@@ -59,11 +59,11 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 
 
 @wp.func
-def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
+def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0.
 
-    x, y: metres from the middle of a square of twice `half`. The distance from the river, shorter in side canyons,
-    gives the height in its walls.
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres. The distance from the
+    river, shorter in side canyons, gives the height in its walls.
     """
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
@@ -84,7 +84,7 @@ def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint3
     reach = d * (one - side) + wp.float64(70.0) * fine[2] + wp.float64(16.0) * rough
     reach = wp.where(d < wp.float64(60.0), wp.min(reach, d), reach)
     plateau = wp.float64(1950.0) + wp.float64(140.0) * wide + wp.float64(5.0) * fine[2] + wp.float64(1.2) * rough
-    floor = wp.float64(700.0) + wp.float64(60.0) * x / half
+    floor = wp.float64(700.0) + wp.float64(60.0) * x / half_side
     share = walls(wp.max(reach, wp.float64(0.0)))
     loose = wp.float64(9.0) * rough * share * (one - share)
     return floor + (plateau - floor) * share + loose
@@ -92,9 +92,13 @@ def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint3
 
 @wp.func
 def volcano(
-    x: wp.float64, y: wp.float64, reach: wp.float64, high: wp.float64, rough: wp.float64, seed: wp.uint32
+    x: wp.float64, y: wp.float64, reach: wp.float64, height: wp.float64, rough: wp.float64, seed: wp.uint32
 ) -> wp.float64:
-    """Return the height of a cone with gullies and a crater at (x, y) from its centre; metres, 0 beyond `reach`."""
+    """Return the height, metres, of a cone with gullies and a crater, (x, y) metres from its centre; 0 beyond `reach`.
+
+    reach: radius, metres. height: the cone's height without noise, metres. rough: noise that shifts the gullies and
+    raises the cone.
+    """
     one = wp.float64(1.0)
     u = x / reach
     v = y / reach
@@ -107,19 +111,22 @@ def volcano(
     carved = bed * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.04), wp.float64(0.2), away)
     up = cone * (wp.float64(0.35) + wp.float64(0.65) * cone) * (one + wp.float64(0.22) * rough)
     crater = smooth(wp.float64(0.085), wp.float64(0.035), away)
-    return high * (up * (one - wp.float64(0.35) * carved) - wp.float64(0.16) * crater)
+    return height * (up * (one - wp.float64(0.35) * carved) - wp.float64(0.16) * crater)
 
 
 @wp.func
-def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height at (x, y) metres of islands and volcanoes in a sea at 0 m that is deep at the border."""
+def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
+    """Return the height, metres, of islands and volcanoes in a sea at 0 m that is deep at the square's border.
+
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
+    """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))
     fine_warp = noise(x / wp.float64(1500.0), y / wp.float64(1500.0), seed + wp.uint32(62))
     wx = x + wp.float64(900.0) * coarse_warp[0] + wp.float64(200.0) * fine_warp[0]
     wy = y + wp.float64(900.0) * coarse_warp[2] + wp.float64(200.0) * fine_warp[2]
     arc = noise(wx / wp.float64(9500.0), wy / wp.float64(5600.0), seed + wp.uint32(63))[2]
-    away = wp.max(wp.abs(x), wp.abs(y)) / half
+    away = wp.max(wp.abs(x), wp.abs(y)) / half_side
     open = smooth(wp.float64(0.6), wp.float64(1.0), away + wp.float64(0.1) * coarse_warp[2])
     land = (
         wp.float64(0.75) * arc + wp.float64(0.45) * coarse_warp[2] + wp.float64(0.16) * fine_warp[2] - wp.float64(0.12)
@@ -144,7 +151,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.
             pick = noise(px, py, seed + wp.uint32(64))
             vx = (ci + wp.float64(0.5) + wp.float64(0.3) * pick[0]) * cell
             vy = (cj + wp.float64(0.5) + wp.float64(0.3) * pick[1]) * cell
-            inside = wp.max(wp.abs(vx), wp.abs(vy)) < wp.float64(0.72) * half
+            inside = wp.max(wp.abs(vx), wp.abs(vy)) < wp.float64(0.72) * half_side
             if inside and pick[2] > wp.float64(0.08):
                 strength = wp.min(pick[2] * wp.float64(2.2), one)
                 reach = wp.float64(1900.0) + wp.float64(3300.0) * strength
@@ -165,24 +172,24 @@ def raise_land(
     land: int,
     size: int,
     first_row: int,
-    half: wp.float64,
+    half_side: wp.float64,
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Compute the heights of a built-in land in row first_row + offset + tid, written to row offset + tid of `samples`.
+    """Write the heights of a built-in land, metres, in row first_row + offset + tid to row offset + tid of `samples`.
 
-    land: MOUNTAINS, CANYON or another number for the archipelago. half: half the side of the square, metres.
+    land: MOUNTAINS, CANYON or ARCHIPELAGO. size: samples a side. half_side: half of the square's side, metres.
     """
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
-    y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells
+    y = half_side * wp.float64(2 * (first_row + row) - (size - 1)) / cells
     for i in range(size):
-        x = half * wp.float64(2 * i - (size - 1)) / cells
+        x = half_side * wp.float64(2 * i - (size - 1)) / cells
         height = wp.float64(0.0)
         if land == MOUNTAINS:
-            height = mountains_height(x, y, half, seed)
+            height = mountains_height(x, y, half_side, seed)
         elif land == CANYON:
-            height = canyon_height(x, y, half, seed)
+            height = canyon_height(x, y, half_side, seed)
         else:
-            height = archipelago_height(x, y, half, seed)
+            height = archipelago_height(x, y, half_side, seed)
         samples[row * size + i] = wp.float32(height) + wp.float32(0.0)

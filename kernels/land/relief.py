@@ -53,7 +53,7 @@ class Window:
 
 @wp.func
 def gradient_at(row: wp.uint32, i: wp.uint32, u: wp.float32, v: wp.float32) -> wp.vec3f:
-    """Return the gradient (x, y) at lattice point i of a row, and its plane's value at the offset (u, v).
+    """Return the random gradient (x, y) at lattice point i of a row, and the height of its plane at the offset (u, v).
 
     row: hash of the row's number.
     """
@@ -86,16 +86,16 @@ def gradient_noise(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec3f:
     low = a + (b - a) * fu
     high = c + (d - c) * fu
     mixed = low + (high - low) * fv
-    along = su * ((b[2] - a[2]) * (one - fv) + (d[2] - c[2]) * fv)
-    return wp.vec3f(mixed[0] + along, mixed[1] + sv * (high[2] - low[2]), mixed[2])
+    fade_slope_x = su * ((b[2] - a[2]) * (one - fv) + (d[2] - c[2]) * fv)
+    return wp.vec3f(mixed[0] + fade_slope_x, mixed[1] + sv * (high[2] - low[2]), mixed[2])
 
 
 @wp.func
 def slope_and_curvature(w: Window, h: wp.array(dtype=wp.float32), row: wp.int32, column: wp.int32) -> wp.vec2f:
-    """Return slope and curvature (1/m, convex > 0) of the ground over `reach`.
+    """Return slope (metres a metre) and curvature (1/m, above 0 where convex) of the ground at sample (row, column).
 
-    The slope is Horn's (1981) with eight neighbours at that distance, the curvature minus the Laplacian. Boundary: the
-    last samples continue beyond the window.
+    h: heights of window w, metres. The slope is Horn's (1981) with the eight neighbours `reach` samples away, the
+    curvature minus the Laplacian. Boundary: the last samples continue beyond the window.
     """
     west = wp.max(column - w.reach_x, 0)
     east = wp.min(column + w.reach_x, w.width - 1)
@@ -121,10 +121,10 @@ def slope_and_curvature(w: Window, h: wp.array(dtype=wp.float32), row: wp.int32,
 
 @wp.func
 def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: wp.float32) -> wp.float32:
-    """Return the metres that beds of rock move the ground at (x, y, z), metres; `slope` is the ground's.
+    """Return the metres by which beds of rock raise or lower the ground at (x, y, z), metres.
 
-    Foot and head of a bed stay in place, and a hard bed is steeper in between. Beds are folded and differ in hardness,
-    and ledges end, so that they do not look like contour lines.
+    slope: the ground's, metres a metre. Foot and head of a bed stay in place, and a hard bed is steeper in between.
+    Beds are folded and differ in hardness, and ledges end, so that they do not look like contour lines.
     """
     fold = gradient_noise(x / FOLD_LENGTH, y / FOLD_LENGTH, k.seed + FOLD_SEED)
     t = (wp.float64(z) - x * k.dip[0] - y * k.dip[1]) / wp.float64(k.bed) + wp.float64(0.8 * fold[2])
@@ -147,10 +147,11 @@ def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: w
 def sum_octaves(
     k: ReliefNoise, x: wp.float64, y: wp.float64, spacing: wp.float32, slope: wp.float32, curvature: wp.float32
 ) -> wp.float32:
-    """Return the sum of all octaves of noise at (x, y), metres; waves fade out from three spacings to two.
+    """Return the sum of all octaves of noise at (x, y) metres, in metres.
 
-    Steep detail damps finer octaves (Quilez, "more noise", 2008); on convex ground they are folded into crests.
-    slope, curvature: of the ground.
+    spacing: metres between samples; waves fade out from three spacings to two. slope, curvature: of the ground (metres
+    a metre, 1/m). Steep detail damps finer octaves (Quilez, "more noise", 2008); on convex ground they are folded into
+    crests.
     """
     total = wp.float32(0.0)
     gx = wp.float32(0.0)
@@ -191,7 +192,10 @@ def add_relief(
     h: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the metres that relief adds to each sample of row first + offset + tid."""
+    """Write to `out` the metres that relief adds to the heights `h` of window w, in row first + offset + tid.
+
+    k: parameters of the noise.
+    """
     row = first + offset + wp.tid()
     spacing = wp.float32(wp.max(w.step_x, w.step_y))
     y = wp.float64(w.row + row) * w.step_y

@@ -129,17 +129,17 @@ def raise_dunes(
     offset: int,
     size: int,
     first_row: int,
-    half: wp.float64,
+    half_side: wp.float64,
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Compute the heights of the dunes in row first_row + offset + tid, written to row offset + tid of `samples`.
+    """Write the heights of the dunes, metres, in row first_row + offset + tid to row offset + tid of `samples`.
 
-    half: half the side of the square, metres.
+    size: samples a side. half_side: half of the square's side, metres.
     """
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
-    y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells
+    y = half_side * wp.float64(2 * (first_row + row) - (size - 1)) / cells
     for i in range(size):
-        x = half * wp.float64(2 * i - (size - 1)) / cells
+        x = half_side * wp.float64(2 * i - (size - 1)) / cells
         samples[row * size + i] = wp.float32(dunes_height(x, y, seed)) + wp.float32(0.0)

@@ -45,10 +45,11 @@ def fall(
     fallen: wp.array(dtype=wp.float32),
     stuck: wp.array(dtype=wp.float32),
 ):
-    """Compute the metres of snow of row `offset + tid` and the part that clings to the ground; 0 where `bare`.
+    """Write the metres of snow in row `offset + tid` to `fallen`, and the part that clings to the ground to `stuck`.
 
     snow = fall * cold(T) * (UNDER_COVER + (1 - UNDER_COVER) sky) * drift(lee), T by height and aspect, cold a logistic
-    function. Boundary: slopes are one-sided at the border.
+    function; 0 where `bare` is not 0. sky: visible part, 0 .. 1. lee: shelter from the wind. Boundary: slopes are
+    one-sided at the border.
     """
     one = wp.float64(1.0)
     y = offset + wp.tid()
@@ -126,15 +127,19 @@ _SLIDE = """
 
 @wp.func_native(_SLIDE)
 def slide_slab(slides: Slides, y: int, along: int, turn: int):
-    """Move loose snow between pairs of samples in rows y and y + 1, see `slide`."""
+    """Move loose snow between pairs of samples in rows y and y + 1 until the surfaces differ by at most `slides.falls`.
+
+    along: 1 to settle pairs along the rows first, from those whose western column has the parity of `turn`; 0 to settle
+    only pairs across and along the diagonals.
+    """
     ...
 
 
 @wp.kernel
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
-    """Settle slab `offset + tid`, rows `first` + 2 * that and the next, until surfaces differ by at most `falls`.
+    """Settle the loose snow of slab `offset + tid`: rows first + 2 * (offset + tid) and the next.
 
-    Pairs along the rows settle only if `along`, first those whose western column has the parity of `turn`. Slabs share
-    no row.
+    Afterwards the surfaces of a pair of samples differ by at most `slides.falls`. along: 1 to settle pairs along the
+    rows, too, first those whose western column has the parity of `turn`. Slabs share no row.
     """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

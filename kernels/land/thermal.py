@@ -74,16 +74,18 @@ FACE_ROW = """
 
 @wp.func_native(FACE_ROW)
 def face_row(s0: Slope, y: int):
-    """Compute `facing` of row y, see `face_rows`."""
+    """Set `facing` of row y: the cosine of the angle between downhill and the nearest of eight directions.
+
+    It is 1 next to walls and on level ground.
+    """
     ...
 
 
 @wp.kernel
 def face_rows(offset: int, slope: Slope):
-    """Set `facing` of row `offset + tid`.
+    """Set `facing` of row `offset + tid`: the cosine of the angle between downhill and the nearest of eight directions.
 
-    It is the cosine of the angle between downhill and the nearest of eight directions, 1 next to walls and on level
-    ground.
+    It is 1 next to walls and on level ground.
     """
     face_row(slope, offset + wp.tid())
 
@@ -169,15 +171,18 @@ SETTLE_SLAB = """
 
 @wp.func_native(SETTLE_SLAB)
 def settle_slab(s0: Slope, y: int, along: int, turn: int):
-    """Move scree between pairs of samples in rows y and y + 1. along, turn: which pairs, see `settle_slabs`."""
+    """Move rock and scree down between samples in rows y and y + 1 where they are steeper than their angles of repose.
+
+    along: 1 to settle pairs along the rows, too, first those whose western column has the parity of `turn`.
+    """
     ...
 
 
 @wp.kernel
 def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
-    """Settle slab `offset + tid`: rows start + 2 * that and the next.
+    """Settle slab `offset + tid`: the pairs of samples in rows start + 2 * (offset + tid) and the next.
 
-    Pairs along the rows settle only if `along`, first those whose western column has the parity of `turn`.
+    along: 1 to settle pairs along the rows, too, first those whose western column has the parity of `turn`.
     """
     settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 

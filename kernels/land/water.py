@@ -57,9 +57,9 @@ def slope(rain: SteadyRain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 @wp.kernel
 def flow_uniformly(offset: int, rain: SteadyRain):
-    """Compute the depth of uniform flow of row `offset + tid`, and the water's surface without dams.
+    """Write the depth of uniform flow in row `offset + tid` to `normal`, and the water's surface to `surface`.
 
-    The surface is that of the sea, the bed of a lake, or that of the flow.
+    The surface, metres, is that of the sea, the bed of a lake, or that of the flow; dams are not known yet.
     """
     y = offset + wp.tid()
     for x in range(rain.width):
@@ -81,10 +81,10 @@ def flow_uniformly(offset: int, rain: SteadyRain):
 
 @wp.kernel
 def measure_water(offset: int, rain: SteadyRain):
-    """Compute the depth (into `surface`, filled before), speed and discharge of sample `offset + tid`; 0 where `dry`.
+    """Write depth (to `surface`), speed and discharge of the water at sample `offset + tid`; 0 where `dry`.
 
-    Dammed water is slower than uniform flow by the ratio of the depths, and so is the shallow border of a lake, which
-    carries hardly any of its water.
+    Before, `surface` is the height of the water's surface, with dams. Dammed water is slower than uniform flow by the
+    ratio of the depths, and so is the shallow border of a lake, which carries hardly any of its water.
     """
     i = offset + wp.tid()
     through = rain.area[i] * rain.runoff

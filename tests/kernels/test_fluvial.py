@@ -57,7 +57,7 @@ def test_rates_are_those_of_numpy(case):
     r.cell, r.hillslope, r.strength = 84.0, 5e3, 0.08
     launch.spread(fluvial.find_rates, shape[0], [r], step="test")
     axis = np.where(drainage.to % 2 == 0, 2, np.where((drainage.to == 3) | (drainage.to == 5), 0, 1))
-    near = np.array([*drainage.grid.nearness], F)[axis]
+    near = np.array([*drainage.grid.inverse_distance], F)[axis]
     area = drainage.catchments.astype(F) * F(84.0) + F(5e3)
     assert np.array_equal(made, np.sqrt(area) * near * found["erodibility"] * F(0.08))
 

@@ -36,7 +36,7 @@ def found(h, base, steps, draw, threads):
     to, d = np.empty(h.size, np.uint8), rows.DrainageArrays()
     d.grid = grid_of(*h.shape, *steps)
     d.h, d.base, d.to = flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
-    inputs = [d, d.grid.nearness, draw]
+    inputs = [d, d.grid.inverse_distance, draw]
     launch.spread(routing.find_receivers, h.shape[0], inputs, step="test", threads=threads, cost=1e9)
     return to.reshape(h.shape), d
 
@@ -49,7 +49,7 @@ def test_receivers_are_those_of_numpy(jitter, shape):
     h = np.round(9 * rng.standard_normal(shape), 1).astype(F)
     base = (rng.random(shape) < 0.05).astype(np.uint8)
     to, d = found(h, base, (10.0, 7.0), draw, 3)
-    near, factor = np.array([*d.grid.nearness], F), noise(shape, draw)
+    near, factor = np.array([*d.grid.inverse_distance], F), noise(shape, draw)
     best, expected = np.zeros(shape, F), np.full(shape, 4, np.uint8)
     inner = np.s_[1:-1, 1:-1]
     for k in DIRECTIONS:

@@ -14,20 +14,28 @@ import warp as wp
 for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.uint64, wp.float32, wp.vec2i, wp.vec4i, wp.vec2f, wp.vec3f):
 
     @wp.func_native("__builtin_prefetch(a.data + i);")
-    def prefetch(a: wp.array(dtype=item), i: wp.int64): ...
+    def prefetch(a: wp.array(dtype=item), i: wp.int64):
+        """Start loading a[i] into the processor's cache. Nothing is read, so any index is allowed."""
+        ...
 
     for index in (wp.int32, wp.int64):
 
         @wp.func_native("return a.data[i];")
-        def item_at(a: wp.array(dtype=item), i: index) -> item: ...
+        def item_at(a: wp.array(dtype=item), i: index) -> item:
+            """Return a[i] without a check of the index."""
+            ...
 
         @wp.func_native("a.data[i] = value;")
-        def put(a: wp.array(dtype=item), i: index, value: item): ...
+        def put(a: wp.array(dtype=item), i: index, value: item):
+            """Write `value` to a[i] without a check of the index."""
+            ...
 
         @wp.func_native("__builtin_memcpy(out.data + at, source.data + first, count * sizeof(*out.data));")
         def copy_items(
             source: wp.array(dtype=item), first: wp.int64, count: wp.int32, out: wp.array(dtype=item), at: index
-        ): ...
+        ):
+            """Copy `count` items from source[first] on to out[at] on. The two parts must not overlap."""
+            ...
 
 
 # Rows. Warp's loops are not vectorised or unrolled: 11.9 ms for the meshlets of 1 M triangles even with the loads and

@@ -61,7 +61,7 @@ def fill_horizons(
 ) -> None:
     """Fill the horizon maps of all views, for meshes that satisfy the criterion times `relaxed`.
 
-    max_depth: of the leaves. With an infinite factor the maps hide nothing.
+    max_depth: largest depth of leaves. With an infinite factor the maps hide nothing.
     """
     views = [(k, view) for k, view in enumerate(criterion.views.numpy()) if view["rings"]["count"]]
     entries = sum(int(view["rings"]["count"] + 1) for _, view in views) * int(ROW)
@@ -70,10 +70,10 @@ def fill_horizons(
         buffers.numpy("horizons")[:entries] = -math.inf
         return
     blocks = _blocks_of(field, domain, threads)
-    grown = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
+    margin_units = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
         start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])
-        inputs = [domain, blocks, criterion, k, start, grown, relaxed]
+        inputs = [domain, blocks, criterion, k, start, margin_units, relaxed]
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
 

@@ -115,7 +115,7 @@ def _points(
     listed, candidates = pack_runs(runs), ground.candidates.packed()
     chosen = kernels.Chosen()
     chosen.which, chosen.rank = scratch.get("which", tested, wp.int32), scratch.get("rank", tested, wp.int32)
-    chosen.grown, chosen.counts = scratch.get("grown", tested, wp.float32), scratch.get("counts", len(runs), wp.int32)
+    chosen.scale, chosen.counts = scratch.get("grown", tested, wp.float32), scratch.get("counts", len(runs), wp.int32)
     inputs = [[*piece, seen, pattern, listed, candidates, chosen] for piece in pieces_of(squares.count, threads)]
     launch.slices(kernels.choose, inputs, step="choose")
     counts = scratch.numpy("counts")[: len(runs)].astype(np.int64)

@@ -31,7 +31,7 @@ from .count_state import CELLS, MARKS, Cell, CellDiamond, Count, count_last_spli
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
-    """Return a parent cell whose north-eastern quadrant is root square `square`: there the walk of a square starts."""
+    """Return a parent cell whose north-eastern quadrant is root square `square`, where the count of a square starts."""
     cell = Cell()
     row = square / domain.columns
     cell.x = (square - row * domain.columns) << domain.unit_bits
@@ -44,10 +44,11 @@ def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
 
 @wp.func
 def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> CellDiamond:
-    """Return a diamond of a cell.
+    """Return one of the eight diamonds that are counted in a cell.
 
-    number: 3 .. 0 for the quadrants, in this order so that quadrant 0 is on top of the stack; -1 south side, -2 west
-    side, -3 north and -4 east side, which count only on the terrain's border.
+    number: 3 .. 0 the quadrants of the cell, in this order so that quadrant 0 is on top of the stack; -1 and -2 its
+    south and west side; -3 and -4 its north and east side, which count only on the terrain's border. `triangles` of the
+    result is 0 if the diamond is not counted here.
     """
     half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
     p = CellDiamond()
@@ -97,11 +98,12 @@ def judge(
     top: wp.int32,
     step: wp.int32,
 ):
-    """Return the last step at which a diamond is split, whether to visit its descendants, and the number measured.
+    """Return (last, visits, measured): the last step at which a diamond p is split, and how the count goes on below it.
 
-    The interval below it is written into entry `top` of the stack. limits, coarse: limits of `step`, the first that
-    counts, and of the last step. Plain numbers are returned because Warp copies a struct that changes in a branch, even
-    if the branch is not taken.
+    last: `step` - 1 if it is not split at `step`, the first step that still counts. visits: whether to visit its
+    descendants. measured: 1 if it had to be measured, else 0. limits, coarse: the criterion at `step` and at the last
+    step. The interval below the diamond is written into entry `top` of the stack. Plain numbers are returned because
+    Warp copies a struct that changes in a branch, even if the branch is not taken.
     """
     error = wp.float32(0.0)
     min_error = wp.float64(1.0)

@@ -62,7 +62,10 @@ class Count:
 
 @wp.func
 def count_last_split(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
-    """Count triangles whose last step with a split is `last`; return how many of them are split at `step`, too."""
+    """Count triangles whose last step with a split is `last`; return how many of them are split at `step`, too.
+
+    It is all of them or, if `last` is below `step`, none, which are not counted either.
+    """
     counted = wp.int64(0)
     if last >= step:
         entry = w.slot * w.limits.shape[0] + last
@@ -73,9 +76,9 @@ def count_last_split(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int
 
 @wp.func
 def last_split(criterion: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: MeasuredDiamond) -> wp.int32:
-    """Find the last step at which a diamond is split that is split at step `first`.
+    """Return the last step at which the measured diamond m is split. It is split at step `first`.
 
-    limits: those of `first`. A logarithm estimates the step; the walk's test `too_coarse` then decides exactly.
+    limits: the criterion at `first`. A logarithm estimates the step; the walk's test `too_coarse` then decides exactly.
     """
     beyond = wp.float64(wp.log2(wp.float32(excess2(limits, m)))) * STEPS_PER_SQUARE
     step = first + wp.int32(larger(smaller(beyond, wp.float64(w.coarsest - first)), wp.float64(0.0)))

@@ -43,51 +43,53 @@ def surface_height(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 
 @wp.func
-def is_beyond_border(d: Domain, s: Facet) -> wp.bool:
+def is_beyond_border(d: Domain, facet: Facet) -> wp.bool:
     """Return whether a facet is completely outside the raster, in the padding of the lattice."""
-    west = s.x + wp.min(wp.min(s.left_x, s.right_x), 0)
-    south = s.y + wp.min(wp.min(s.left_y, s.right_y), 0)
+    west = facet.x + wp.min(wp.min(facet.left_x, facet.right_x), 0)
+    south = facet.y + wp.min(wp.min(facet.left_y, facet.right_y), 0)
     return west >= d.east or south >= d.north
 
 
 @wp.func
-def height_above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
+def height_above(d: Domain, facet: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
     """Return the height of the surface above the facet, metres before scaling.
 
     (x, y): lattice units from the facet's apex.
     """
-    return surface_height(d, s.x + x, s.y + y) - (s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y))
+    return surface_height(d, facet.x + x, facet.y + y) - (
+        facet.z + facet.slope_x * wp.float64(x) + facet.slope_y * wp.float64(y)
+    )
 
 
 @wp.func
-def rows_of(s: Facet, bits: wp.int32):
-    """Return the first row of samples in the facet, counted from its apex, and the number of rows.
+def rows_of(facet: Facet, bits: wp.int32):
+    """Return the first row of samples in the facet, counted from its apex, and the number of rows; 0 inside a cell.
 
-    There are none inside a cell.
+    A cell has 2^bits lattice units a side.
     """
-    low = wp.min(wp.min(s.left_y, s.right_y), 0) >> bits
-    high = wp.max(wp.max(s.left_y, s.right_y), 0) >> bits
+    low = wp.min(wp.min(facet.left_y, facet.right_y), 0) >> bits
+    high = wp.max(wp.max(facet.left_y, facet.right_y), 0) >> bits
     count = high - low + 1
-    if wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) < (1 << bits):
+    if wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) < (1 << bits):
         count = 0
     return low, count
 
 
 @wp.func
-def row_of(s: Facet, bits: wp.int32, j: wp.int32):
+def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
     """Return the first sample of row `j` of the facet and the number of its samples, both counted from its apex.
 
     A cell has 2^bits lattice units a side.
     """
-    n = wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) >> bits
+    n = wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) >> bits
     away = wp.abs(j)
     first = wp.int32(0)
     count = n + 1 - away
-    if s.left_x == 0 or s.left_y == 0:  # the row's far end is on the longest side
-        if s.left_x + s.right_x < 0:
+    if facet.left_x == 0 or facet.left_y == 0:  # the row's far end is on the longest side
+        if facet.left_x + facet.right_x < 0:
             first = away - n
-    elif s.left_x == s.right_x:  # the longest side stands upright
-        first = wp.where(s.left_x > 0, away, -n)
+    elif facet.left_x == facet.right_x:  # the longest side stands upright
+        first = wp.where(facet.left_x > 0, away, -n)
     else:
         first = -away
         count = 2 * away + 1
@@ -110,7 +112,10 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
 
 @wp.func
 def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
-    """Return where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value; (0, r0) if not inside."""
+    """Return (t, r): where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value there.
+
+    It is (0, r0) if the extremum is not between t = 0 and 1.
+    """
     slope = r1 - r0 - twist
     t = wp.float64(0.0)
     r = r0
@@ -122,11 +127,12 @@ def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
 
 @wp.func
 def farthest_on_diagonal(
-    d: Domain, s: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, known: wp.float64
+    d: Domain, facet: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, known: wp.float64
 ) -> wp.float64:
-    """Return the larger of `known` and the largest distance along a diagonal side of the facet.
+    """Return the larger of `known` and the largest distance along a diagonal side of the facet, metres before scaling.
 
-    (x0, y0), (x1, y1): ends of the side, lattice units from the apex.
+    (x0, y0), (x1, y1): ends of the side, lattice units from the apex. A side of whole cells is evaluated at the
+    parabola of each, without those beyond the border; a shorter one is inside a cell and has one parabola.
     """
     bits = d.unit_bits - d.levels
     dx = x1 - x0
@@ -136,41 +142,41 @@ def farthest_on_diagonal(
     if cells > 0:
         cell_x = wp.where(dx > 0, 1, -1)
         cell_y = wp.where(dy > 0, 1, -1)
-        start = s.z + s.slope_x * wp.float64(x0) + s.slope_y * wp.float64(y0)
+        start = facet.z + facet.slope_x * wp.float64(x0) + facet.slope_y * wp.float64(y0)
         unit = wp.float64(wp.int32(1) << bits)
-        slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
-        i = (s.x + x0) >> bits
-        j = (s.y + y0) >> bits
+        slope = (facet.slope_x * wp.float64(cell_x) + facet.slope_y * wp.float64(cell_y)) * unit
+        i = (facet.x + x0) >> bits
+        j = (facet.y + y0) >> bits
         largest = wp.max(largest, diagonal_inside(d.samples, i, j, cell_x, cell_y, cells, start, slope))
     else:
-        r0 = height_above(d, s, x0, y0)
-        r1 = height_above(d, s, x1, y1)
-        t, r = bulge(r0, r1, twist_over(d, s.x + x0, s.y + y0, dx, dy))
+        r0 = height_above(d, facet, x0, y0)
+        r1 = height_above(d, facet, x1, y1)
+        t, r = bulge(r0, r1, twist_over(d, facet.x + x0, facet.y + y0, dx, dy))
         largest = wp.max(wp.max(largest, wp.abs(r)), wp.max(wp.abs(r0), wp.abs(r1)))
     return largest
 
 
 @wp.func
-def farthest(d: Domain, s: Facet) -> wp.float64:
+def farthest(d: Domain, facet: Facet) -> wp.float64:
     """Return the largest distance between the facet and the surface, metres before scaling; 0 beyond the border."""
-    if is_beyond_border(d, s):
+    if is_beyond_border(d, facet):
         return wp.float64(0.0)
     bits = d.unit_bits - d.levels
     unit = wp.float64(wp.int32(1) << bits)
-    i = s.x >> bits
-    j = s.y >> bits
+    i = facet.x >> bits
+    j = facet.y >> bits
     largest = wp.float64(0.0)
-    low, count = rows_of(s, bits)
+    low, count = rows_of(facet, bits)
     for k in range(count):
-        first, samples = row_of(s, bits, low + k)
-        plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
-        slope = s.slope_x * unit
+        first, samples = row_of(facet, bits, low + k)
+        plane = facet.z + facet.slope_y * (wp.float64(low + k) * unit) + facet.slope_x * (wp.float64(first) * unit)
+        slope = facet.slope_x * unit
         largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
-    if s.left_x == 0 or s.left_y == 0:
+    if facet.left_x == 0 or facet.left_y == 0:
         if count == 0:
-            largest = wp.abs(height_above(d, s, 0, 0))
-        largest = farthest_on_diagonal(d, s, s.left_x, s.left_y, s.right_x, s.right_y, largest)
+            largest = wp.abs(height_above(d, facet, 0, 0))
+        largest = farthest_on_diagonal(d, facet, facet.left_x, facet.left_y, facet.right_x, facet.right_y, largest)
     else:
-        largest = farthest_on_diagonal(d, s, 0, 0, s.left_x, s.left_y, largest)
-        largest = farthest_on_diagonal(d, s, 0, 0, s.right_x, s.right_y, largest)
+        largest = farthest_on_diagonal(d, facet, 0, 0, facet.left_x, facet.left_y, largest)
+        largest = farthest_on_diagonal(d, facet, 0, 0, facet.right_x, facet.right_y, largest)
     return largest

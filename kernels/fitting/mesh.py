@@ -115,9 +115,10 @@ def mark_around(m: FitMesh, v: wp.int32):
 
 @wp.func
 def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
-    """List the marked triangles in their order, clear the marks, and return how many there are.
+    """List the marked triangles in their order in `m.active`, clear the marks, and return the number listed.
 
-    Memory is then read in its order too, which halves the time of a sweep over many triangles.
+    Memory is then read in its order too, which halves the time of a sweep over many triangles. triangles: their number
+    in the mesh.
     """
     count = wp.int32(0)
     for word in range((triangles + 31) >> 5):
@@ -139,7 +140,7 @@ def put_on_surface(m: FitMesh, v: wp.int32):
 
 @wp.func
 def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
-    """Replace the neighbour `old` of triangle t by `new`; t below 0 is no triangle."""
+    """Replace the neighbour `old` of triangle t by `new`; nothing happens if t is below 0, which is no triangle."""
     if t >= 0:
         for k in range(3):
             if m.beside[3 * t + k] == old:
@@ -148,7 +149,7 @@ def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
 
 @wp.func
 def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
-    """Write triangle t; its distance from the surface counts as not measured."""
+    """Write triangle t with its corners, the neighbours `beside` it and its level; it counts as not measured."""
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
         m.beside[3 * t + c] = beside[c]

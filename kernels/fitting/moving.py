@@ -41,7 +41,10 @@ def corner_heights(m: FitMesh, t: wp.int32) -> wp.vec3f:
 
 @wp.func
 def push_and_weight(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) -> wp.vec2f:
-    """Return (q, weight), the push on a corner; (0, 0) if the weight is only rounding of the sum of weights."""
+    """Return (q, weight), the push on a corner; (0, 0) if the weight is only rounding of the sum of weights.
+
+    q: weighted sum of distances beyond the aim, metres before scaling.
+    """
     return wp.where(weight > NO_WEIGHT * sum_weights, wp.vec2f(q, weight), wp.vec2f())
 
 
@@ -88,16 +91,17 @@ def measure_pushes(first: int, end: int, m: FitMesh):
 
 @wp.func
 def add_push(m: FitMesh, v: wp.int32, q: wp.vec2f):
-    """Add a push and its weight to the sums of vertex v."""
+    """Add a push and its weight (q) to the sums of vertex v."""
     m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
     m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
 
 
 @wp.kernel
 def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Move every vertex by its pushes; `m.active` becomes the list for the next sweep.
+    """Move every vertex by the mean of its pushes; `m.active` becomes the list of triangles for the next sweep.
 
-    `found` [2] receives the length of the list, and the number of triangles beyond the bound.
+    count: number of listed triangles. triangles: number of all. found [2] receives the length of the new list, and the
+    number of triangles beyond the bound.
     """
     beyond = wp.int32(0)
     pushed = wp.int32(0)

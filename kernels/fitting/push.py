@@ -145,52 +145,60 @@ def pushes_of(
 
 
 @wp.func
-def add_point(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
-    """Return pushes q with one point added, at which the surface is `r` above the triangle.
+def add_point(pushes: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
+    """Return `pushes` with one point added, at which the surface is `r` above the triangle (metres before scaling).
 
-    u, v: weights of the left and the right corner at the point. aim: distance that is small enough. q: largest
-    distance, then weight and push of the apex, left and right corner.
+    u, v: weights of the left and the right corner at the point. aim: distance that is small enough. pushes: largest
+    distance, then weight and push of the apex, the left and the right corner.
     """
     far = wp.abs(r)
-    q[0] = wp.max(q[0], wp.float32(far))
+    pushes[0] = wp.max(pushes[0], wp.float32(far))
     if far > aim:
         over = wp.where(r > wp.float64(0.0), far - aim, aim - far)
         apex = wp.float64(1.0) - u - v
-        q[1] = q[1] + wp.float32(apex)
-        q[2] = q[2] + wp.float32(over * apex)
-        q[3] = q[3] + wp.float32(u)
-        q[4] = q[4] + wp.float32(over * u)
-        q[5] = q[5] + wp.float32(v)
-        q[6] = q[6] + wp.float32(over * v)
-    return q
+        pushes[1] = pushes[1] + wp.float32(apex)
+        pushes[2] = pushes[2] + wp.float32(over * apex)
+        pushes[3] = pushes[3] + wp.float32(u)
+        pushes[4] = pushes[4] + wp.float32(over * u)
+        pushes[5] = pushes[5] + wp.float32(v)
+        pushes[6] = pushes[6] + wp.float32(over * v)
+    return pushes
 
 
 @wp.func
-def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
-    """Return the pushes of a triangle inside one cell, as `pushes_of`.
+def pushes_in_cell(d: Domain, facet: Facet, aim: wp.float64) -> Pushes:
+    """Return the pushes of a triangle inside one cell: largest distance, then weight and push of each corner.
 
-    Points are its corners and the extrema along its diagonal sides.
+    Corners: apex, left, right. Points are the corners and the extrema along the diagonal sides. A weight is the sum
+    over the points beyond `aim`, a push the weighted sum of their distances beyond it, metres before scaling, positive
+    upwards.
     """
-    if is_beyond_border(d, s):
+    if is_beyond_border(d, facet):
         return Pushes()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
-    apex = height_above(d, s, 0, 0)
-    left = height_above(d, s, s.left_x, s.left_y)
-    right = height_above(d, s, s.right_x, s.right_y)
+    apex = height_above(d, facet, 0, 0)
+    left = height_above(d, facet, facet.left_x, facet.left_y)
+    right = height_above(d, facet, facet.right_x, facet.right_y)
     q = add_point(Pushes(), apex, zero, zero, aim)
     q = add_point(q, left, one, zero, aim)
     q = add_point(q, right, zero, one, aim)
-    if s.left_x == 0 or s.left_y == 0:
-        twist = twist_over(d, s.x + s.left_x, s.y + s.left_y, s.right_x - s.left_x, s.right_y - s.left_y)
+    if facet.left_x == 0 or facet.left_y == 0:
+        twist = twist_over(
+            d,
+            facet.x + facet.left_x,
+            facet.y + facet.left_y,
+            facet.right_x - facet.left_x,
+            facet.right_y - facet.left_y,
+        )
         t, r = bulge(left, right, twist)
         if t > zero:
             q = add_point(q, r, one - t, t, aim)
     else:
-        t, r = bulge(apex, left, twist_over(d, s.x, s.y, s.left_x, s.left_y))
+        t, r = bulge(apex, left, twist_over(d, facet.x, facet.y, facet.left_x, facet.left_y))
         if t > zero:
             q = add_point(q, r, t, zero, aim)
-        t, r = bulge(apex, right, twist_over(d, s.x, s.y, s.right_x, s.right_y))
+        t, r = bulge(apex, right, twist_over(d, facet.x, facet.y, facet.right_x, facet.right_y))
         if t > zero:
             q = add_point(q, r, zero, t, aim)
     return q

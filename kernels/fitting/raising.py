@@ -18,7 +18,7 @@ RAISED = wp.constant(1 + 4 * 16)
 
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Return the index of the error of the diamond split at (x, y), or of its cell if it is finer than cells."""
+    """Return the entry in the array of errors of the diamond split at (x, y), or of its cell if finer than cells."""
     at = d.cell_base
     if depth <= 2 * d.levels:
         at = place(d, x, y, depth)
@@ -40,9 +40,9 @@ def raise_ancestors(
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise the error code of the diamond at (x, y) and of all above it to `code`, so that errors stay nested.
+    """Raise the error codes of the diamond split at (x, y) and all its ancestors to `code`, so that errors stay nested.
 
-    depth: of the diamond, at most that of the raster's cells. stack: scratch.
+    depth: of the diamond, at most that of the raster's cells. codes: errors of all diamonds. stack: scratch.
     """
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)
@@ -72,10 +72,11 @@ def raise_cells(
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise cell (i, j) so that triangles after `halvings` of its sides are split.
+    """Raise the codes of cell (i, j) and of cells around it, so that triangles after `halvings` of its sides are split.
 
-    An error in a cell is a quarter after each halving, and at least a quarter of the next cells': hierarchy.py. One
-    cell more on every side: a quarter of RAISED may split again; a sixteenth never does.
+    An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
+    cell more on every side is raised: a quarter of RAISED may split again; a sixteenth never does. codes: errors of all
+    diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1

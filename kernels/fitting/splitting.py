@@ -10,16 +10,14 @@ from .raising import raise_cells
 
 
 @wp.kernel
-def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Split triangles beyond the bound that interpolation would split too.
+def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
+    """Split triangles beyond the bound that interpolation would split too; move the vertices of others to the surface.
 
-    Return the vertices of others to the surface.
-
-    `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since one
-    split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
-    split in place, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed
-    triangles, of triangles and of vertices (which it holds before), of splits, of vertices that are new on the surface,
-    of splits that wait for the next walk, and of triangles too coarse at the deepest level.
+    min_share: split only triangles whose excess is at least this part of the largest among the triangles that they
+    touch, since one split may help them all. `m.active` becomes the list for the next sweep. Triangles above the
+    raster's cells are split in place, those in cells only in `m.codes`, for the next walk. `found` [7] receives the
+    numbers of listed triangles, of triangles and of vertices (which it holds before), of splits, of vertices that are
+    new on the surface, of splits that wait for the next walk, and of triangles too coarse at the deepest level.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -34,7 +32,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
         if over > wp.float64(0.0):
             m.awake[t] = m.round + 1
             mark(m, t)
-            if over >= local * _max_excess_around(m, t):
+            if over >= min_share * _max_excess_around(m, t):
                 finer = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, finer, cell)
@@ -123,14 +121,14 @@ def _is_on_surface(m: FitMesh, t: int, error: wp.float32):
 
     Only a split then reduces the error of float32 positions. error: metres before scaling.
     """
-    pinned = PINNED
-    fresh = wp.float64(0.0)
+    common_state = PINNED
+    num_new = wp.float64(0.0)
     for c in range(3):
         v = m.corner_verts[3 * t + c]
-        pinned = pinned & m.state[v]
-        fresh += m.push[2 * v + 1]
-    half = wp.float64(error) * m.domain.error_scale > wp.float64(0.5) * m.bound
-    return pinned != wp.uint8(0) and fresh == wp.float64(0.0) and half
+        common_state = common_state & m.state[v]
+        num_new += m.push[2 * v + 1]
+    is_large = wp.float64(error) * m.domain.error_scale > wp.float64(0.5) * m.bound
+    return common_state != wp.uint8(0) and num_new == wp.float64(0.0) and is_large
 
 
 @wp.func

@@ -98,9 +98,9 @@ def triangle_of(node: LebNode, unit_bits: wp.int32):
 
 @wp.func
 def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp.int32) -> LebNode:
-    """Return the neighbour of a triangle of depth 1 or 2 in the node's square, from a table; id 0 beyond the grid.
+    """Return a neighbour of the triangle `heap_id` (2 .. 7, depth 1 or 2) in the node's square; id 0 beyond the grid.
 
-    heap_id: of the triangle, 2 .. 7. edge: 0 left, 1 right, 2 the longest.
+    edge: 0 left, 1 right, 2 the longest. The result is read from a table.
     """
     at = 9 * (heap_id - 2) + 3 * edge
     near = LebNode()
@@ -161,12 +161,13 @@ def edge_neighbour(grid: SquareGrid, node: LebNode) -> LebNode:
 
 @wp.func
 def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
-    """Split a leaf, the other half of its diamond, and the coarser neighbours of both.
+    """Split a leaf, the other half of its diamond, and the chain of coarser neighbours that a conforming mesh requires.
 
     A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). tree_id: the leaf
-    in the tree of the grid. Threads may split neighbours at once. `split` returns whether a node was already split, so
-    only the thread that is first to split a parent continues with the parent's neighbour. A parent is split before its
-    child: splitting a second child can set the parent's bit too, and the parent would look as if it were already split.
+    in the tree of the grid. Each pass splits the parent of the neighbour across the longest edge, if that is still a
+    leaf, and then the neighbour; the next pass begins at the parent. The order matters: to split child 1 also sets a
+    bit of its parent, so `split` would report the parent as split before. Threads may split neighbours at once: `split`
+    returns whether a node was already split, so only the first thread continues with the parent's neighbour.
     """
     split(t, tree_id)
     node = node_of(grid, tree_id)

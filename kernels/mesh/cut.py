@@ -83,9 +83,9 @@ def flag_holes(
 
 @wp.func
 def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
-    """Return the tolerance of a position on the edge p q, as a fraction of its length in plan.
+    """Return the tolerance of a position on the edge p q, as a fraction of the edge's length in plan.
 
-    tolerance: relative to the largest coordinate.
+    tolerance: relative to the largest coordinate of p and q.
     """
     largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
     x = wp.float64(q[0]) - wp.float64(p[0])
@@ -95,7 +95,11 @@ def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float
 
 @wp.kernel
 def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
-    """Set the value of a vertex to 0 if the cut of one of its edges would be as close to it as float32 resolves."""
+    """Set a vertex's value to 0 if one of its edges would be cut closer to it than float32 positions resolve.
+
+    One thread. tolerance: rounding of a position, relative to the largest coordinate. m: the mesh with its signed
+    values.
+    """
     for i in range(m.counts[LISTED]):
         o = 3 * m.listed[i]
         for c in range(3):
@@ -122,7 +126,10 @@ def remove_triangle(m: Cut, t: wp.int32):
 
 @wp.func
 def next_number(m: Cut, kind: wp.int32) -> wp.int32:
-    """Return the number of a new element of a kind (VERTEX .. LISTED), and count it."""
+    """Return the number of a new element and count it.
+
+    kind: VERTEX, EDGE, TRIANGLE or LISTED (an entry of the list).
+    """
     number = m.counts[kind]
     m.counts[kind] = number + 1
     return number
@@ -159,9 +166,10 @@ def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
 
 @wp.func
 def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
-    """Replace a triangle with corners of both signs by its non-negative part: one or two triangles.
+    """Replace triangle t, whose corners have values of both signs, by its non-negative part: one or two triangles.
 
-    This is the polygon clipping of Sutherland and Hodgman (1974).
+    This is the polygon clipping of Sutherland and Hodgman (1974). first_vertex, first_triangle: first numbers that this
+    cut makes.
     """
     v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
@@ -209,7 +217,7 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
 def cut(m: Cut):
     """Cut every listed triangle where the signed values at its vertices are 0; the negative part is removed.
 
-    This kernel and those below run on one thread.
+    One thread.
     """
     first_vertex = m.counts[VERTEX]
     first_triangle = m.counts[TRIANGLE]
@@ -231,7 +239,10 @@ def cut(m: Cut):
 
 @wp.kernel
 def remove_flagged(flagged: wp.array(dtype=wp.uint8), m: Cut):
-    """Remove the listed triangles that are flagged; `keep_used` keeps vertices and edges that others still use."""
+    """Remove the listed triangles that are flagged; `keep_used` keeps vertices and edges that others still use.
+
+    One thread. flagged: 1 for each triangle to remove.
+    """
     for i in range(m.counts[LISTED]):
         if flagged[m.listed[i]] != wp.uint8(0):
             remove_triangle(m, m.listed[i])
@@ -269,7 +280,8 @@ def renumber(
 ):
     """Replace the numbers of vertices and edges that were moved into gaps, in the listed triangles that remain.
 
-    vertices, edges: new numbers of elements; moved_vertices, moved_edges: new numbers of those behind.
+    One thread. vertices, edges: numbers that remain. moved_vertices, moved_edges: new numbers of the elements from
+    there on.
     """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]

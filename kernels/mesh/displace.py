@@ -57,9 +57,10 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
 
 @wp.func
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Return the height (metres) and its slopes (metres a cell) in cell (i, j), bilinear between its samples.
+    """Return the height (metres) and its slopes (metres a cell) in cell (i, j), bilinear between its samples' values.
 
-    s, t: position in the cell, 0 .. 1. Each of the twelve samples that it needs is read once.
+    s, t: position in the cell, 0 .. 1. Slopes at samples are central differences, one-sided at the border. Each of the
+    twelve samples that it needs is read once.
     """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)
@@ -102,10 +103,10 @@ def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
 
 @wp.func
 def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
-    """Write position, normal and UV of vertex o at lattice point p.
+    """Write position (metres), unit normal and UV of vertex o, which is at lattice point p.
 
-    g: height and slopes there (metres before scaling, metres a cell). float64 is cast to float32 last. A value that
-    is not finite sets `not_finite`.
+    g: height (metres before scaling) and slopes (metres a cell) there. float64 is cast to float32 last. A value that is
+    not finite sets `not_finite`.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     part = wp.float64(1.0) / units  # exact: a power of two
@@ -142,10 +143,10 @@ def runs_of(points: DisplacedPoints, slot: wp.int32):
 def find_run(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return begin and end of the run's points from point v on, and the first one's vertex of the last frame.
+    """Return (begin, stop, at): the points from v on that a run copies, and the first one's vertex in the last frame.
 
-    Begin and end are both `end` if the run has none. run, run_end: entry of the list of runs, and its end. point_base:
-    entry of the slice's first point.
+    Without such points begin and stop are both `end`. run, run_end: the run's entry in the list, and the end of the
+    list. point_base: entry of the slice's point 0.
     """
     begin = end
     stop = end

@@ -30,14 +30,15 @@ from .weld_state import (
 
 
 @wp.func
-def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:
-    """Return a number if it is not an import, otherwise the edge (of = 0) or vertex (of = 1) that it stands for.
+def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), is_vertex: wp.int32) -> wp.int32:
+    """Return the number that an import (a negative number) stands for; any other number stays as it is.
 
-    first: index of the slice's first import. found: (edge, vertex) of each import.
+    first: index of the slice's first import. found: (edge, vertex) of each import. is_vertex: 1 for the vertex, 0 for
+    the edge.
     """
     n = number
     if number < 0:
-        n = found[first - 1 - number][of]
+        n = found[first - 1 - number][is_vertex]
     return n
 
 
@@ -52,8 +53,8 @@ def resolve(
 ):
     """Write the (edge, vertex) that each import stands for to `found`, slice by slice.
 
-    It also completes the entries of shared sides that later slices import. open, open_level, size: the two stacks
-    of open edges at the end of a slice, see `join`.
+    It also completes the entries of shared sides that later slices import. open, open_level: room for two stacks of
+    `size` entries, the edges that are open at the end of a slice and their levels.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)

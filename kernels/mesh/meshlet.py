@@ -79,8 +79,8 @@ def number_side(
 ):
     """Write the numbers of the points and lines on side s of a leaf to `numbers`, in the template's order.
 
-    The side is edge e of the source, which begins or ends at the leaf's corner v. points, lines: where those of the
-    leaf begin in `numbers`.
+    The side is edge e of the source, which begins or ends at the leaf's corner v. points, lines: entries in `numbers`
+    where those of the leaf begin.
     """
     n = t.segments
     first_point = source.vertices + e * (n - 1)

@@ -8,6 +8,8 @@ every vertex and every edge gets its number once. Edges on the sides that two ro
 instead, since the later square passes them last edge first.
 
 Slices of the curve are welded side by side, each from exact bases (weld_state.py), and joined afterwards (join.py).
+
+`slot`: the slice's row in the arrays. `leaves`: number of the slice's leaves. `code`: a leaf's word.
 """
 
 import warp as wp
@@ -118,8 +120,9 @@ def write_triangle(
 ):
     """Write triangle t: corners, edges and level.
 
-    Its vertices are front0, front1 and far, counter-clockwise; the passage of the curve decides which is stored
-    first. entry, leave, third: the edges by which the curve enters and leaves, and the other one.
+    Its vertices are front0, front1 and far, counter-clockwise; the passage of the curve decides which is stored first.
+    code: the leaf's word. side: side of the strip (0 left, 1 right) on which the front moves. entry, leave, third: the
+    edges by which the curve enters and leaves, and the other one.
     """
     shape = code & SHAPE
     o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
@@ -138,7 +141,8 @@ def write_triangle(
 def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     """Return the strip before a slice's first leaf, and clear the slice's state.
 
-    No edge is open. The front is an import from the slice before, unless a square begins here.
+    No edge is open. The front is an import from the slice before, unless a square begins here. b: the slice's first
+    numbers. leaves: number of the slice's leaves.
     """
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):
@@ -170,8 +174,8 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
     """Return the strip before a square's first leaf.
 
-    The front is the edge by which the curve enters; no edge is open. slot: of the slice. code: word of the leaf. s:
-    strip at the end of the square before.
+    The front is the edge by which the curve enters; no edge is open. b, slot, leaves: first numbers, number and leaves
+    of the slice. code: word of the leaf. s: strip at the end of the square before.
     """
     e = STATE_SIZE * slot
     for i in range(4):
@@ -194,9 +198,10 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
 
 @wp.func
 def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
-    """Return the third edge, which the curve does not cross, its far vertex, and the growth of the stack.
+    """Return (third, far, grow): the edge that the curve does not cross, its far vertex, and the growth of its stack.
 
-    A new edge or vertex gets the next number. The stack grows by 1 if the edge is opened, by -1 if it is closed.
+    A new edge or vertex gets the next number. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side. b,
+    slot, leaves: first numbers, number and leaves of the slice. code: the leaf's word. s: the strip.
     """
     e = STATE_SIZE * slot
     side = side_of(code)
@@ -232,9 +237,10 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 
 @wp.func
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
-    """List triangle t if it uses an import, and pass an edge by which the curve leaves a square to the square above.
+    """List triangle t for `join` if it uses an import, and pass an edge by which the curve leaves a square to the next.
 
-    third, far: its third edge and that edge's far vertex. `join` replaces the imports of listed triangles.
+    The next is the square above. s: the strip. code: the leaf's word. third, far: its third edge and that edge's far
+    vertex.
     """
     e = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:

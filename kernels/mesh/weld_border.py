@@ -28,7 +28,7 @@ from .weld_state import (
 
 @wp.func
 def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
-    """Return whether this slice, not an earlier one, made edge `passed` of a side of square `owner`.
+    """Return whether slice `slot`, not an earlier one, made edge number `passed` of a side of square `owner`.
 
     before: which side, 2 right or 3 above.
     """
@@ -38,9 +38,9 @@ def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, befo
 
 @wp.func
 def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
-    """Return the vertex at the current square's lower left corner: the upper left one of the square below.
+    """Return the vertex at the lower left corner of `square`, which the square below has made as its upper left one.
 
-    It is an import if an earlier slice made it.
+    It is an import (a negative number) if an earlier slice made it. e: the slice's entry in `state`.
     """
     below = square - w.columns
     v = wp.int32(0)
@@ -57,8 +57,9 @@ def begin_left_side(
 ):
     """Begin a square with its left side's first edge, from the upper left corner down.
 
-    level: of the edge. Returns corner, lower end, edge, and the next free vertex and edge number. Side and corner
-    come from the left neighbour if there is one.
+    Returns corner, lower end, edge, and the next free vertex and edge number. Side and corner come from the left
+    neighbour if there is one; they are imports if an earlier slice made them. e: the slice's entry in `state`. code:
+    the leaf's word. level: the edge's level. vertices, edges: the next free numbers.
     """
     square = w.state[e + SQUARE]
     column = square % w.columns
@@ -95,7 +96,8 @@ def begin_left_side(
 def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
     """Return the next (edge, far vertex) of the side shared with the square to the left or below.
 
-    role: TAKE_LEFT or TAKE_BELOW. level: of the edge, to be checked. It is an import if an earlier slice made it.
+    They are imports (negative numbers) if an earlier slice made them. e: the slice's entry in `state`. role: TAKE_LEFT
+    or TAKE_BELOW. level: the edge's level, which is checked.
     """
     square = w.state[e + SQUARE]
     at = wp.int32(0)
@@ -126,8 +128,8 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
 def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     """Append an edge to the right side of the current square, for the square to the right.
 
-    begun: the vertex at which the curve began the edge. far: its other vertex, which becomes the upper right corner at
-    the end.
+    e: the slice's entry in `state`. begun: the vertex at which the curve began the edge. far: its other vertex, which
+    becomes the upper right corner at the end.
     """
     square = w.state[e + SQUARE]
     n = w.side_base[square] + w.state[e + RIGHT]
@@ -142,7 +144,7 @@ def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: w
 def append_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
     """Append an edge to the upper side of the current square, for the square above.
 
-    begun: vertex where the edge begins.
+    e: the slice's entry in `state`. begun: the vertex at which the curve began the edge.
     """
     n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)

@@ -94,9 +94,9 @@ def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
 
 @wp.func
 def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
-    """Return the first entry of a slice's stack of open edges for a side; a spare entry is below it.
+    """Return the first entry of a slice's stack of open edges for a side (0 left, 1 right); a spare entry is below it.
 
-    room: of the slice's Base.
+    room: first entry of the slice in each list. leaves: number of the slice's leaves.
     """
     return 2 * room + 1 + side * (leaves + 2)
 
@@ -117,7 +117,7 @@ def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -
 def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
     """Import the next edge from the stack that earlier slices left open on a side; return its negative number.
 
-    level: of the edge, to be checked. e: the slice's entry in `state`.
+    level: the edge's level, which is checked. e: the slice's entry in `state`.
     """
     n = w.state[e + POPS + side]
     w.state[e + POPS + side] = n + 1

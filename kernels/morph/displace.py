@@ -28,7 +28,7 @@ RECORDS_AHEAD = wp.constant(wp.int64(8))
 
 @wp.func
 def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.float64):
-    """Write the height of vertex o, whose other values are complete. height: metres before scaling."""
+    """Write the height of vertex o, whose other values are complete. height: metres before vertical scaling."""
     z = height * domain.height_scale + domain.height_offset
     if not (wp.abs(z) < HIGHEST):
         points.not_finite[0] = 1
@@ -59,8 +59,9 @@ def displace_morphing(
 ):
     """Write positions and normals of points first .. end - 1, moved by the geomorph.
 
-    As `displace` (kernels/mesh/displace.py), but points of the last frame get new heights and normals unless they
-    were settled (at their final place) and still are.
+    Points of the last frame are copied in runs; they get new heights and normals unless they were settled (at their
+    final place) and still are. point_base: entry of point 0. vertex_base: its vertex. slot: number of the thread's list
+    of runs.
     """
     forget_all(memory)
     run, run_end = runs_of(points, slot)

@@ -32,7 +32,7 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
 
 @wp.func
 def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
-    """Return the vector from p to one end of the edge that p splits. depth: of the diamond split at p."""
+    """Return the vector from p to one end of the edge that p splits. depth: that of the diamond split at p."""
     half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
     along = wp.vec2i(half, 0)
     if (depth & 1) == 1:

@@ -41,7 +41,7 @@ def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
 
 @wp.func
 def relief_of(domain: Domain, a: SplitVertex):
-    """Return heights (Relief) and squared error `metres2` of the diamond split at vertex a: it decides when a moves."""
+    """Return heights (Relief) and weighed squared error, metres, of the diamond split at a; they decide a's W."""
     r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
     r.low = wp.where(d.border == 2, wp.float64(wp.inf), d.low[2])
@@ -56,8 +56,8 @@ def ratio2_of(
 ):
     """Return the squared ratio of a vertex's diamond to the criterion, and its finest squared pixel footprint.
 
-    The ratio is the largest of all criteria; the vertex's weight W depends on it. r, metres2: from `relief_of`.
-    in_frame: 1 if all frustums contain the box.
+    The ratio is the largest of all criteria; the vertex's weight W depends on it. r, metres2: heights and weighed
+    squared error of the diamond, from `relief_of`. in_frame: 1 if all frustums are known to contain its box.
     """
     reach = reach_of(domain.unit_bits, a.depth)
     d = Diamond()
@@ -118,8 +118,10 @@ def evaluate_point(
 ):
     """Return a point's W, its record, the surface there, and the squared metres of the finest pixel on its diamond.
 
-    at: lattice point. last: number in the last frame, -1: none; of such a vertex the record is read, and the surface is
-    zero. The record and the relief of the vertex itself (`is_vertex`) are written for the next frame.
+    at, depth: lattice point and depth of its diamond. is_vertex: it is vertex `vertex` itself, not an end that it
+    depends on; record and relief are then written for the next frame. last: the vertex's number in the last frame, -1
+    for none; the record of such a vertex is read, and its surface is zero. clear_below: the frustums contain the
+    diamonds of deeper points.
     """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
@@ -161,7 +163,7 @@ def evaluate_point(
 
 @wp.func
 def add_end(ends: Ends, end: MorphedPoint) -> Ends:
-    """Add one end of an edge to the sums of heights and normals; the settled error becomes the minimum of both."""
+    """Return the sums `ends` with one end of the edge added: sums of heights and normals, minimum of settled errors."""
     ends.height += end.height
     ends.z += end.z
     ends.settled_metres2 = smaller(ends.settled_metres2, end.settled_metres2)
@@ -189,9 +191,9 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 
 @wp.func
 def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
-    """Return the squared error above which a point has surely stopped moving.
+    """Return the squared error, metres, above which a point has surely stopped moving, so that its record is reused.
 
-    pixel2: squared metres that a pixel spans at most there. Points of the last frame above it are reused.
+    pixel2: squared metres that a pixel spans at most there.
     """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
@@ -202,7 +204,7 @@ def has_settled(
 ) -> wp.bool:
     """Return whether vertex `last` of the last frame was settled and still is; then copy its record to `vertex`.
 
-    settled: result of `settled_above`.
+    p: its lattice point. settled: squared error, metres, above which a point has settled, from `settled_above`.
     """
     known = morphing.last_known[last]
     found = known.is_settled == 1 and known.metres2 > settled

@@ -100,7 +100,9 @@ class Memory:
 for record in (Known, Relief, Ends):
 
     @wp.func_native("__builtin_prefetch(a.data + i);")
-    def fetch(a: wp.array(dtype=record), i: wp.int64): ...
+    def fetch(a: wp.array(dtype=record), i: wp.int64):
+        """Start loading a[i] into the processor's cache. Nothing is read, so any index is allowed."""
+        ...
 
 
 @wp.func

@@ -18,7 +18,7 @@ NO_DATA = wp.constant(wp.int32(-2))
 
 @wp.func
 def between(a: wp.float64, b: wp.float64, t: wp.float64) -> wp.float64:
-    """Interpolate from a to b. At t = 0 the result is a, even if b is NaN."""
+    """Return the value at t (0 .. 1) on the line from a to b; at t = 0 it is a, even if b is NaN."""
     if t == wp.float64(0.0):
         return a
     return a * (wp.float64(1.0) - t) + b * t
@@ -28,7 +28,10 @@ def between(a: wp.float64, b: wp.float64, t: wp.float64) -> wp.float64:
 def at_node(
     nodes: wp.array(dtype=wp.float64), stride: int, column: int, row: int, s: wp.float64, t: wp.float64
 ) -> wp.float64:
-    """Interpolate the values at four nodes, bilinearly."""
+    """Return the value between four nodes, bilinearly: s columns and t rows (0 .. 1) beyond node (column, row).
+
+    nodes: values row by row. stride: nodes a row.
+    """
     k = row * stride + column
     low = nodes[k] * (wp.float64(1.0) - s) + nodes[k + 1] * s
     high = nodes[k + stride] * (wp.float64(1.0) - s) + nodes[k + stride + 1] * s
@@ -37,7 +40,7 @@ def at_node(
 
 @wp.func
 def split_position(u: wp.float64) -> wp.vec2d:
-    """Return the source sample before a position, and the fraction of the cell behind it: 0 within SNAP of a sample."""
+    """Return the source sample before position u, and the fraction of the cell behind it: 0 within SNAP of a sample."""
     before = wp.floor(u)
     fraction = u - before
     if fraction < SNAP:
@@ -50,7 +53,10 @@ def split_position(u: wp.float64) -> wp.vec2d:
 
 @wp.func
 def steepest(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
-    """Return the largest step between neighbours along one axis in the 4 x 4 samples around a cell; NaN is ignored."""
+    """Return the largest step between neighbours along one axis in the 4 x 4 samples around a cell; NaN is ignored.
+
+    at: index of the cell's first sample. along, across: steps of the index along that axis and the other one.
+    """
     largest = wp.float64(0.0)
     for j in range(-1, 3):
         for i in range(-1, 2):

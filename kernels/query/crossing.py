@@ -107,9 +107,10 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
-    """Return t where the ray is `slack` beyond the surface in a segment, and its side at the end.
+    """Return (t, side): where the ray meets the bilinear surface in a segment, and its side at the segment's end.
 
-    t is infinite if that is nowhere.
+    t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
+    above, -1 below.
     """
     zero = wp.float64(0.0)
     first = part.first
@@ -183,10 +184,11 @@ def half_curvature_along(
 
 @wp.func
 def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return t where the ray is `slack` beyond a bicubic or displaced surface, and its side at the end.
+    """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side at the end.
 
-    t is infinite if that is nowhere in the segment `part`, which is in one raster cell. The ray advances by steps in
-    which the bounded second derivative rules out a crossing, until it meets the surface.
+    t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
+    above, -1 below. The segment is in one raster cell. The ray advances by steps in which the bounded second derivative
+    rules out a crossing.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)
@@ -234,9 +236,9 @@ def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> w
 
 @wp.func
 def passed(part: RaySegment, on_side: wp.float64):
-    """Return t where a segment that is clear on one side has met the surface, and its side.
+    """Return (t, side) of a segment that is clear of the surface on the side `on_side`: 1 above, -1 below.
 
-    It has met the surface at its first point if the ray came from the other side; else t is infinite.
+    If the ray came from the other side, it has met the surface at the segment's first point; else t is infinite.
     """
     hit = NOWHERE
     if part.side * on_side < wp.float64(0.0):
@@ -246,9 +248,9 @@ def passed(part: RaySegment, on_side: wp.float64):
 
 @wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return the hit (t or NOWHERE) of a ray in one cell, and the side on which it leaves: 1 above, -1 below.
+    """Return (t, side): where the ray meets the surface in a segment in one cell, and its side at the end.
 
-    As `in_bilinear`, for any surface.
+    t is NOWHERE if they do not meet. side: 1 above, -1 below, 0 on the surface.
     """
     hit = NOWHERE
     side = wp.float64(0.0)

@@ -14,9 +14,9 @@ NOTHING = wp.constant(wp.float64(wp.nan))
 
 @wp.func
 def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
-    """Return u, moved onto the raster's border if it is at most `slack` cells beyond it.
+    """Return u, moved onto the raster's border if it is at most `slack` cells beyond it, as float32 positions may be.
 
-    It forgives float32 rounding of positions.
+    u: cells from the first sample along one axis, which has `cells` cells.
     """
     border = wp.float64(cells)
     found = u

@@ -46,9 +46,9 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 
 @wp.func
 def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
-    """Return the part of 0 .. end in which the ray may meet the surface, and its side there.
+    """Return (first, last, side): the part of t = 0 .. end in which the ray may meet the surface, and its side there.
 
-    The part is empty if first > last. known: the ray's side before: 1 above, -1 below, 0 if any.
+    The part is empty if first > last. known, side: 1 above the surface, -1 below, 0 unknown.
     """
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
@@ -66,10 +66,10 @@ def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float
 def way_out(
     surface: QueriedSurface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64
 ):
-    """Return t (`last` at most) where the ray leaves the block of cell (i, j), by which line, and the cell beyond.
+    """Return (t, line, i, j): where the ray leaves the block of cell (i, j), by which line, and the cell beyond.
 
-    bits: the block has 2^bits cells a side. first: t where the ray enters it. The line is a number of the raster's
-    lines.
+    bits: the block has 2^bits cells a side. first: t where the ray enters it. last: end of the ray, which t does not
+    exceed. line: number of the raster's line that is crossed.
     """
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
@@ -102,9 +102,10 @@ def way_out(
 def hit_in_block(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
-    """Return where the ray meets the surface in a segment in a block, its side at the end, and whether that is final.
+    """Return (t, side, done): where the ray meets the surface in a segment in a block, and its side at the end.
 
-    t is infinite if they meet nowhere. If the result is not final, the caller descends into the block.
+    t is infinite if they meet nowhere. done: false if the caller has to descend into the block. bits: the block has
+    2^bits cells a side. known: side of a ray behind a hole: 1 above, -1 below, 0 unknown.
     """
     zero = wp.float64(0.0)
     hit = NOWHERE
@@ -138,8 +139,8 @@ def first_hit(
 ) -> wp.float64:
     """Return the first t in 0 .. end where the ray meets the surface, infinite where it does not.
 
-    known: the ray's side, 1 above, -1 below, 0 if any, also after a hole. slack: metres that the ray has to be beyond
-    the surface. bits: of the first block that is tried.
+    known: the ray's side at the start and behind a hole: 1 above, -1 below, 0 unknown. slack: metres that the ray has
+    to be beyond the surface. bits: the first block that is tried has 2^bits cells a side.
     """
     part = RaySegment()
     first, last, side = enter(surface, blocks, ray, end, known)

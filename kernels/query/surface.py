@@ -82,9 +82,9 @@ def bilinear_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64
 def add_detail(
     surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d
 ) -> wp.vec3d:
-    """Return height and slopes g with slopes in metres a metre instead of a cell, and displacement added.
+    """Return `g` with displacement added, and its slopes in metres a metre instead of metres a cell.
 
-    (i, j), s, t: cell and position in it.
+    g: height (metres before scaling) and slopes (metres a cell) in cell (i, j) at (s, t), 0 .. 1.
     """
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
@@ -110,9 +110,10 @@ def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.f
 
 @wp.func
 def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height and slopes as `height_and_slopes`, but with the slopes that shade the mesh.
+    """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling, for shading.
 
-    On a bilinear surface these are interpolated between samples, so that shading has no steps.
+    s, t: position in the cell, 0 .. 1. On a bilinear surface the slopes are interpolated between samples, so that
+    shading has no steps.
     """
     g = wp.vec3d()
     if surface.bicubic == 1:

@@ -46,8 +46,8 @@ def write_block(
 ):
     """Write the words of a block's leaves and its new vertices, in curve order, copied from the table.
 
-    state: of the curve in the triangle (left, apex, right), lattice units. extra: bits for each leaf's word. Leaves
-    go to code[first_code] on, vertices to point[first_point] on.
+    state: the curve's state in the triangle (left, apex, right), lattice units. bisections: their number, the same for
+    all leaves. extra: bits for each leaf's word. Leaves go to code[first_code] on, vertices to point[first_point] on.
     """
     entry = 6 * bisections + state
     first = item_at(blocks.first_leaf, entry)

@@ -5,6 +5,9 @@ Every decision below a triangle compares a pixel footprint with a number that do
 subtree stores two margins: by how much footprints may fall or rise before a decision changes (as the deferred priority
 lists of ROAM; Duchaineau et al. 1997). While the margins last, the next frame copies the subtree's leaves. The mesh is
 the same as without a cache.
+
+`low`, `high`: corners of a box, metres in terrain space. Gain: factor by which footprints of heights are coarser than
+those of edges.
 """
 
 import warp as wp
@@ -17,16 +20,16 @@ from .local_view import (
     OUTSIDE,
     PERSPECTIVE,
     LocalView,
+    classify_box_steadily,
     fringe_at,
-    max_of,
-    min_of,
+    max_over_box,
+    min_over_box,
     planes_type,
-    steady_stand_of,
 )
-from .pixels import CriterionArrays, ends_of, farthest_far2, nearest_far2, sizes_of, slants2_of
+from .pixels import CriterionArrays, ends_of, max_range2, min_range2, sizes_of, slants2_of
 
-NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
-FADED = wp.constant(2)  # stand of a subtree of which a part or all is in the fringe of the frustum
+NEAR = wp.constant(wp.float64(1.01))  # factor on the squared near distance, which covers the largest `Motion.drift`
+FADED = wp.constant(2)  # class of a subtree of which a part or all is in the fringe of the frustum
 ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
 
 
@@ -36,7 +39,7 @@ class Subtree:
 
     cell: wp.uint64  # first deepest cell, all squares in a row
     depth: wp.int32
-    stands: wp.int32  # in the frustum, outside or across its fringe: CLEAR, OUTSIDE or FADED
+    frustum_class: wp.int32  # in the frustum, outside or across its fringe: CLEAR, OUTSIDE or FADED
     leaves: wp.int32
     vertices: wp.int32  # new ones
     edges: wp.int32
@@ -74,11 +77,12 @@ def camera_length(view: LocalView, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Bound the growth of depth or distance, metres, in any box inside this one: lower, upper, and 1 if valid.
+    """Return bounds (lower, upper) of the growth of depth or distance in any box inside this one, metres, and validity.
 
-    A footprint is proportional to the larger of two values: the least depth in a box, and the least distance times a
-    cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an amount that varies over p
-    by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
+    The third result is 1 if the bounds are valid, else 0. motion: movement of the view since the subtree was cached.
+    low, high: the box, metres. A footprint is proportional to the larger of two values: the least depth in a box, and
+    the least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an
+    amount that varies over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
@@ -97,48 +101,49 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     if view.kind == PERSPECTIVE:
         cosine = wp.sqrt(view.cosine2)
         change = view.depth - motion.depth
-        min_growth = smaller(min_growth * cosine, min_of(change, low, high))
-        max_growth = larger(max_growth * cosine, max_of(change, low, high))
+        min_growth = smaller(min_growth * cosine, min_over_box(change, low, high))
+        max_growth = larger(max_growth * cosine, max_over_box(change, low, high))
     return min_growth, max_growth, valid
 
 
 @wp.func
 def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Bound the growth of max |row . (x, y)| in any rectangle inside this one: lower, upper.
+    """Return bounds (lower, upper) of the growth of max |row . (x, y)| in any rectangle inside this one.
 
-    step: movement of the eye. low, high: corners relative to the eye before. The product is linear in the position.
+    now, before: the row in this view and in the last. step: movement of the eye, metres. low, high: corners of the
+    rectangle relative to the eye before. The product is linear in the position.
     """
     was = ends_of(before, low, high)
-    grown = ends_of(now - before, low, high)
+    growth = ends_of(now - before, low, high)
     moved = now[0] * step[0] + now[1] * step[1]
-    grown = wp.vec2d(grown[0] - moved, grown[1] - moved)
-    if was[0] < wp.float64(0.0) or was[0] + grown[0] < wp.float64(0.0):
-        if was[1] > wp.float64(0.0) or was[1] + grown[1] > wp.float64(0.0):
-            size = larger(grown[1], -grown[0])
-            grown = wp.vec2d(-size, size)
+    growth = wp.vec2d(growth[0] - moved, growth[1] - moved)
+    if was[0] < wp.float64(0.0) or was[0] + growth[0] < wp.float64(0.0):
+        if was[1] > wp.float64(0.0) or was[1] + growth[1] > wp.float64(0.0):
+            size = larger(growth[1], -growth[0])
+            growth = wp.vec2d(-size, size)
         else:
-            grown = wp.vec2d(-grown[1], -grown[0])
-    return grown
+            growth = wp.vec2d(-growth[1], -growth[0])
+    return growth
 
 
 @wp.func
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Return bounds (lower, upper) of the factor on the largest slant times depth, squared, in any box inside this one.
+    """Return bounds (lower, upper) of the factor by which the squared largest slant times depth has changed in any box.
 
-    The factor is from the last view (motion) to this one.
+    The boxes are all inside (low, high), metres; the change is that since the subtree was cached (motion).
     """
     low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
     step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
     x = sizes_of(ends_of(motion.slant_x, low2, high2))
     y = sizes_of(ends_of(motion.slant_y, low2, high2))
-    grown_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
-    grown_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
+    growth_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
+    growth_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
     # (q + change)^2 - q^2, of which the square of a fall may be left away.
     two = wp.float64(2.0)
-    fall = two * (smaller(x[0] * grown_x[0], x[1] * grown_x[0]) + smaller(y[0] * grown_y[0], y[1] * grown_y[0]))
-    rise = two * (larger(x[0] * grown_x[1], x[1] * grown_x[1]) + larger(y[0] * grown_y[1], y[1] * grown_y[1]))
-    rise += grown_x[1] * grown_x[1] + grown_y[1] * grown_y[1]
+    fall = two * (smaller(x[0] * growth_x[0], x[1] * growth_x[0]) + smaller(y[0] * growth_y[0], y[1] * growth_y[0]))
+    rise = two * (larger(x[0] * growth_x[1], x[1] * growth_x[1]) + larger(y[0] * growth_y[1], y[1] * growth_y[1]))
+    rise += growth_x[1] * growth_x[1] + growth_y[1] * growth_y[1]
     smallest2 = x[0] * x[0] + y[0] * y[0]
     largest2 = x[1] * x[1] + y[1] * y[1]
     one = wp.float64(1.0)
@@ -157,20 +162,21 @@ def span_factors(
     fall: wp.float64,
     rise: wp.float64,
 ):
-    """Bound the factor on the pixel footprint in any box inside this one: lower, upper, squared gain, and 1 if valid.
+    """Return (lower, upper, squared gain, valid): bounds of the factor on pixel footprints in any box inside this one.
 
-    fall, rise: the bounds of `change_of`. measures_edges: 1 if the bounds must hold for footprints of edges, too. A
-    footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest gain. If it
-    is the first or the last in all boxes, before and now, its squared gain is returned and the factors exclude the
-    change of depth; otherwise the returned gain is 0.
+    low, high: corners of the box. fall, rise: least and largest growth of depth or distance in it since the subtree was
+    cached, metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is
+    known. A footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest
+    gain. If it is the first or the last in all boxes, before and now, its squared gain is returned and the factors
+    exclude the change of depth; otherwise the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     before = view
     before.eye = motion.eye
     before.depth = motion.depth
-    nearest2 = nearest_far2(before, low, high, min_of(before.depth, low, high))
-    farthest2 = farthest_far2(before, low, high)
+    nearest2 = min_range2(before, low, high, min_over_box(before.depth, low, high))
+    farthest2 = max_range2(before, low, high)
     nearest = wp.sqrt(nearest2)
     farthest = wp.sqrt(farthest2)
     lower = one + fall / wp.where(fall < zero, nearest, farthest)
@@ -180,12 +186,12 @@ def span_factors(
     slants_before2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
     slants_now2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
     min_gain2 = smaller(
-        nearest2 / slants_before2[1], nearest_far2(view, low, high, min_of(view.depth, low, high)) / slants_now2[1]
+        nearest2 / slants_before2[1], min_range2(view, low, high, min_over_box(view.depth, low, high)) / slants_now2[1]
     )
-    max_gain2 = larger(farthest2 / slants_before2[0], farthest_far2(view, low, high) / slants_now2[0])
+    max_gain2 = larger(farthest2 / slants_before2[0], max_range2(view, low, high) / slants_now2[0])
     if measures_edges == 1:
         min_gain2 = zero  # footprints of edges have no gain
-    known = wp.int32(1)
+    valid = wp.int32(1)
     gain2 = zero
     lowest = lower * lower / wp.sqrt(slants2[1])
     highest = upper * upper / wp.sqrt(slants2[0])
@@ -200,7 +206,7 @@ def span_factors(
         highest = lowest
     else:
         if not (lower > zero and slants2[0] > zero):
-            known = 0
+            valid = 0
         if min_gain2 < one:
             lowest = smaller(lower, lowest)
             highest = larger(upper, highest)
@@ -208,16 +214,16 @@ def span_factors(
             gain = wp.sqrt(view.max_gain2 / motion.max_gain2)
             lowest = smaller(lower * gain, lowest)
             highest = larger(upper * gain, highest)
-    return lowest, highest, gain2, known
+    return lowest, highest, gain2, valid
 
 
 @wp.func
 def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Bound the factor by which the frustum's fringe coarsens footprints in any box inside this one.
+    """Return bounds of the factor by which the frustum's fringe coarsens footprints in any box inside this one.
 
-    Returns bounds of its change (lower, upper) and of its value now (smallest, largest), and 1 if they are valid. The
-    factor is (1 + fade * f)^4, where f (0 to 1) is the distance beyond the planes over the width of the fringe. The
-    distance changes linearly with the position, the width linearly with the depth.
+    They are bounds of its change since the subtree was cached (lower, upper) and of its value now (smallest, largest),
+    and 1 if they are valid. The factor is (1 + fade * f)^4, where f (0 to 1) is the distance beyond the planes over the
+    width of the fringe. The distance changes linearly with the position, the width linearly with the depth.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -230,55 +236,56 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     outwards = zero  # metres that a point may have moved out and in
     inwards = zero
     for p in range(view.plane_count):
-        nearest = smaller(min_of(planes[p], low, high), nearest)
-        deepest = smaller(max_of(planes[p], low, high), deepest)
-        before_deepest = smaller(max_of(before[p], low, high), before_deepest)
+        nearest = smaller(min_over_box(planes[p], low, high), nearest)
+        deepest = smaller(max_over_box(planes[p], low, high), deepest)
+        before_deepest = smaller(max_over_box(before[p], low, high), before_deepest)
     for p in range(view.plane_count):  # but for planes that are not the nearest one of any point
-        if min_of(planes[p], low, high) <= deepest or min_of(before[p], low, high) <= before_deepest:
-            outwards = larger(-min_of(planes[p] - before[p], low, high), outwards)
-            inwards = larger(max_of(planes[p] - before[p], low, high), inwards)
-    narrow = fringe_at(view, min_of(view.depth, low, high))
-    wide = fringe_at(view, max_of(view.depth, low, high))
+        if min_over_box(planes[p], low, high) <= deepest or min_over_box(before[p], low, high) <= before_deepest:
+            outwards = larger(-min_over_box(planes[p] - before[p], low, high), outwards)
+            inwards = larger(max_over_box(planes[p] - before[p], low, high), inwards)
+    narrow = fringe_at(view, min_over_box(view.depth, low, high))
+    wide = fringe_at(view, max_over_box(view.depth, low, high))
     if view.kind == PERSPECTIVE:
         change = view.depth - motion.depth
-        outwards += view.fringe * larger(-min_of(change, low, high), zero)
-        inwards += view.fringe * larger(max_of(change, low, high), zero)
-    known = wp.where(narrow > zero and wide < inf, 1, 0)
+        outwards += view.fringe * larger(-min_over_box(change, low, high), zero)
+        inwards += view.fringe * larger(max_over_box(change, low, high), zero)
+    valid = wp.where(narrow > zero and wide < inf, 1, 0)
     finest = one + view.fade * wp.clamp(-deepest / wide, zero, one)
     coarsest = one + view.fade * wp.clamp(-nearest / narrow, zero, one)
     before_finest = larger(finest - view.fade * outwards / narrow, one)
     fall = larger(one - view.fade * inwards / (narrow * before_finest), zero)
     rise = one + view.fade * outwards / (narrow * before_finest)
     bounds = wp.vec4d(fall * fall, rise * rise, finest * finest, coarsest * coarsest)
-    return wp.cw_mul(bounds, bounds), known
+    return wp.cw_mul(bounds, bounds), valid
 
 
 @wp.func
 def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
-    """Return bounds of the change of pixel footprints in any box of a subtree since it was cached, metres.
+    """Return (lower, upper, valid): bounds of the change of pixel footprints in any box of a subtree, metres.
 
-    Returns (lower, upper, 1 if the bounds are valid). measures_edges: 1 if the criterion limits edges.
+    The change is that since the subtree was cached. measures_edges: 1 if the criterion limits edges. valid: 1, or 0 if
+    nothing is known.
     """
     one = wp.float64(1.0)
     min_growth = wp.float64(0.0)
     max_growth = wp.float64(0.0)
-    known = wp.int32(1)
+    valid = wp.int32(1)
     min_factor = one
     max_factor = one
     gain2 = one
     if view.kind != ORTHOGRAPHIC:
-        min_growth, max_growth, known = change_of(view, motion, subtree.low, subtree.high)
+        min_growth, max_growth, valid = change_of(view, motion, subtree.low, subtree.high)
     if view.max_gain2 > one or motion.max_gain2 > one:
-        min_factor, max_factor, gain2, is_known = span_factors(
+        min_factor, max_factor, gain2, also_valid = span_factors(
             view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
-        known = wp.min(known, is_known)
+        valid = wp.min(valid, also_valid)
     faded = wp.vec4d(one, one, one, one)
-    if subtree.stands == OUTSIDE:
+    if subtree.frustum_class == OUTSIDE:
         gain2 = gain2 * view.off_screen2
-    if subtree.stands == FADED:
-        faded, is_known = fade_change(view, motion, subtree.low, subtree.high)
-        known = wp.min(known, is_known)
+    if subtree.frustum_class == FADED:
+        faded, also_valid = fade_change(view, motion, subtree.low, subtree.high)
+        valid = wp.min(valid, also_valid)
     span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
     fall = motion.ratio * min_factor * faded[0] - one
     rise = motion.ratio * max_factor * faded[1] - one
@@ -289,21 +296,21 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
     margin = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
     min_growth = min_growth * span + smaller(fall * subtree.fine, fall * subtree.coarse) - margin
     max_growth = max_growth * span + larger(rise * subtree.fine, rise * subtree.coarse) + margin
-    return min_growth, max_growth, known
+    return min_growth, max_growth, valid
 
 
 @wp.func
-def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Classify a subtree's box against the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
-    stands = steady_stand_of(view, low, high)
-    if stands == CROSSED and view.fade > wp.float64(0.0):
-        stands = FADED
-    return stands
+def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Return how a subtree's box stands to the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
+    frustum_class = classify_box_steadily(view, low, high)
+    if frustum_class == CROSSED and view.fade > wp.float64(0.0):
+        frustum_class = FADED
+    return frustum_class
 
 
 @wp.func
-def carried(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
-    """Update a subtree's margins for the moved view. Returns the subtree, and 1 if all its verdicts stay the same.
+def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
+    """Return the subtree with its margins updated for the moved view, and 1 if all its verdicts stay the same, else 0.
 
     The subtree's leaves are then copied instead of found again. in_frame: 1 if the frustum is known to contain it.
     """
@@ -313,11 +320,11 @@ def carried(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_fra
     rounded = ROUNDED * subtree.coarse
     if not (subtree.fall > rounded and subtree.rise > rounded and subtree.fine + min_growth > rounded):
         holds = 0
-    if holds == 1 and subtree.stands != FADED:
-        stands = CLEAR
+    if holds == 1 and subtree.frustum_class != FADED:
+        frustum_class = CLEAR
         if in_frame == 0:
-            stands = steady_stand_of(criterion.view, subtree.low, subtree.high)
-        holds = wp.where(stands == subtree.stands, 1, 0)
+            frustum_class = classify_box_steadily(criterion.view, subtree.low, subtree.high)
+        holds = wp.where(frustum_class == subtree.frustum_class, 1, 0)
     if holds == 1:
         subtree.fine = subtree.fine + min_growth
         subtree.coarse = subtree.coarse + max_growth

@@ -41,13 +41,13 @@ TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has m
 
 @wp.func
 def left_state(state: wp.int32) -> wp.int32:
-    """Return the state of the curve in child 0 of a triangle."""
+    """Return the state (3 bits) of the curve in child 0 of a triangle whose state is `state`."""
     return (LEFT_STATES >> (4 * state)) & 7
 
 
 @wp.func
 def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
-    """Return the state of the curve in child 1 of a triangle. cell: the triangle's first deepest cell."""
+    """Return the state (3 bits) of the curve in child 1 of a triangle. cell: the triangle's first deepest cell."""
     s = (RIGHT_STATES >> (4 * state)) & 7
     if cell == wp.uint64(0):
         s = s & 6  # the curve starts on the border: the other half of its entry edge was never passed
@@ -62,9 +62,9 @@ def leaf_word(state: wp.int32, depth: wp.int32) -> wp.uint32:
 
 @wp.func
 def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32) -> wp.bool:
-    """Return whether a triangle has a vertex on the border of its square.
+    """Return whether a triangle has a vertex on the border of its square. All in lattice units.
 
-    corner, side: of the square, lattice units.
+    corner, side: south-west corner and side of the square.
     """
     low = wp.min(wp.min(left, right), apex) - corner
     high = wp.max(wp.max(left, right), apex) - corner
@@ -82,7 +82,10 @@ def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
 
 @wp.func
 def third_edge(state: wp.int32, left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i):
-    """Return the ends of the edge that the curve does not cross: a known vertex, and one that is new if the edge is."""
+    """Return the ends of the edge that the curve does not cross: a known vertex, and one that is new if the edge is.
+
+    state: the curve's state in the triangle. The edge is new if the state's lowest bit is 0.
+    """
     passage = state & 6
     known = left
     if passage == LEG_HYP:
@@ -104,10 +107,11 @@ def border_role(
     columns: wp.int32,
     rows: wp.int32,
 ):
-    """Return the border role of the third edge p - q of a leaf in the square at `corner`, lattice units.
+    """Return the border role (INNER .. TO_CORNER) of a leaf's third edge p - q.
 
-    Squares write their right and upper sides for later squares, which read them as their left and lower sides. side: of
-    the square, lattice units. column, row: of the square. columns, rows: of all squares.
+    Squares write their right and upper sides for later squares, which read them as their left and lower sides. corner,
+    side: south-west corner and side of the leaf's square, lattice units. column, row: its position. columns, rows:
+    numbers of squares.
     """
     role = INNER
     if p[0] == q[0]:

@@ -28,7 +28,7 @@ from .walk_state import Cursor, Square, Walk, Written
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
-    """Count an edge on a side of square q.
+    """Count an edge on a side of square q in `w.sides`.
 
     side: 0 taken from the left, 1 taken from below, 2 given to the right, 3 given above.
     """
@@ -38,9 +38,9 @@ def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
 
 @wp.func
 def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write the edge through which the curve enters a square; returns the first leaf's flags, vertices and edges.
+    """Write the edge through which the curve enters a square; return flags for the first leaf, new vertices, new edges.
 
-    The edge is new, unless the square to the left has it on its right side already.
+    The edge is new, unless the square to the left has it on its right side already. n: the slice's counts so far.
     """
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
@@ -62,7 +62,10 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges."""
+    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges.
+
+    n: the slice's counts so far.
+    """
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # that through which the curve leaves
@@ -96,7 +99,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 
 @wp.func
-def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
+def can_copy_block(w: Walk, q: Square, c: Cursor) -> wp.bool:
     """Return whether all leaves below the cursor's triangle can be copied as one block.
 
     All of them must be in the walk's slice, and none may have special bits. Special are the first and the last leaf of
@@ -110,7 +113,10 @@ def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
 
 @wp.func
 def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp.int32:
-    """Write all leaves below the cursor, which have one depth, from the table; return the number of new vertices."""
+    """Write all leaves below the cursor from the table; return the number of new vertices.
+
+    depth: that of all these leaves. n: the slice's counts so far.
+    """
     bisections = depth - c.depth
     leaves = 1 << bisections
     if n.leaves + wp.int64(leaves) <= w.leaf_capacity:
@@ -123,7 +129,10 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 
 @wp.func
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
-    """Write and count the leaves of a triangle whose verdict is final (LEAF or EVEN_BLOCK); return the new counts."""
+    """Write the leaves below the cursor's triangle if the verdict on it is final (LEAF or EVEN_BLOCK).
+
+    n: the slice's counts so far. Returns the new counts.
+    """
     leaves = wp.int32(0)
     vertices = wp.int32(0)
     edges = wp.int32(0)
@@ -132,7 +141,7 @@ def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.
             leaves = 1
             vertices, edges = emit_leaf(domain, w, q, c, n)
     elif verdict == EVEN_BLOCK:
-        depth = w.intervals[c.held].even_depth
+        depth = w.intervals[c.interval_index].even_depth
         leaves = 1 << (depth - c.depth)
         vertices = emit_block(w, q, c, n, depth)
         edges = leaves + vertices

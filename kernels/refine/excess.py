@@ -59,10 +59,9 @@ class Triangle:
 
 @wp.func
 def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d: Diamond, t: Triangle):
-    """Return the squared finest pixel footprint on a triangle in all views, metres.
+    """Return the squared finest pixel footprint on a triangle in all views, metres; and whether it is nearly constant.
 
-    Also return whether footprints hardly differ in it. of_edges: footprints of edges instead of heights. d: the
-    triangle's diamond.
+    of_edges: footprints of edges instead of heights. d: the triangle's diamond. The footprint is infinite out of view.
     """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -123,7 +122,7 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
     """Return the plane through the surface at a triangle's corners: height at the apex, slopes along x and y.
 
-    See Triangle for units. The legs are perpendicular.
+    Metres before scaling, and metres per lattice unit. The legs are perpendicular.
     """
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base
@@ -158,10 +157,10 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 
 @wp.func
-def measured(
-    domain: Domain, criterion: CriterionArrays, what: wp.int32, tolerance2: wp.float64, tree: Bitfield, t: Triangle
+def with_bound(
+    domain: Domain, criterion: CriterionArrays, quantity: wp.int32, tolerance2: wp.float64, tree: Bitfield, t: Triangle
 ) -> Triangle:
-    """Return the triangle with its upper bound of the quantity `what`, for its leaves or the leaf that contains it.
+    """Return the triangle t with an upper bound of a quantity (FIXED .. METRES) for its leaves, or the leaf around it.
 
     tolerance2: the square of the error that all leaves of the tree keep to unless rounding prevents that.
     """
@@ -175,9 +174,9 @@ def measured(
     if t.depth <= deepest:
         t.fixed = rest_of(domain, d) + domain.source
         t.total = t.fixed
-        if what == ERROR or what == METRES:
+        if quantity == ERROR or quantity == METRES:
             t.total += error_below(domain, t, x, y, deepest)
-    if what == ERROR and domain.bicubic == 0 and domain.detailed == 0:
+    if quantity == ERROR and domain.bicubic == 0 and domain.detailed == 0:
         if t.depth == deepest + 2 * domain.levels - domain.border_depth:  # a leaf, or a triangle of its meshlet
             t.is_drawn = wp.bool(True)
             t.drawn = t.apex
@@ -185,13 +184,13 @@ def measured(
         if t.is_drawn and t.depth > 2 * domain.levels:
             t.total = smaller(t.fixed + distance_from_plane(domain, t) * domain.error_scale, t.total)
     quantity2 = t.total * t.total
-    if what == EDGE or what == AREA:
+    if quantity == EDGE or quantity == AREA:
         long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
-        quantity2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
-    t.is_small = what != FIXED and what != ERROR
+        quantity2 = wp.where(quantity == EDGE, long2, legs2) + d.rise * d.rise
+    t.is_small = quantity != FIXED and quantity != ERROR
     pixel2 = wp.float64(1.0)
-    if what != METRES:
-        pixel2, is_small = finest_seen(domain, criterion, what == EDGE or what == AREA, d, t)
+    if quantity != METRES:
+        pixel2, is_small = finest_seen(domain, criterion, quantity == EDGE or quantity == AREA, d, t)
         t.is_small = t.is_small or is_small
     if t.leaf_depth == ANY:
         # No leaf below has a larger error than the criterion allows. As a part of a footprint that is most where the
@@ -204,9 +203,9 @@ def measured(
 
 @wp.func
 def root_triangle(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp.uint64) -> Triangle:
-    """Return half n of the root squares (two each) as a Triangle of the search.
+    """Return half n (two for each root square) as a Triangle of the search.
 
-    squares: the tree's node for the first square.
+    squares: the tree's node for the first square. leaf_depth: depth of the leaves, or ANY.
     """
     side = wp.int32(1) << domain.unit_bits
     square = n >> 1
@@ -251,7 +250,7 @@ def half_of(t: Triangle, number: wp.int32) -> Triangle:
 def find_largest(
     domain: Domain,
     criterion: CriterionArrays,
-    what: wp.int32,
+    quantity: wp.int32,
     leaf_depth: wp.int32,
     min2: wp.float64,
     tree: Bitfield,
@@ -259,16 +258,16 @@ def find_largest(
     stack: wp.array(dtype=Triangle),
     found: wp.array(dtype=wp.float64),
 ):
-    """Find the largest value of the quantity `what` among leaves at depth `leaf_depth`, or all of the tree.
+    """Find the largest value of a quantity (FIXED .. METRES) among leaves at depth `leaf_depth`, or all leaves (ANY).
 
-    squares: the tree's node for the first square. found: its square, rounded up, and its fixed and total metres (see
-    Triangle); -1 if no square is above `min2`. In the tree, `min2` is the squared tolerance.
+    found: its square, rounded up, and its fixed and total metres (see Triangle); -1 if no square is above `min2`. With
+    ANY, `min2` is the squared tolerance. squares: the tree's node for the first square. stack: scratch.
     """
     bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)
     total = wp.float64(-1.0)
     for n in range(2 * domain.columns * domain.rows):
-        stack[0] = measured(domain, criterion, what, min2, tree, root_triangle(domain, n, leaf_depth, squares))
+        stack[0] = with_bound(domain, criterion, quantity, min2, tree, root_triangle(domain, n, leaf_depth, squares))
         top = wp.int32(0)
         while top >= 0:
             t = stack[top]
@@ -276,12 +275,12 @@ def find_largest(
             if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
                 is_part = t.leaf_depth != ANY and t.depth >= t.leaf_depth
                 if is_part and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
-                    bound2 = t.bound2 * wp.where(what == ERROR, NEARLY_ON_SCREEN, NEARLY)
+                    bound2 = t.bound2 * wp.where(quantity == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed
                     total = t.total
                 else:
-                    a = measured(domain, criterion, what, min2, tree, half_of(t, 0))
-                    b = measured(domain, criterion, what, min2, tree, half_of(t, 1))
+                    a = with_bound(domain, criterion, quantity, min2, tree, half_of(t, 0))
+                    b = with_bound(domain, criterion, quantity, min2, tree, half_of(t, 1))
                     if a.bound2 > b.bound2:
                         stack[top + 1] = b
                         stack[top + 2] = a

@@ -64,14 +64,20 @@ def radius_of(ring: wp.int32) -> wp.float64:
 
 @wp.func
 def nearest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the smallest distance max(|x|, |y|) of a box from the eye at 0, metres."""
+    """Return the smallest distance max(|x|, |y|) of a box from the eye, metres.
+
+    low, high: its corners relative to the eye.
+    """
     across = wp.max(wp.max(low[0], -high[0]), wp.max(low[1], -high[1]))
     return wp.max(across, wp.float64(0.0))
 
 
 @wp.func
 def farthest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the largest distance max(|x|, |y|) of a box from the eye at 0, metres."""
+    """Return the largest distance max(|x|, |y|) of a box from the eye, metres.
+
+    low, high: its corners relative to the eye.
+    """
     return wp.max(wp.max(high[0], -low[0]), wp.max(high[1], -low[1]))
 
 
@@ -121,7 +127,7 @@ def bin_of(side: wp.int32, k: wp.int32) -> wp.int32:
 def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> wp.vec2i:
     """Return the first and the last bin of a side that a box at distance `near` covers; (0, -1) for none.
 
-    low, high: metres from the eye.
+    low, high: corners of the box, metres relative to the eye. near: its least distance max(|x|, |y|), metres.
     """
     reach = reach_on(side, low, high, near)
     found = wp.vec2i(0, -1)
@@ -134,9 +140,10 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
 
 @wp.func
 def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d) -> wp.bool:
-    """Return whether nearer ground hides a box from the eye. low, high: metres in terrain space from the eye.
+    """Return whether nearer ground hides a box from the eye. low, high: the box, metres relative to the eye.
 
-    Every bin that the box meets must be above its highest ray in the last ring before it. slopes: the map of horizons.
+    slopes: the map of horizons. In every bin that the box meets, the entry of the last ring before the box must be
+    above the box's highest ray.
     """
     zero = wp.float64(0.0)
     near = nearest_of(low, high)
@@ -147,12 +154,12 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
         top = wp.where(high[2] > zero, high[2] / near, high[2] / far)
         bottom = wp.where(low[2] > zero, low[2] / far, low[2] / near)
         row = rings.at + (ring + 1) * ROW
-        left = wp.int32(MAX_BINS)
+        bins_left = wp.int32(MAX_BINS)
         side = wp.int32(0)
         while hidden and side < 4:
             bins = bins_of(side, low, high, near)
-            left -= bins[1] - bins[0] + 1
-            hidden = left >= 0
+            bins_left -= bins[1] - bins[0] + 1
+            hidden = bins_left >= 0
             k = bins[0]
             while hidden and k <= bins[1]:
                 hidden = wp.float64(slopes[row + k]) > top and wp.float64(slopes[rings.at + k]) <= bottom
@@ -163,7 +170,7 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
 
 @wp.func
 def ramp_fraction(slope: wp.float64, above: wp.float64, ramp: wp.float64) -> wp.float64:
-    """Return how far `slope` is below `above`, as a fraction of the ramp, clamped to 0 .. 1."""
+    """Return how far `slope` is below the slope `above`, as a fraction of `ramp`, clamped to 0 .. 1."""
     return wp.clamp((above - slope) / ramp, wp.float64(0.0), wp.float64(1.0))
 
 
@@ -173,41 +180,41 @@ def covered(
 ) -> wp.float64:
     """Return how far a box is hidden: 0 (part of it may be visible) to 1 (a slope of `ramp` below the horizon).
 
-    low, high: metres in terrain space from the eye.
+    low, high: the box, metres relative to the eye. slopes: the map of horizons.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     half = wp.float64(BINS / 2)
     near = nearest_of(low, high)
     ring = wp.min(ring_of(near) - rings.first, rings.count - 1)
-    part = zero
+    fraction = zero
     if ring >= 0:
-        part = one
+        fraction = one
         far = farthest_of(low, high)
         top = wp.where(high[2] > zero, high[2] / near, high[2] / far)
         bottom = wp.where(low[2] > zero, low[2] / far, low[2] / near)
         inner = radius_of(rings.first + ring)
         to_come = wp.max(one - (near - inner) / (radius_of(rings.first + ring + 1) - inner), zero)
         row = rings.at + (ring + 1) * ROW
-        left = wp.float64(MAX_BINS)
+        bins_left = wp.float64(MAX_BINS)
         side = wp.int32(0)
-        while part > zero and side < 4:
+        while fraction > zero and side < 4:
             reach = reach_on(side, low, high, near)
             if reach[0] <= reach[1]:
                 middle = wp.float64(side * BINS) + half
                 first = wp.where(is_turned(side), middle - reach[1] * half, middle + reach[0] * half)
                 last = wp.where(is_turned(side), middle - reach[0] * half, middle + reach[1] * half)
-                left -= last - first
-                part = wp.where(left > zero, part, zero)
+                bins_left -= last - first
+                fraction = wp.where(bins_left > zero, fraction, zero)
                 k = wp.int32(first) - 1
-                while part > zero and k <= wp.int32(last) + 1:
+                while fraction > zero and k <= wp.int32(last) + 1:
                     i = k & (ROW - 1)
                     here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - to_come, zero)
                     if ring > 0:  # there is one before it
                         here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), here)
                     here = wp.min(ramp_fraction(wp.float64(slopes[rings.at + i]), bottom, ramp), here)
                     beside = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)
-                    part = wp.min(here + wp.max(beside, zero), part)
+                    fraction = wp.min(here + wp.max(beside, zero), fraction)
                     k += 1
             side += 1
-    return part
+    return fraction

@@ -180,13 +180,16 @@ def min_of_windows(
 
 
 @wp.func
-def steady_min(domain: Domain, blocks: HorizonBlocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
-    """Return a lower bound of the ground, metres, over a lattice rectangle and a border of `grown` units.
+def steady_min(
+    domain: Domain, blocks: HorizonBlocks, margin_units: wp.int32, corner: wp.vec2d, size: wp.vec2d
+) -> wp.float64:
+    """Return a lower bound of the ground, metres, over a lattice rectangle and `margin_units` lattice units around it.
 
-    It is continuous in the rectangle's position: the exact minimum over few bilinear cells, else `min_of_windows`.
+    corner, size: the rectangle's south-west corner and size, lattice units. The bound is continuous in the rectangle's
+    position: the exact minimum over few bilinear cells, else `min_of_windows`.
     """
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    margin = wp.float64(grown + 2)
+    margin = wp.float64(margin_units + 2)
     corner = (corner - wp.vec2d(margin, margin)) / cell
     size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
     longest = wp.max(size[0], size[1])
@@ -207,7 +210,7 @@ def steady_min(domain: Domain, blocks: HorizonBlocks, grown: wp.int32, corner: w
 
 
 @wp.func
-def off_at(
+def max_mesh_offset(
     domain: Domain,
     criterion: CriterionArrays,
     view: LocalView,
@@ -216,10 +219,11 @@ def off_at(
     across2: wp.float64,
     rise: wp.float64,
 ) -> wp.float64:
-    """Bound the height, metres, between mesh and surface at a point, for a mesh that satisfies the criterion.
+    """Return a bound of the height difference, metres, of mesh and surface at a point if the mesh meets the criterion.
 
     relaxed: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise: its
-    height above the eye, metres. reach2: see `reach2_of`. Only error criteria bound this height.
+    height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error criteria
+    bound this height.
     """
     part2 = relaxed * relaxed * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxed * relaxed * criterion.metres2
@@ -239,12 +243,12 @@ def reach2_of(view: LocalView) -> wp.float64:
 
 @wp.func
 def ground_near(
-    domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32
+    domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, margin_units: wp.int32
 ):
-    """Return an upper bound of the ground's height around the eye, metres; infinity if the border is too near.
+    """Return an upper bound of the ground's height, metres, in a square with the eye in its middle.
 
-    The ground is that of a square with the eye (x, y) in its middle, lattice units. `reach`: half of the square's side;
-    infinity is returned if this square crosses the raster's border. `grown`: lattice units to add on each side.
+    x, y: the eye, lattice units. reach: half of the square's side; the result is infinite if the square crosses the
+    raster's border. margin_units: lattice units to add on each side.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
@@ -252,10 +256,10 @@ def ground_near(
     high = wp.float64(wp.inf)
     if x - reach > wp.float64(1.0) and y - reach > wp.float64(1.0):
         if x + reach < east - wp.float64(1.0) and y + reach < north - wp.float64(1.0):
-            x0 = wp.max(wp.int32(x - reach) - 1 - grown, 0)
-            y0 = wp.max(wp.int32(y - reach) - 1 - grown, 0)
-            x1 = wp.int32(wp.min(x + reach + wp.float64(2 + grown), east))
-            y1 = wp.int32(wp.min(y + reach + wp.float64(2 + grown), north))
+            x0 = wp.max(wp.int32(x - reach) - 1 - margin_units, 0)
+            y0 = wp.max(wp.int32(y - reach) - 1 - margin_units, 0)
+            x1 = wp.int32(wp.min(x + reach + wp.float64(2 + margin_units), east))
+            y1 = wp.int32(wp.min(y + reach + wp.float64(2 + margin_units), north))
             if domain.bicubic == 0 and wp.max(x1 - x0, y1 - y0) < 1 << (bits + FINEST):
                 low_h, high_h = heights_between(domain, x0, y0, x1, y1)
                 z = wp.max(low_h * domain.height_scale, high_h * domain.height_scale)
@@ -270,7 +274,11 @@ def ground_near(
 
 @wp.func
 def arc_of(domain: Domain, side: wp.int32, t0: wp.float64, t1: wp.float64):
-    """Return both ends of a bin's arc from the eye, lattice units per metre of radius."""
+    """Return both ends of a bin's arc, relative to the eye, in lattice units per metre of the ring's radius.
+
+    side: side of the square around the eye: 0 east, 1 north, 2 west, 3 south. t0, t1: tangents at which the bin begins
+    and ends along that side.
+    """
     ahead = wp.where(side < 2, wp.float64(1.0), wp.float64(-1.0))
     per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
     per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
@@ -288,13 +296,14 @@ def fill_horizon(
     criterion: CriterionArrays,
     number: wp.int32,
     start: wp.float64,
-    grown: wp.int32,
+    margin_units: wp.int32,
     relaxed: wp.float64,
 ):
-    """Fill bin `offset + tid` of view `number`'s map: its floor, and its slope on every ring.
+    """Write bin `offset + tid` of view `number`'s map of horizons: its floor, and its slope on every ring.
 
-    start: metres, a distance within which nothing may be drawn. grown: size of a leaf at the depth limit, lattice
-    units; such a leaf may exceed the criterion, but its corners are on the surface. relaxed: see `off_at`.
+    start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the depth limit,
+    lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxed: factor on the
+    criterion.
     """
     one = wp.float64(1.0)
     k = offset + wp.tid()
@@ -313,11 +322,11 @@ def fill_horizon(
     y = (view.eye[1] - domain.south) / domain.unit_y
     floor = wp.float64(wp.inf)
     begun = wp.int32(0)
-    high = ground_near(domain, blocks, x, y, start / wp.min(domain.unit_x, domain.unit_y), grown)
+    high = ground_near(domain, blocks, x, y, start / wp.min(domain.unit_x, domain.unit_y), margin_units)
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
-        off = off_at(domain, criterion, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
+        off = max_mesh_offset(domain, criterion, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
         floor = (rise + off) / start
     per0, per1 = arc_of(domain, side, t0, t1)
     max_slope = NOTHING
@@ -332,25 +341,26 @@ def fill_horizon(
         inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
         if inside and begun < 2 and radius >= next_radius:
             next_radius = radius + cell
-            x0 = wp.int32(u0) - 1 - grown
-            y0 = wp.int32(v0) - 1 - grown
+            x0 = wp.int32(u0) - 1 - margin_units
+            y0 = wp.int32(v0) - 1 - margin_units
             x1 = wp.int32(u1) + 2
             y1 = wp.int32(v1) + 2
-            x1 = x1 + wp.min(grown, wp.int32(east) - x1)
-            y1 = y1 + wp.min(grown, wp.int32(north) - y1)
+            x1 = x1 + wp.min(margin_units, wp.int32(east) - x1)
+            y1 = y1 + wp.min(margin_units, wp.int32(north) - y1)
             across2 = radius * radius * slant2
-            if begun == 0:  # the eye is beyond the rim: rays must come in above the ground
+            if begun == 0:  # the eye is outside the raster: rays must come in above the ground
                 begun = 1
                 rise = -min_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
-                floor = (rise + off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
+                floor = (rise + max_mesh_offset(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
             rise = -view.eye[2]
             if view.ramp > wp.float64(0.0):
-                rise += steady_min(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
+                rise += steady_min(domain, blocks, margin_units, wp.vec2d(u0, v0), radius * (per1 - per0))
             else:
                 rise += min_over(domain, blocks, x0, y0, x1, y1, one)
             if rise > max_slope * radius:
                 max_slope = larger(
-                    max_slope, (rise - off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
+                    max_slope,
+                    (rise - max_mesh_offset(domain, criterion, view, reach2, relaxed, across2, rise)) / radius,
                 )
         elif not inside and begun == 1 and max_slope > NOTHING:
             begun = 2

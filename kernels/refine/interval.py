@@ -28,12 +28,12 @@ class Limits:
     error_px: wp.float64
     metres_below: wp.float64
     metres_above: wp.float64
-    finer: wp.float64  # on squared spans of a pixel: as fine as they may become
-    coarser: wp.float64  # ... as coarse
-    per_error2: wp.float64  # squared spans of a pixel per squared metre at which a diamond is split
+    finer: wp.float64  # factor on squared footprints: the finest that they may become
+    coarser: wp.float64  # ... the coarsest
+    per_error2: wp.float64  # squared footprint per squared metre of error at which a diamond is split
     per_edge2: wp.float64
     per_area2: wp.float64
-    edge2: wp.float64  # squared edges, and twice the areas, per squared span of a pixel
+    edge2: wp.float64  # squared edges, and twice the areas, per squared footprint
     area2: wp.float64
 
 
@@ -48,8 +48,8 @@ class MeasuredDiamond:
     error_m: wp.float64  # stored error, metres
     rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # see `metres2_of`
-    long2: wp.float64  # of level triangles, see `sizes`
-    legs2: wp.float64
+    long2: wp.float64  # squared longest edge of a level triangle, metres of camera space
+    legs2: wp.float64  # ... and twice its area
     climb2: wp.float64  # how far edges climb, squared metres
     verdict: wp.int32  # SPLIT or LEAF, as the walk judges it
 
@@ -62,7 +62,7 @@ class LodInterval:
     leaf_up_to: wp.float64  # metres: a stored error up to this never requires a split
     split_depth: wp.int32  # edges require a split at smaller depths
     leaf_depth: wp.int32  # edges require none from this depth on; both end one below the deepest leaves
-    calm: wp.int32  # 1: no error below requires a split, so depths alone decide
+    depths_decide: wp.int32  # 1: no error below requires a split, so depths alone decide
     even_depth: wp.int32  # depth of all leaves below; 0: depths may differ
     in_frame: wp.int32  # 1: the frustums of all views contain the box
 
@@ -216,8 +216,8 @@ def interval_below(
         )
     if criterion.measures_edges == 1:
         interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, m.edge2 * limits.finer)
-        interval.calm = wp.int32(m.error_m <= interval.leaf_up_to)
-    if interval.calm == 1 and interval.leaf_depth == depth + 1:  # whatever the coarsest pixel is
+        interval.depths_decide = wp.int32(m.error_m <= interval.leaf_up_to)
+    if interval.depths_decide == 1 and interval.leaf_depth == depth + 1:  # whatever the coarsest pixel is
         interval.split_above = wp.float64(wp.inf)
         interval.split_depth = depth + 1
         interval.in_frame = in_frame
@@ -233,6 +233,6 @@ def interval_below(
                 coarse, depth, max_depth + 1, m, wp.float64(0.0), edge2 * limits.coarser
             )
         interval.in_frame = inside
-    if interval.calm == 1 and interval.split_depth == interval.leaf_depth:
+    if interval.depths_decide == 1 and interval.split_depth == interval.leaf_depth:
         interval.even_depth = wp.min(interval.leaf_depth, max_depth)
     return interval

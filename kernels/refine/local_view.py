@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A view in terrain space, and where a box is relative to its frustum.
 
-All functions are monotone, also in rounded arithmetic: a box inside another one is at least as far inside each plane.
+`low`, `high`: corners of a box, metres in terrain space. All functions are monotone, also in rounded arithmetic: a box
+inside another one is at least as far inside each plane.
 """
 
 import warp as wp
@@ -47,8 +48,8 @@ class LocalView:
 
 
 @wp.func
-def max_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the largest plane . (x, y, z, 1) in a box."""
+def max_over_box(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the largest value of plane . (x, y, z, 1) in a box, whose corners are low and high."""
     found = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
     found += larger(plane[1] * low[1], plane[1] * high[1])
     found += larger(plane[2] * low[2], plane[2] * high[2])
@@ -56,8 +57,8 @@ def max_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def min_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the smallest plane . (x, y, z, 1) in a box."""
+def min_over_box(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the smallest value of plane . (x, y, z, 1) in a box, whose corners are low and high."""
     found = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
     found += smaller(plane[1] * low[1], plane[1] * high[1])
     found += smaller(plane[2] * low[2], plane[2] * high[2])
@@ -73,7 +74,7 @@ def max_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     inside = wp.float64(wp.inf)
     planes = view.planes  # here, or Warp copies all of them for each
     for p in range(view.plane_count):
-        inside = smaller(max_of(planes[p], low, high), inside)
+        inside = smaller(max_over_box(planes[p], low, high), inside)
     return inside
 
 
@@ -86,38 +87,38 @@ def min_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     inside = wp.float64(wp.inf)
     planes = view.planes
     for p in range(view.plane_count):
-        inside = smaller(min_of(planes[p], low, high), inside)
+        inside = smaller(min_over_box(planes[p], low, high), inside)
     return inside
 
 
 @wp.func
-def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
-    """Classify a box against the frustum.
+def classify_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
+    """Return how a box, with the corners low and high, stands to the frustum: CLEAR, OUTSIDE or CROSSED.
 
     CLEAR: the frustum contains it. OUTSIDE: it is more than `beyond` metres outside a plane. CROSSED: neither is known.
     """
     zero = wp.float64(0.0)
-    stand = CLEAR
+    frustum_class = CLEAR
     if min_inside(view, low, high) < zero:
-        stand = CROSSED
+        frustum_class = CROSSED
         if max_inside(view, low, high) + beyond < zero:
-            stand = OUTSIDE
-    return stand
+            frustum_class = OUTSIDE
+    return frustum_class
 
 
 @wp.func
-def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
-    """Return the width, metres, of the fringe beyond a plane at a depth."""
+def fringe_at(view: LocalView, depth: wp.float64) -> wp.float64:
+    """Return the width, metres, of the fringe beyond a frustum plane at a depth (metres)."""
     wide = view.fringe
     if view.kind == PERSPECTIVE:
-        wide = wide * larger(deep, wp.float64(0.0))
+        wide = wide * larger(depth, wp.float64(0.0))
     return wide
 
 
 @wp.func
-def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Classify a box against the frustum as `stand_of` does; a box in the fringe is CROSSED, too."""
+def classify_box_steadily(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Return how a box stands to the frustum and its fringe: CLEAR, OUTSIDE of both, or CROSSED, also in the fringe."""
     beyond = wp.float64(0.0)
     if view.fade > beyond:
-        beyond = fringe_at(view, max_of(view.depth, low, high))
-    return stand_of(view, low, high, beyond)
+        beyond = fringe_at(view, max_over_box(view.depth, low, high))
+    return classify_box(view, low, high, beyond)

@@ -3,13 +3,26 @@
 
 Footprints are coarser outside the frustum and on hidden ground. Boxes are nested, and all functions are monotone, also
 in rounded arithmetic: no footprint on a child's box is finer than on its parent's.
+
+`low`, `high`: corners of a box, metres in terrain space. Range: distance from the eye in metres of camera space; in a
+perspective the depth, or the distance times the smallest cosine in the frame if that is larger. Slant: share of a
+height that the view sees. Gain: factor by which footprints of heights are coarser than those of edges.
 """
 
 import warp as wp
 
 from .diamond import Diamond, larger, smaller
 from .hiding import Rings, covered, is_hidden
-from .local_view import ORTHOGRAPHIC, PERSPECTIVE, LocalView, fringe_at, max_inside, max_of, min_inside, min_of
+from .local_view import (
+    ORTHOGRAPHIC,
+    PERSPECTIVE,
+    LocalView,
+    fringe_at,
+    max_inside,
+    max_over_box,
+    min_inside,
+    min_over_box,
+)
 
 
 @wp.struct
@@ -52,22 +65,23 @@ def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
-    """Return the squared depth (perspective) or distance, metres of camera space, of a point.
+def range2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, depth: wp.float64) -> wp.float64:
+    """Return the squared range of a point: its distance from the eye, or its depth in a perspective, metres.
 
-    dx, dy, dz: metres from the eye. deep: its depth. In the frame a depth is at least the distance times a cosine.
+    dx, dy, dz: metres from the eye in terrain space. depth: the point's depth, metres. In the frame a depth is at least
+    the distance times a cosine, which bounds it from below.
     """
-    far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
-    far2 = larger(far2, view.near2)
+    range2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
+    range2 = larger(range2, view.near2)
     if view.kind == PERSPECTIVE:
-        ahead = larger(deep, wp.float64(0.0))
-        far2 = larger(ahead * ahead, far2 * view.cosine2)
-    return far2
+        ahead = larger(depth, wp.float64(0.0))
+        range2 = larger(ahead * ahead, range2 * view.cosine2)
+    return range2
 
 
 @wp.func
 def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Return the smallest and the largest value of row . (x, y) in a rectangle."""
+    """Return the smallest and the largest value of row . (x, y) in the rectangle with the corners low and high."""
     lower = smaller(row[0] * low[0], row[0] * high[0]) + smaller(row[1] * low[1], row[1] * high[1])
     upper = larger(row[0] * low[0], row[0] * high[0]) + larger(row[1] * low[1], row[1] * high[1])
     return wp.vec2d(lower, upper)
@@ -75,13 +89,16 @@ def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
 
 @wp.func
 def sizes_of(ends: wp.vec2d) -> wp.vec2d:
-    """Return the smallest and the largest absolute value of numbers between two ends."""
+    """Return the smallest and the largest absolute value of the numbers between ends[0] and ends[1]."""
     return wp.vec2d(larger(larger(ends[0], -ends[1]), wp.float64(0.0)), larger(ends[1], -ends[0]))
 
 
 @wp.func
 def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Return the smallest and the largest squared slant times depth in a box, over the frame's largest slant."""
+    """Return the smallest and the largest squared slant times depth in a box, relative to the frame's largest slant.
+
+    slant_x, slant_y: rows of LocalView. eye, low, high: metres.
+    """
     near = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
     far = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
     x = sizes_of(ends_of(slant_x, near, far))
@@ -90,54 +107,54 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 
 
 @wp.func
-def gain2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints of heights are coarser than those of edges.
+def gain2_at(view: LocalView, range2: wp.float64, slants2: wp.float64) -> wp.float64:
+    """Return the squared factor by which footprints of heights are coarser than those of edges, at least 1.
 
-    far2: squared depth or distance. slants2: squared product of slant and depth. A height e at depth z and slant s
-    moves a point by f e s / z pixels. s is clamped to the shading floor and to the largest slant in the frame.
+    range2: squared range. slants2: squared product of slant and depth. A height e at depth z and slant s moves a point
+    by f e s / z pixels. s is clamped to the shading floor and to the largest slant in the frame.
     """
-    return larger(smaller(far2 / slants2, view.max_gain2), wp.float64(1.0))
+    return larger(smaller(range2 / slants2, view.max_gain2), wp.float64(1.0))
 
 
 @wp.func
-def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return the smallest squared distance from the eye to a box; of a perspective the squared depth.
+def min_range2(view: LocalView, low: wp.vec3d, high: wp.vec3d, min_depth: wp.float64) -> wp.float64:
+    """Return the squared smallest range of a box: its distance from the eye, or its depth in a perspective, metres.
 
-    deep: smallest depth in the box.
+    min_depth: the smallest depth in the box, metres. The heights of the box may be off by `view.unsure` metres.
     """
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
     dz = larger(larger(low[2] - view.eye[2], view.eye[2] - high[2]) - view.unsure, zero)
-    return far2_at(view, dx, dy, dz, deep)
+    return range2_at(view, dx, dy, dz, min_depth)
 
 
 @wp.func
-def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the largest squared depth (perspective) or distance in a box, metres of camera space: see `far2_at`.
+def max_range2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the squared largest range of a box: its distance from the eye, or its depth in a perspective, metres.
 
-    `view.unsure`: metres by which heights in the box may be off.
+    The heights of the box may be off by `view.unsure` metres.
     """
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
     dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure
-    return far2_at(view, dx, dy, dz, max_of(view.depth, low, high))
+    return range2_at(view, dx, dy, dz, max_over_box(view.depth, low, high))
 
 
 @wp.func
-def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64):
-    """Return the squared finest footprints of heights and of edges anywhere in a box, metres.
+def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, min_depth: wp.float64):
+    """Return the squared finest footprints of heights and of edges, metres, anywhere in a box.
 
-    deep: its smallest depth.
+    min_depth: the smallest depth in the box, metres.
     """
     edge2 = view.pixel2
     gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
-        far2 = nearest_far2(view, low, high, deep)
-        edge2 = view.pixel2 * far2
+        range2 = min_range2(view, low, high, min_depth)
+        edge2 = view.pixel2 * range2
         if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
-            gain2 = gain2_at(view, far2, slants2[1])
+            gain2 = gain2_at(view, range2, slants2[1])
     return edge2 * gain2, edge2
 
 
@@ -147,11 +164,11 @@ def farthest_pixel2(view: LocalView, d: Diamond):
     edge2 = view.pixel2
     gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
-        far2 = farthest_far2(view, d.low, d.high)
-        edge2 = view.pixel2 * far2
+        range2 = max_range2(view, d.low, d.high)
+        edge2 = view.pixel2 * range2
         if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, d.low, d.high)
-            gain2 = gain2_at(view, far2, slants2[0])
+            gain2 = gain2_at(view, range2, slants2[0])
     return edge2 * gain2, edge2
 
 
@@ -159,9 +176,9 @@ def farthest_pixel2(view: LocalView, d: Diamond):
 def cover_of(
     rings: Rings, ramp: wp.float64, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d
 ) -> wp.float64:
-    """Return how much nearer ground hides a box, 0 .. 1; with a ramp it grows gradually.
+    """Return how far nearer ground hides a box, 0 .. 1: gradually over `ramp`, a slope, or at once if that is 0.
 
-    low, high: of the box, metres from the eye. slopes: map of horizons.
+    low, high: the box, metres relative to the eye. slopes: the map of horizons.
     """
     part = wp.float64(0.0)
     if ramp > part:
@@ -173,9 +190,9 @@ def cover_of(
 
 @wp.func
 def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints are coarser on ground that is hidden to the degree `part`, above 0.
+    """Return the squared factor by which footprints are coarser on ground of which the fraction `part` (> 0) is hidden.
 
-    hidden2: the factor of wholly hidden ground, squared. occlusion_fade: see LocalView.
+    hidden2: the squared factor of wholly hidden ground. occlusion_fade: how fast the factor grows, as in LocalView.
     """
     coarser2 = hidden2
     if part < wp.float64(1.0):
@@ -187,14 +204,14 @@ def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.flo
 
 
 @wp.func
-def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
+def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
     """Return the squared factor by which footprints are coarser outside the frustum, within and beyond its fringe.
 
-    inner: metres inside the nearest plane, below 0. deep: depth, metres. The factor falls as either of them rises, also
-    in rounded arithmetic.
+    inner: metres inside the nearest plane, below 0. depth: metres. The factor falls as either of them rises, also in
+    rounded arithmetic.
     """
     coarser2 = view.off_screen2
-    outer = inner + fringe_at(view, deep)
+    outer = inner + fringe_at(view, depth)
     if outer > wp.float64(0.0):
         one = wp.float64(1.0)
         factor = one + view.fade / (one - outer / inner)
@@ -215,12 +232,12 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
     if in_frame == 0:
         inner = max_inside(view, d.low, d.high)
         if inner < zero:
-            coarser2 = faded2(view, inner, max_of(view.depth, d.low, d.high))
+            coarser2 = faded2(view, inner, max_over_box(view.depth, d.low, d.high))
     if view.rings.count > 0 and coarser2 < view.hidden2:
         part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if part > zero:
             coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, part), coarser2)
-    pixel2, edge2 = nearest_pixel2(view, d.low, d.high, min_of(view.depth, d.low, d.high))
+    pixel2, edge2 = nearest_pixel2(view, d.low, d.high, min_over_box(view.depth, d.low, d.high))
     return pixel2 * coarser2, edge2 * coarser2
 
 
@@ -236,7 +253,7 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
         outer = min_inside(view, d.low, d.high)
         if outer < wp.float64(0.0):
             inside = 0
-            coarser2 = faded2(view, outer, min_of(view.depth, d.low, d.high))
+            coarser2 = faded2(view, outer, min_over_box(view.depth, d.low, d.high))
     if view.rings.count > 0:
         coarser2 = larger(coarser2, view.hidden2)
     pixel2, edge2 = farthest_pixel2(view, d)
@@ -263,8 +280,9 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """Compute the minima of `coarsest_in` over all views; and 1 if the frustums of all views contain the diamond.
+    """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside a diamond's.
 
+    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
     They are infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
     so none is certain to be split.
     """

@@ -5,9 +5,9 @@ import warp as wp
 
 from ..unchecked import copy_codes, copy_items
 from .block import MAX_BISECTIONS
-from .coherence import Subtree, carried, stands_of
+from .coherence import Subtree, frustum_class_of, update_margins
 from .diamond import smaller
-from .emit import stands_alone
+from .emit import can_copy_block
 from .interval import DOUBT, REUSED, Limits, LodInterval, MeasuredDiamond, rise_to_turn, too_coarse
 from .local_view import CLEAR, CROSSED
 from .pixels import CriterionArrays, coarsest
@@ -70,7 +70,7 @@ def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, poin
         r.point_runs[entry].before = subtree.first_vertex
         r.point_runs[entry].count = wp.int64(subtree.vertices)
         r.point_runs[entry].coarse = subtree.coarse
-        r.point_runs[entry].clear_below = wp.where(subtree.stands == CLEAR, subtree.depth, NOT_CLEAR)
+        r.point_runs[entry].clear_below = wp.where(subtree.frustum_class == CLEAR, subtree.depth, NOT_CLEAR)
         r.same[entry].first = leaf
         r.same[entry].count = subtree.leaves
         r.same[entry].depth = subtree.depth
@@ -90,7 +90,7 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
 
 @wp.func
 def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
-    """Limit the margins of the open subtree: by how much footprints may fall and rise while it stays valid, metres."""
+    """Limit the margins of the open subtree: footprints may fall and rise by at most `fall` and `rise` metres."""
     entry = wp.int64(slot) * r.room + r.cursor[slot].count
     r.cached[entry].fall = smaller(r.cached[entry].fall, fall)
     r.cached[entry].rise = smaller(r.cached[entry].rise, rise)
@@ -109,7 +109,9 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
         while r.cursor[k].cell < at or (r.cursor[k].cell == at and r.cursor[k].depth < c.depth):
             move_cursor(r, k, r.cursor[k].next)
         if r.cursor[k].cell == at and r.cursor[k].depth == c.depth:
-            subtree, holds = carried(criterion, r.motion, r.last_cached[r.cursor[k].next], w.intervals[c.held].in_frame)
+            subtree, holds = update_margins(
+                criterion, r.motion, r.last_cached[r.cursor[k].next], w.intervals[c.interval_index].in_frame
+            )
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
@@ -129,7 +131,7 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
 
 @wp.func
 def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Written:
-    """Add the subtree that was reused last to the counts, if the verdict is REUSED; return the counts."""
+    """Return the counts n plus those of the subtree that was reused last, if the verdict is REUSED."""
     sizes = wp.vec3i()
     if verdict == REUSED:
         sizes = r.cursor[slot].sizes
@@ -141,9 +143,9 @@ def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Wri
 
 @wp.func
 def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
-    """Return whether a subtree may begin at this triangle, so that its diamond must be measured.
+    """Return whether a cached subtree may begin at the cursor's triangle, so that its diamond must be measured.
 
-    None begins above a subtree that the last frame has cached.
+    None begins inside an open subtree, nor above one that the last frame has cached.
     """
     k = w.slot
     found = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room and c.depth < w.max_depth
@@ -167,7 +169,7 @@ def open_subtree(
     """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
 
     m: its diamond. interval: the one below it. n: numbers that the slice has written so far. Margins begin at the slack
-    of the interval's verdicts; `note_turning` narrows them, and `close_subtree` completes the entry.
+    of the interval's verdicts; `narrow_margins` narrows them, and `close_subtree` completes the entry.
     """
     k = w.slot
     opens = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room
@@ -177,8 +179,8 @@ def open_subtree(
         )
         opens = has_few_levels or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
-        stands = stands_of(criterion.view, m.diamond.low, m.diamond.high)
-        if stands_alone(w, q, c):
+        frustum_class = frustum_class_of(criterion.view, m.diamond.low, m.diamond.high)
+        if can_copy_block(w, q, c):
             r.cursor[k].end = q.base + c.cell + size_of(w, c.depth)
             r.cursor[k].before = n
             r.cursor[k].stopped_before = w.counts[4 * k + STOPPED]
@@ -189,7 +191,7 @@ def open_subtree(
             footprint = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))
             r.cached[entry].cell = q.base + c.cell
             r.cached[entry].depth = c.depth
-            r.cached[entry].stands = stands
+            r.cached[entry].frustum_class = frustum_class
             r.cached[entry].low = m.diamond.low
             r.cached[entry].high = m.diamond.high
             r.cached[entry].fine = footprint
@@ -199,8 +201,8 @@ def open_subtree(
 
 
 @wp.func
-def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
-    """Limit the open subtree's margins to footprints at which measured diamond m gets the same verdict."""
+def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
+    """Limit the open subtree's margins to footprints at which the measured diamond m gets the same verdict."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         away = rise_to_turn(limits, m)
@@ -226,7 +228,7 @@ def close_subtree(w: Walk, r: Reuse, at: wp.uint64, n: Written):
         r.cached[entry].first_leaf = w.leaf_base + before.leaves
         r.cached[entry].first_vertex = w.leaf_base + before.vertices
         r.cached[entry].stopped = wp.int32(w.counts[4 * k + STOPPED])
-        if r.cached[entry].stands != CROSSED:
+        if r.cached[entry].frustum_class != CROSSED:
             r.cursor[k].count = r.cursor[k].count + wp.int64(1)
         r.cursor[k].end = NOWHERE
         w.counts[4 * k + STOPPED] = w.counts[4 * k + STOPPED] | r.cursor[k].stopped_before

@@ -29,10 +29,9 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 
 @wp.func
 def enter(w: Walk, q: Square) -> Cursor:
-    """Start at the first of a square's two halves and push the other on the stack; both are in doubt.
+    """Return a cursor at the first of a square's two halves, with the other half on the stack; both are in doubt.
 
-    An entry of `aside` packs the triangle's curve state, its depth and the entry of its interval: 3, 6 and the other
-    bits.
+    An entry of `aside` packs a triangle's curve state (3 bits), its depth (6 bits) and the entry of its interval.
     """
     entry = w.slot * STACK
     x0 = q.corner[0]
@@ -43,7 +42,7 @@ def enter(w: Walk, q: Square) -> Cursor:
     c.right = wp.vec2i(x0 + q.side, y0)
     c.state = LEG_HYP
     c.depth = 1
-    c.held = entry
+    c.interval_index = entry
     c.top = 1
     w.stack[entry] = wp.vec4i(x0 + q.side, y0 + q.side, x0, y0 + q.side)
     w.aside[entry] = HYP_LEG | (1 << 3) | (entry << 9)
@@ -77,7 +76,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         if c.cell + half > q.start:
             entry = w.slot * STACK + c.top
             put(w.stack, entry, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
-            put(w.aside, wp.int64(entry), right_state(c.state, c.cell) | (c.depth << 3) | (c.held << 9))
+            put(w.aside, wp.int64(entry), right_state(c.state, c.cell) | (c.depth << 3) | (c.interval_index << 9))
             c.top = c.top + 1
             c.state = left_state(c.state)
             c.right = c.apex
@@ -98,7 +97,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
             packed = item_at(w.aside, at)
             c.state = packed & 7
             c.depth = (packed >> 3) & 63
-            c.held = packed >> 9
+            c.interval_index = packed >> 9
     return c
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from .diamond import Diamond, larger, smaller
-from .local_view import CROSSED, OUTSIDE, PERSPECTIVE, LocalView, min_of, stand_of
+from .local_view import CROSSED, OUTSIDE, PERSPECTIVE, LocalView, classify_box, min_over_box
 from .pixels import farthest_pixel2, nearest_pixel2
 
 # A part of a leaf is small enough if squared pixel footprints differ by less than the first factor in it; at the
@@ -56,7 +56,10 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
 def box_between(
     domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
 ) -> Diamond:
-    """Cut a diamond's box to a lattice rectangle, and inside a bilinear cell to the surface's heights there."""
+    """Return the part of a diamond's box over a lattice rectangle, in a bilinear cell with the surface's heights there.
+
+    d: the box. depth: the diamond's depth.
+    """
     box = Diamond()
     low = d.low[2]
     high = d.high[2]
@@ -114,16 +117,16 @@ def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
     """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
-    stand = stand_of(view, d.low, d.high, wp.float64(0.0))
-    if stand != OUTSIDE:
-        deep = min_of(view.depth, d.low, d.high)
+    frustum_class = classify_box(view, d.low, d.high, wp.float64(0.0))
+    if frustum_class != OUTSIDE:
+        min_depth = min_over_box(view.depth, d.low, d.high)
         if view.kind == PERSPECTIVE:
-            deep = larger(min_depth_in(view, d), deep)
-        pixel2, edge2 = nearest_pixel2(view, d.low, d.high, deep)
+            min_depth = larger(min_depth_in(view, d), min_depth)
+        pixel2, edge2 = nearest_pixel2(view, d.low, d.high, min_depth)
         coarse2, coarse_edge2 = farthest_pixel2(view, d)
         if of_edges:
             pixel2 = edge2
             coarse2 = coarse_edge2
-        if stand == CROSSED:
+        if frustum_class == CROSSED:
             coarse2 = coarse2 * ONE_SPAN / ONE_SPAN_CROSSED
     return pixel2, coarse2

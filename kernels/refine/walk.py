@@ -13,7 +13,7 @@ import warp as wp
 from ..field.domain import Domain
 from .block import MAX_BISECTIONS
 from .diamond import fetch_range, leaves_range_tile
-from .emit import emit, stands_alone
+from .emit import can_copy_block, emit
 from .interval import (
     DOUBT,
     EVEN_BLOCK,
@@ -34,7 +34,7 @@ from .reuse import (
     count_reused,
     end_reuse,
     may_begin_subtree,
-    note_turning,
+    narrow_margins,
     open_subtree,
     reuse_subtree,
 )
@@ -52,24 +52,25 @@ NARROWED = wp.constant(2)
 def judge(
     domain: Domain, criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written
 ):
-    """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the interval for its children.
+    """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the index of its children's interval.
 
-    The interval from above decides if it can; otherwise the diamond is measured, unless its other triangle was just
-    before this one, and gives a new interval.
+    The index is that in `w.intervals`. w, q, c: the walk, its square and its cursor. r: subtrees of the last frame. n:
+    the slice's counts so far. The interval from above decides if it can; otherwise the diamond is measured, unless its
+    other triangle was just before this one. A measured diamond and its interval are stored in `w`.
     """
     middle = middle_of(c)
-    above = w.intervals[c.held]
-    held = c.held
+    above = w.intervals[c.interval_index]
+    interval_index = c.interval_index
     error = wp.float32(0.0)  # where depths alone decide, errors need not be read
     min_error = wp.float64(1.0)
-    if above.calm == 0:
+    if above.depths_decide == 0:
         error = stored_error_at(domain, middle[0], middle[1], c.depth)
         if may_be_less(domain, c.depth):
             min_error = SURE
     error_m = wp.float64(error) * domain.error_scale
     verdict = predict(above, c.depth, min_error * error_m, error_m)
     if c.depth < w.max_depth:
-        narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
+        narrows = above.depths_decide == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         narrows = narrows and above.leaf_depth - c.depth > NARROWED
         if (narrows and verdict == SPLIT) or may_begin_subtree(w, r, q, c):
             verdict = DOUBT
@@ -89,28 +90,28 @@ def judge(
                 )
         verdict = w.diamonds[here].verdict
         if verdict == SPLIT and c.depth < w.max_depth:
-            held = here
+            interval_index = here
             open_subtree(criterion, w, r, q, c, w.diamonds[here], w.intervals[here], n)
-        note_turning(criterion, limits, w, r, w.diamonds[here])
+        narrow_margins(criterion, limits, w, r, w.diamonds[here])
     if c.depth == w.max_depth and verdict == SPLIT:
         w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF
-    bisections = w.intervals[held].even_depth - c.depth
+    bisections = w.intervals[interval_index].even_depth - c.depth
     if verdict == SPLIT and bisections > 0 and bisections <= MAX_BISECTIONS:
-        if stands_alone(w, q, c):
+        if can_copy_block(w, q, c):
             verdict = EVEN_BLOCK
-            if w.intervals[held].leaf_depth > w.max_depth:
+            if w.intervals[interval_index].leaf_depth > w.max_depth:
                 w.counts[4 * w.slot + STOPPED] = wp.int64(1)
-    return verdict, held
+    return verdict, interval_index
 
 
 @wp.func
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
     """Prefetch the errors or height ranges of a triangle's grandchildren, one step ahead."""
-    interval = w.intervals[c.held]
+    interval = w.intervals[c.interval_index]
     x = (c.left[0] + c.right[0]) >> 1
     y = (c.left[1] + c.right[1]) >> 1
-    if interval.calm == 0 and leaves_tile(domain, c.depth + 1):
+    if interval.depths_decide == 0 and leaves_tile(domain, c.depth + 1):
         fetch_ahead(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
         fetch_ahead(domain, (c.apex[0] + x) >> 1, (c.apex[1] + y) >> 1, c.depth + 2)
         fetch_ahead(domain, (c.right[0] + x) >> 1, (c.right[1] + y) >> 1, c.depth + 2)
@@ -138,10 +139,10 @@ def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
         c = enter(w, q)
         while c.top >= 0 and n.leaves <= w.leaf_limit:
             verdict = reuse_subtree(criterion, w, r, q, c, n)
-            held = c.held
+            interval_index = c.interval_index
             if verdict != REUSED:
-                verdict, held = judge(domain, criterion, limits, w, r, q, c, n)
-            c.held = held
+                verdict, interval_index = judge(domain, criterion, limits, w, r, q, c, n)
+            c.interval_index = interval_index
             n = emit(domain, w, q, c, n, verdict)
             n = count_reused(r, w.slot, n, verdict)
             if verdict == SPLIT:

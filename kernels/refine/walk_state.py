@@ -66,5 +66,5 @@ class Cursor:
     cell: wp.uint64  # its first deepest cell, in the square
     state: wp.int32  # of the curve
     depth: wp.int32
-    held: wp.int32  # entry of the interval
+    interval_index: wp.int32  # index in `Walk.intervals` of the interval for it
     top: wp.int32  # triangles on the stack; -1: the slice or the square has ended

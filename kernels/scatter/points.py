@@ -13,8 +13,8 @@ from ..field.domain import Domain
 from ..field.holes import is_whole
 from ..field.noise import scramble
 from ..mesh.displace import surface_at
-from .seams import PER_RANK, Pattern, drawn_for, shift_of, shifted, unhindered
-from .seen import Views, wanted_at
+from .seams import PER_RANK, Pattern, seam_density, shift_of, shifted, tile_hash
+from .seen import Views, density_of_views
 
 UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16 sides of a tile
 RANKS = wp.constant(wp.int64(16384))
@@ -51,11 +51,11 @@ class CandidateArrays:
 
 @wp.struct
 class Chosen:
-    """Candidates in view, run by run: indices, ranks and sizes from 0 to 1 (`grown`)."""
+    """Candidates in view, run by run: indices, ranks and sizes from 0 to 1 (`scale`)."""
 
     which: wp.array(dtype=wp.int32)
     rank: wp.array(dtype=wp.int32)
-    grown: wp.array(dtype=wp.float32)
+    scale: wp.array(dtype=wp.float32)
     counts: wp.array(dtype=wp.int32)  # of each run
 
 
@@ -102,9 +102,9 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
 
 @wp.func
 def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
-    """Return the lattice coordinate nearest to `units`, clamped to one unit outside the raster.
+    """Return the lattice coordinate nearest to a position in lattice units, clamped to one unit outside the raster.
 
-    samples: along that axis.
+    samples: number of them along that axis.
     """
     end = wp.float64((samples - 1) << (domain.unit_bits - domain.levels)) + wp.float64(1.0)
     return wp.int32(wp.floor(wp.clamp(units, wp.float64(-1.0), end) + wp.float64(0.5)))
@@ -121,9 +121,10 @@ def place_candidates(
     runs: wp.array(dtype=CandidateRun),
     candidates: CandidateArrays,
 ):
-    """Write position, normal and density of the candidates of runs begin .. end - 1, at the nearest lattice points.
+    """Write position, unit normal and density of the candidates of runs begin .. end - 1.
 
-    Density is 1, less at seams of tiles, and 0 where there is no ground.
+    A candidate is moved to the nearest lattice point. Density is 1, less at seams of tiles, and 0 where there is no
+    ground. valid: 0 for missing samples, empty without holes.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -143,7 +144,7 @@ def place_candidates(
             normal = wp.vec3f(0.0, 0.0, 1.0)
             density = wp.float32(0.0)
             if is_ground(domain, valid, p):
-                density = wp.float32(unhindered(pattern, run.tile_x, run.tile_y, rank, q))
+                density = wp.float32(seam_density(pattern, run.tile_x, run.tile_y, rank, q))
                 g = surface_at(domain, p)
                 if displacement.count > 0:
                     g = with_detail(domain, displacement, p, g)
@@ -170,10 +171,11 @@ def choose(
     candidates: CandidateArrays,
     chosen: Chosen,
 ):
-    """List the candidates of runs whose rank is below GROWING times the density of views at their positions.
+    """Write to `chosen` the candidates of runs begin .. end - 1 that views want, with their sizes.
 
-    A point has size 0 at that limit and its full size where its rank is below the density. The factor is the same for
-    all ranks, so that the last ones do not appear all at once where the density reaches 1.
+    A candidate is wanted if its rank is below GROWING times the density at its position. It has size 0 at that limit
+    and its full size where its rank is below the density. The factor is the same for all ranks, so that the last ones
+    do not appear all at once where the density reaches 1.
     """
     for t in range(begin, end):
         run = runs[t]
@@ -186,12 +188,12 @@ def choose(
             if density > r:
                 p = candidates.positions[at]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-                want = density * wanted_at(views, p3, run.clear)
+                want = density * density_of_views(views, p3, run.clear)
                 if want > r:
                     s = wp.min((want - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
                     chosen.which[n] = at
                     chosen.rank[n] = rank
-                    chosen.grown[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))
+                    chosen.scale[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))
                     n += 1
         chosen.counts[t] = n - run.out
 
@@ -227,7 +229,7 @@ def fill_points(
     for t in range(begin, end):
         run = runs[t]
         tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)
-        row = drawn_for(style.seed, run.tile_x, run.tile_y)
+        row = tile_hash(style.seed, run.tile_x, run.tile_y)
         for k in range(chosen.counts[t]):
             n = first[t] + k
             at = chosen.which[run.out + k]
@@ -237,7 +239,7 @@ def fill_points(
             vary = wp.float32(wp.int32(other)) * 4.656612873077393e-10  # -1 .. 1
             points.positions[n] = candidates.positions[at]
             points.normals[n] = candidates.normals[at]
-            points.size[n] = style.size * (1.0 + style.variation * vary) * chosen.grown[run.out + k]
+            points.size[n] = style.size * (1.0 + style.variation * vary) * chosen.scale[run.out + k]
             points.id[n] = tile * RANKS + wp.int64(rank)
             points.variant[n] = wp.int32(drawn >> wp.uint32(1))
             turn = wp.int32(scramble(other) >> wp.uint32(22))

@@ -35,15 +35,15 @@ class Pattern:
 
 
 @wp.func
-def drawn_for(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
-    """Return a random number for tile (x, y)."""
+def tile_hash(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
+    """Return a random number for tile (x, y), the same in every call with this seed."""
     return scramble(scramble(wp.uint32(y) + seed) + wp.uint32(x))
 
 
 @wp.func
 def shift_of(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.vec2i:
     """Return the shift of the pattern in tile (x, y) to the east and north, eighths of its side."""
-    drawn = wp.int32(drawn_for(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
+    drawn = wp.int32(tile_hash(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
     return wp.vec2i(drawn & ((1 << SHIFT_BITS) - 1), drawn >> SHIFT_BITS)
 
 
@@ -72,7 +72,7 @@ def distance_outside(at: wp.int32) -> wp.int32:
 def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, limit: wp.float64) -> wp.float64:
     """Return the squared distance from q to the nearest point of a tile with a rank below `ranks`, at most `limit`.
 
-    All in units of the tile. shift: of the pattern in that tile, eighths of a side.
+    Lengths are in units of the tile. shift: displacement of the pattern in that tile, eighths of a side.
     """
     nearest = limit
     bits = UNIT_BITS - SQUARE_BITS
@@ -95,8 +95,8 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
 
 
 @wp.func
-def unhindered(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
-    """Return the density factor of the point of a rank at q in tile (x, y).
+def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
+    """Return the density factor, 0 .. 1, of a point at q (units of the tile) with this rank in tile (x, y).
 
     It is 1, less if points of other tiles are too near for its rank, and 0 if they are so for all ranks.
     """

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..refine.diamond import larger
 from ..refine.hiding import is_hidden
-from ..refine.local_view import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, max_inside, stand_of
+from ..refine.local_view import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, classify_box, max_inside
 
 
 @wp.struct
@@ -28,23 +28,23 @@ class Views:
 
 
 @wp.func
-def density_at_distance(full2: wp.float64, far2: wp.float64) -> wp.float64:
-    """Return the density at squared distance far2: 1 up to full2, then falling with the square of the distance."""
-    return wp.where(far2 > full2, full2 / far2, wp.float64(1.0))
+def density_at_distance(full2: wp.float64, distance_squared: wp.float64) -> wp.float64:
+    """Return the density at a squared distance (metres): 1 up to `full2`, then falling in proportion to it."""
+    return wp.where(distance_squared > full2, full2 / distance_squared, wp.float64(1.0))
 
 
 @wp.func
 def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
-    """Return the squared distance of the offset (x, y, z) from the eye in camera space; 0 for parallel rays."""
-    far2 = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
-    return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), far2)
+    """Return the squared distance of the offset (x, y, z) from the eye, metres of camera space; 0 for parallel rays."""
+    distance_squared = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
+    return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), distance_squared)
 
 
 @wp.func
-def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the density that a view wants at a point p (metres) in its frame with the margin; 0 elsewhere.
+def density_by_view(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
+    """Return the density that one view wants at point p (metres): 0 outside its frame with the margin.
 
-    full2: see Views. clear: 1 if p is known to be in the frame.
+    full2: squared distance up to which the density is 1. clear: 1 if p is known to be in the frame.
     """
     inside = wp.float64(0.0)
     if clear == 0:
@@ -56,35 +56,38 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
 
 
 @wp.func
-def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
+def density_of_views(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
     """Return the largest density that a view wants at point p (metres); 1 without views.
 
-    clear: 1 if the frame surely contains p, see `wanted_by`.
+    clear: 1 if p is known to be in the frame of the only view.
     """
     want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
     for v in range(views.count):
-        want = larger(want, wanted_by(views.full2, views.views[v], p, clear))
+        want = larger(want, density_by_view(views.full2, views.views[v], p, clear))
     return want
 
 
 @wp.func
-def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
-    """Return bounds (high, low) of the density in a box; low is 0 if a frame ends in it or ground may hide a part."""
+def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
+    """Return bounds (upper, lower) of the density in a box, which is `low` .. `high`, metres.
+
+    The lower bound is 0 if a frame ends in the box or ground may hide a part of it.
+    """
     zero = wp.float64(0.0)
     high_density = wp.where(views.count == 0, wp.float64(1.0), zero)
     low_density = high_density
     seen = wp.bool(views.count == 0)
     for v in range(views.count):
         view = views.views[v]
-        stand = stand_of(view, low, high, wp.float64(0.0))
-        if stand != OUTSIDE:
+        frustum_class = classify_box(view, low, high, wp.float64(0.0))
+        if frustum_class != OUTSIDE:
             a = low - view.eye
             b = high - view.eye
             seen = seen or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
-            near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
+            near_squared = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
-            high_density = larger(high_density, density_at_distance(views.full2, near2))
-            if stand == CLEAR and view.rings.count == 0:
-                far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
-                low_density = larger(low_density, density_at_distance(views.full2, far2))
+            high_density = larger(high_density, density_at_distance(views.full2, near_squared))
+            if frustum_class == CLEAR and view.rings.count == 0:
+                distance_squared = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
+                low_density = larger(low_density, density_at_distance(views.full2, distance_squared))
     return wp.where(seen, high_density, zero), low_density

@@ -7,7 +7,7 @@ from ..field.domain import Domain
 from ..field.layout import Depth, entry
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .seen import Views, wanted_over
+from .seen import Views, density_bounds
 
 # Relative to the largest coordinate, more than the rounding of positions to float32 and to the lattice.
 ROUNDING = wp.constant(wp.float64(1e-6))
@@ -62,7 +62,7 @@ def density_range(
     numbers: wp.array(dtype=wp.vec2i),
     wanted: wp.array(dtype=wp.vec2d),
 ):
-    """Write the bounds (high, low) of the density that views want in square numbers[offset + tid].
+    """Write the bounds (upper, lower) of the density that views want in square numbers[offset + tid].
 
     They are 0 outside the raster. east, north: border of the raster, metres.
     """
@@ -80,7 +80,7 @@ def density_range(
         z0 = low * domain.height_scale + domain.height_offset
         z1 = high * domain.height_scale + domain.height_offset
         beside = ROUNDING * (wp.abs(z0) + wp.abs(z1))
-        high_density, low_density = wanted_over(
+        high_density, low_density = density_bounds(
             views,
             wp.vec3d(x0 - more, y0 - more, smaller(z0, z1) - beside),
             wp.vec3d(x1 + more, y1 + more, larger(z0, z1) + beside),

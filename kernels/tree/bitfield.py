@@ -89,7 +89,7 @@ def bits_below(bit: wp.int32) -> wp.uint64:
 
 @wp.func
 def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
-    """List a word whose counter has to be summed again; only once, whichever thread comes first."""
+    """List a word whose counter has to be summed again, once, whichever thread comes first. level: the word's level."""
     count = t.counts[slot]
     if count != CHANGED:
         if compare_exchange(t.counts, slot, count, CHANGED) == count:
@@ -146,7 +146,7 @@ def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.in
 def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
     """Return the leaf that begins at a bit of a word; it ends at the word's next set bit.
 
-    slot, level: of the word. cell: the leaf's first cell. number: of the leaf.
+    slot, level: the word's slot and level. cell: the leaf's first cell. number: the leaf's number.
     """
     next_bit = wp.min(lowest_bit(t.words[slot] & ~bits_below(bit + 1)), 1 << wp.min(t.max_depth - WORD_BITS * level, 6))
     leaf = TreeLeaf()
@@ -158,7 +158,7 @@ def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cel
 
 @wp.func
 def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
-    """Return leaf `number`, counted along the curve. It descends by the counters, in O(depth)."""
+    """Return leaf `number`, counted along the curve. The search descends by the counters, in O(depth)."""
     slot = wp.int32(ROOT)
     level = t.top
     cell = wp.uint64(0)
@@ -180,7 +180,10 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
 
 @wp.func
 def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
-    """Return the leaf that contains a cell. It descends to the last set bit at or before the cell, in O(depth)."""
+    """Return the leaf that contains a cell.
+
+    The search descends to the last set bit at or before the cell, in O(depth).
+    """
     slot = wp.int32(ROOT)
     level = t.top
     number = wp.int32(0)

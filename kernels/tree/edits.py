@@ -20,9 +20,9 @@ def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
 
 @wp.func
 def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
-    """Split a node; return whether another thread or an earlier kernel has.
+    """Split a node; return whether it was split already, by another thread or an earlier kernel.
 
-    Threads may split one node at once, and nodes below it.
+    Threads may split one node at once, and nodes below it. Nothing is split where the pool of pages is full.
     """
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)

@@ -30,7 +30,7 @@ def spans_of_boxes(
         d = Diamond()
         d.low = boxes[2 * k]
         d.high = boxes[2 * k + 1]
-        in_frame = wp.where(subtree.stands == FADED, 0, 1)
+        in_frame = wp.where(subtree.frustum_class == FADED, 0, 1)
         heights2, edges2 = finest_in(before, asked.slopes, d, in_frame)
         heights_now2, edges_now2 = finest_in(asked.view, asked.slopes, d, in_frame)
         spans[k, 0] = wp.sqrt(heights2)

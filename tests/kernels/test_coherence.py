@@ -172,10 +172,10 @@ def spans_kernel():
     return load("refine.spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
 
 
-@pytest.mark.parametrize("stands", [CLEAR, FADED])
+@pytest.mark.parametrize("frustum_class", [CLEAR, FADED])
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])
 @pytest.mark.parametrize("measures_edges", [0, 1])
-def test_footprints_in_a_box_change_within_the_bound(kind, stands, measures_edges, spans_kernel):
+def test_footprints_in_a_box_change_within_the_bound(kind, frustum_class, measures_edges, spans_kernel):
     """Check the finest footprint on 2,000 boxes inside each of 300 after the camera has moved, turned and zoomed, in
     the frame and across its fringe."""
     criterion = Criterion(morph=SMOOTH)
@@ -201,7 +201,7 @@ def test_footprints_in_a_box_change_within_the_bound(kind, stands, measures_edge
         asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
         asked.measures_edges = measures_edges
         move(motion, *local, drift=0.0)
-        subtree.low, subtree.high, subtree.stands = low, high, stands
+        subtree.low, subtree.high, subtree.frustum_class = low, high, frustum_class
         inner = np.sort(rng.uniform(low, high, (2_000, 2, 3)), axis=1)
         inner[0] = low, high
         boxes = wp.array(inner.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
@@ -218,7 +218,7 @@ def test_footprints_in_a_box_change_within_the_bound(kind, stands, measures_edge
             rounded = 1e-8 * before.max()
             assert (now - before).min() >= least - rounded and (now - before).max() <= most + rounded
             narrow.append((most - least) / max(np.ptp(now - before), 1e-3 * before.min()))
-    assert len(narrow) > 200 and (stands == FADED or np.median(narrow) < 5.0)
+    assert len(narrow) > 200 and (frustum_class == FADED or np.median(narrow) < 5.0)
 
 
 def test_subtrees_in_the_fringe_are_reused():

@@ -125,7 +125,7 @@ def place_legs(
     "const int* v = corner_verts.data + 3 * t; return (near.data[v[0]] | near.data[v[1]] | near.data[v[2]]) != 0;"
 )
 def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype=wp.int32), t: wp.int32) -> wp.bool:
-    """Return whether `near` is set for any of the three vertices of triangle t."""
+    """Return whether `near` is set for any of the three vertices of triangle t, which are in `corner_verts`."""
     ...
 
 

@@ -169,7 +169,7 @@ def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
 
 @wp.func
 def toward_zero(value: wp.float64) -> wp.float32:
-    """Round to a float32 that is not larger in magnitude, so that no measurement is overstated."""
+    """Return a value as the nearest float32 that is not larger in magnitude, so that no measurement is overstated."""
     single = wp.float32(value)
     if wp.abs(wp.float64(single)) > wp.abs(value):
         single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)
@@ -203,10 +203,10 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 def covers(
     f: MeasuredFacet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
 ) -> wp.bool:
-    """Return whether the triangle owns the point (x, y).
+    """Return whether the triangle owns the point (x, y): it contains the point, or moved off a shared edge it would.
 
-    A point on a shared edge has one owner, by the shift that `shift_of` gives. x, y: units that are `finer` times
-    finer than lattice units.
+    x, y: units that are `finer` times finer than lattice units. shift_x, shift_y: 1 or -1, the direction in which a
+    point on an edge is moved, so that it has one owner.
     """
     inside = f.area2 > wp.int64(0)
     for k in range(3):
@@ -250,9 +250,9 @@ def differences(
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
-    """Write mesh less reference at every sample that triangles first .. end - 1 own, metres.
+    """Write mesh less reference, metres, to `difference` at every sample that triangles first .. end - 1 own.
 
-    Write the largest magnitude to worst[t].
+    Write the largest magnitude of triangle t to worst[t].
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

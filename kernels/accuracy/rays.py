@@ -133,7 +133,7 @@ def height_above_patch(ground: Reference, ray: SightRay, i: wp.int32, j: wp.int3
 def bisect_crossing(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ) -> wp.float64:
-    """Return the t at which the ray crosses the surface between `first` and `last`, by bisection.
+    """Return the t at which the ray crosses the surface in cell (i, j), between `first` and `last`, by bisection.
 
     side: 1 if the ray is above the surface at `first`, -1 if below; at `last` it is on the other side.
     """

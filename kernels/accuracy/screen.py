@@ -159,7 +159,7 @@ def visibility(
     eye: Eye,
     state: wp.array(dtype=wp.uint8),
 ):
-    """Write for each sample of a row whether it is OUTSIDE the frame, VISIBLE or HIDDEN.
+    """Write to `state` for each sample of a row whether it is OUTSIDE the frame, VISIBLE or HIDDEN.
 
     The thread works on row first_row + offset + tid.
     """
@@ -204,7 +204,7 @@ def point_errors(
 
 @wp.func
 def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> SightRay:
-    """Return the ray through a point of the frame in pixels from its middle; t is depth, of a panorama distance.
+    """Return the ray through point (x, y) of the frame, pixels from its middle; its t is depth, of a panorama distance.
 
     A panorama's frame is assumed to be equirectangular.
     """

@@ -19,7 +19,7 @@ def cover_sides(
 ):
     """Raise the error of cell `offset + tid` to half the largest curvature of the cell and its four neighbours, metres.
 
-    So the error also bounds triangles whose longest edge is a side of the cell.
+    So the error also bounds triangles whose longest edge is a side of the cell. errors, curvatures: by cells.
     """
     p = diamond(cells, offset + wp.int64(wp.tid()))
     at = entry(cells, p[0], p[1])
@@ -73,7 +73,8 @@ def keep_rows(
 ):
     """Copy the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, to the raster's.
 
-    part: layout of `values`. whole: layout of `out`.
+    part: layout of `values`. whole: layout of `out`, by diamonds of the raster. corner: the window's first diamond
+    there.
     """
     y = first[1] + offset + wp.tid()
     for k in range(columns):
@@ -95,7 +96,11 @@ def encode_rows(
     group: int,
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Do the same as `keep_rows`, but write codes of a group of `table`."""
+    """Encode the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, for the raster.
+
+    values: errors in metres, with the layout `part`. codes: those of the raster, with the layout `whole`. corner: the
+    window's first diamond in the raster. table, group: metres of the codes, and the group of this depth.
+    """
     y = first[1] + offset + wp.tid()
     for k in range(columns):
         x = first[0] + k

@@ -37,7 +37,10 @@ def chord(p: wp.vec4d) -> wp.vec4d:
 
 @wp.func
 def off_chord(p: wp.vec4d) -> wp.vec2d:
-    """Return the two inner control heights of the cubic less its chord from p1 to p2; the outer two are 0."""
+    """Return the two inner control heights of the cubic less its chord from p1 to p2; the outer two are 0.
+
+    p: four samples in a row.
+    """
     two = wp.float64(2.0)
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec2d((two * p[1] - p[0] - p[2]) * sixth, (two * p[2] - p[1] - p[3]) * sixth)
@@ -45,7 +48,10 @@ def off_chord(p: wp.vec4d) -> wp.vec2d:
 
 @wp.func
 def slopes(p: wp.vec4d) -> wp.vec3d:
-    """Return the three control values of the cubic's first derivative between p1 and p2, metres a cell."""
+    """Return the three control values of the cubic's first derivative between p1 and p2, metres a cell.
+
+    p: four samples in a row.
+    """
     half = wp.float64(0.5)
     middle = wp.float64(2.0) * (p[2] - p[1]) - half * (p[1] - p[0]) - half * (p[3] - p[2])
     return wp.vec3d(half * (p[2] - p[0]), middle, half * (p[3] - p[1]))
@@ -53,7 +59,10 @@ def slopes(p: wp.vec4d) -> wp.vec3d:
 
 @wp.func
 def second_derivatives(p: wp.vec4d) -> wp.vec2d:
-    """Return the two control values of the cubic's second derivative between p1 and p2, metres a square cell."""
+    """Return the two control values of the cubic's second derivative between p1 and p2, metres a square cell.
+
+    p: four samples in a row.
+    """
     near = (p[1] - p[0]) - (p[2] - p[1])
     far = (p[2] - p[1]) - (p[3] - p[2])
     two = wp.float64(2.0)

@@ -11,9 +11,9 @@ from ..unchecked import item_at
 
 @wp.func
 def with_detail(domain: Domain, layers: PackedLayers, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
-    """Add the height and gradient (metres a cell) of the displacement layers at a lattice point to `g`.
+    """Return height and gradient `g` of the surface at lattice point p with those of the displacement layers added.
 
-    g: height and gradient of the surface there, before scaling.
+    g: metres before scaling, and metres a cell.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding is level

@@ -52,7 +52,10 @@ def surface(g: Occluder, x: wp.float64, y: wp.float64):
 
 @wp.func
 def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp.int32):
-    """Convert metres to cells from the first sample, clamped to 0 .. `cells`; 0 for NaN."""
+    """Return a position in metres as cells from the first sample, clamped to 0 .. `cells`; 0 for NaN.
+
+    origin: the first sample's position, metres. step: metres between samples.
+    """
     at = (metres - origin) / step
     return wp.where(at >= wp.float64(0.0), wp.min(at, wp.float64(cells)), wp.float64(0.0))
 

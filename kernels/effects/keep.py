@@ -180,7 +180,10 @@ def copy_runs(
     run_count: int,
     pairs: wp.array(dtype=Pair),
 ):
-    """Copy the last surface's values of all quantities to points first .. end - 1 that are in a run."""
+    """Copy the last surface's values of all quantities to points first .. end - 1 that are in a run.
+
+    runs: (first point, first point of the last surface, count); the first `run_count` entries. pairs: the arrays.
+    """
     for p in range(pairs.shape[0]):
         pair = pairs[p]
         for k in range(run_count):

@@ -104,7 +104,7 @@ def fade(t: wp.float32) -> wp.float32:
 
 @wp.func
 def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
-    """Return value noise at (x, y), -1 .. 1, with a lattice spacing of 1."""
+    """Return value noise at (x, y), -1 .. 1, with a lattice spacing of 1; another seed gives other noise."""
     column = wp.floor(x)
     row = wp.floor(y)
     i = wp.uint32(wp.int64(column))
@@ -141,7 +141,10 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
 
 @wp.func
 def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v: wp.float64) -> wp.float32:
-    """Interpolate an image bilinearly between pixel centres; u, v: 0 .. 1 over the image."""
+    """Return a rule's image at (u, v), 0 .. 1 over the image, bilinearly between the centres of its pixels.
+
+    images: pixels of all images.
+    """
     x = wp.clamp(u * wp.float64(r.columns) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.columns - 1))
     y = wp.clamp(v * wp.float64(r.rows) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.rows - 1))
     i = wp.int32(x)

@@ -102,9 +102,9 @@ def diagonal_inside(
 
 @wp.func
 def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Depth, p: wp.vec2i) -> wp.float32:
-    """Return the largest value of the up to four children of diamond p.
+    """Return the largest of the `values` of the up to four children of diamond p.
 
-    finer, coarser: depths of the children and of p.
+    finer, coarser: layouts of the depths of the children and of p.
     """
     largest = wp.float32(0.0)
     for k in range(4):
@@ -214,9 +214,9 @@ def side_errors(
 
 @wp.kernel
 def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Write a quarter of the twist of each cell of row `offset + tid`: its largest distance from two triangles.
+    """Write to `errors` a quarter of the twist, metres, of each cell of row `offset + tid`; 0 if a sample is NaN.
 
-    It is 0 if a sample is NaN.
+    It is the largest distance of the bilinear cell from its two triangles.
     """
     h = measured.floats
     cy = offset + wp.tid()
@@ -232,7 +232,7 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
 
 @wp.kernel
 def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise each cell of row `offset + tid` to at least `part` of its western and eastern neighbours.
+    """Raise each cell of row `offset + tid` in `errors` to at least `part` of its western and eastern neighbours.
 
     One pass goes east, one back west, so a value reaches all cells, times `part` for each step.
     """

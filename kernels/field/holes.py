@@ -26,7 +26,10 @@ def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j:
 
 @wp.kernel
 def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: Depth, kinds: wp.array(dtype=wp.uint8)):
-    """Write whether each cell of row `offset + tid` is GROUND or a HOLE: one with an invalid sample."""
+    """Write to `kinds` whether each cell of row `offset + tid` is GROUND, or a HOLE because a sample is invalid.
+
+    valid: 0 for invalid samples. width: samples in a row. cells: layout of `kinds` by cells.
+    """
     cy = offset + wp.tid()
     for cx in range(width - 1):
         put(kinds, entry(cells, cx, cy), wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE))

@@ -10,7 +10,7 @@ import warp as wp
 
 @wp.func
 def scramble(value: wp.uint32):
-    """Return an integer hash (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
+    """Return an integer hash of `value` (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
     x = value
     x = (x ^ (x >> wp.uint32(16))) * wp.uint32(0x7FEB352D)
     x = (x ^ (x >> wp.uint32(15))) * wp.uint32(-0x7B935975)  # 0x846CA68B: literals are int32

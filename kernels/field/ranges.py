@@ -26,7 +26,10 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
 
 @wp.func
 def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Return a small q in 0 .. 65535 with base + q * step >= z; z is not above base + 65535 * step."""
+    """Return a small code q in 0 .. 65535 with base + q step >= z; z is not above base + 65535 step.
+
+    per_step: 1 / step.
+    """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q < 65535 and base + wp.float64(q) * step < z:
         q = q + 1
@@ -45,6 +48,7 @@ def finest_ranges(
     """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
     They cover all samples in the diamonds' boxes, or the nearest, and so the finer diamonds that overlap the next cell.
+    Code q stands for base + q step metres. finest: layout of `ranges`.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
@@ -94,7 +98,10 @@ def patches_around(
 
 @wp.kernel
 def unite_children(offset: wp.int64, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Compute the range of diamond `offset + tid` as the union of those of its up to four children."""
+    """Write the range of diamond `offset + tid` to `ranges`: the union of those of its up to four children.
+
+    finer, coarser: layouts of the depths of the children and of the diamond.
+    """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))

@@ -24,7 +24,7 @@ def place_vertices(
 ):
     """Write the lattice position of vertex `offset + tid`, and restore height and state from the mesh before.
 
-    heights, states: by `vertex_index`, from `store_heights`.
+    positions: metres, of which heights are replaced. heights, states: by `vertex_index`, from `store_heights`.
     """
     v = offset + wp.tid()
     d = m.domain
@@ -49,9 +49,9 @@ def place_vertices(
 
 @wp.kernel
 def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
-    """Write the neighbours of all triangles, and one triangle of each vertex.
+    """Write to m the neighbours of all triangles, and one triangle of each vertex.
 
-    One thread. side [E]: scratch, -1 before.
+    One thread. corner_edges: the edge from each corner to the next. side [E]: scratch, -1 before.
     """
     for c in range(3 * triangles):
         m.first[m.corner_verts[c]] = c / 3

@@ -133,7 +133,7 @@ def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
 
 @wp.func
 def put_on_surface(m: FitMesh, v: wp.int32):
-    """Move a vertex to the height of the surface."""
+    """Move vertex v to the height of the surface at its lattice point."""
     d = m.domain
     m.z[v] = wp.float32(surface_height(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
 
@@ -180,7 +180,7 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
 
 @wp.func
 def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
-    """Bisect a triangle and those that a conforming mesh requires; raise the codes of their diamonds to RAISED.
+    """Bisect triangle t and those that a conforming mesh requires; raise the codes of their diamonds to RAISED.
 
     `size`: numbers of triangles and vertices; returns the new ones. New vertices are samples, on the surface. New
     triangles are marked.

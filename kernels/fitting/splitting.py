@@ -67,7 +67,10 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
 
 @wp.func
 def _spread_excess(m: FitMesh, count: int):
-    """Write to each vertex the largest excess over the bound of the listed triangles around it, metres."""
+    """Write to each vertex the largest excess, metres over the bound, of the `count` listed triangles around it.
+
+    It is stored in the vertex' sum of pushes, which is not needed then.
+    """
     for k in range(count):
         t = m.active[k]
         over = m.worst[t] - m.bound

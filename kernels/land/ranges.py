@@ -52,7 +52,7 @@ def walls(d: wp.float64) -> wp.float64:
 
 @wp.func
 def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return 1 in the bed of side valleys about `length` apart, 0 on the spurs between them."""
+    """Return 1 in the bed of side valleys about `length` metres apart, 0 on the spurs between them. x, y: metres."""
     n = noise(x / length, y / length, seed)[2]
     bed = wp.max(wp.float64(1.0) - wp.float64(2.2) * wp.abs(n), wp.float64(0.0))
     return bed * bed * (wp.float64(3.0) - wp.float64(2.0) * bed)

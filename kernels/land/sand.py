@@ -44,7 +44,7 @@ def fast_angle(c: wp.float32, s: wp.float32) -> wp.float32:
 
 @wp.func
 def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
-    """Return phase (turns, 0 .. 1) and coherence (0 .. 1) of phasor noise: waves of length 1 along x."""
+    """Return phase (turns, 0 .. 1) and coherence (0 .. 1) of phasor noise at (x, y): waves of length 1 along x."""
     u = x * wp.float64(0.5)
     v = y * wp.float64(0.33)
     i = wp.floor(u)

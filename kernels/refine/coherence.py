@@ -301,7 +301,10 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
 
 @wp.func
 def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Return how a subtree's box stands to the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
+    """Return how the box low .. high of a subtree stands to the frustum: CLEAR, OUTSIDE, FADED, or CROSSED.
+
+    FADED: a part or all of it is in the fringe. CROSSED: it cannot be cached.
+    """
     frustum_class = classify_box_steadily(view, low, high)
     if frustum_class == CROSSED and view.fade > wp.float64(0.0):
         frustum_class = FADED

@@ -73,7 +73,10 @@ def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.v
 
 @wp.func
 def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
-    """Return the far end of the edge by which the curve enters a triangle; that edge begins at its left vertex."""
+    """Return the far end of the edge by which the curve enters a triangle with this state and these corners.
+
+    The edge begins at the triangle's left vertex.
+    """
     end = apex
     if (state & 6) == HYP_LEG:
         end = right

@@ -49,9 +49,9 @@ def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: w
 
 @wp.kernel
 def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.array(dtype=wp.float32)):
-    """Write the lowest and the negated highest height of each smallest block of row `offset + tid`, rounded outwards.
+    """Write to `min_height` the lowest and the negated highest height of each smallest block of row `offset + tid`.
 
-    wide: blocks in a row.
+    They are rounded outwards. wide: blocks in a row.
     """
     j = (offset + wp.tid()) << FINEST
     beside = (wp.int32(1) << FINEST) - 1
@@ -88,7 +88,7 @@ def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.i
 def min_over(
     domain: Domain, blocks: HorizonBlocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
-    """Return the minimum of sign * height in a lattice rectangle, metres after scaling.
+    """Return the minimum of sign * height, metres after scaling, in the lattice rectangle (x0, y0) .. (x1, y1).
 
     sign: 1 for the lowest height, -1 for the negated highest.
     """
@@ -113,7 +113,7 @@ def min_over(
 
 @wp.func
 def to_scaled(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
-    """Convert a minimum of the raster's heights to one of the displaced surface, metres after scaling.
+    """Convert `min_height`, a minimum of the raster's heights, to one of the displaced surface, metres after scaling.
 
     sign: 1 for a minimum of heights, -1 for one of negated heights.
     """
@@ -132,9 +132,9 @@ def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
 
 @wp.func
 def min_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
-    """Return the minimum of up * height, metres before scaling, over a rectangle in cells.
+    """Return the minimum of up * height, metres before scaling, in the rectangle low .. high, in cells.
 
-    In each cell the minimum is at a corner of the intersection of cell and rectangle.
+    In each cell the minimum is at a corner of the intersection of cell and rectangle. up: 1 or -1.
     """
     min_height = wp.float64(wp.inf)
     for j in range(wp.int32(low[1]), wp.int32(high[1]) + 2):

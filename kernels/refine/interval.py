@@ -98,7 +98,7 @@ def measure_diamond(
     error: wp.float32,
     in_frame: wp.int32,
 ) -> MeasuredDiamond:
-    """Return the diamond split at (x, y) as all views see it: footprints, error and edge lengths.
+    """Return the diamond at `depth` that is split at (x, y) as all views see it: footprints, error and edge lengths.
 
     error: stored error, metres before scaling. in_frame: 1 if all frustums are known to contain its box.
     """
@@ -157,9 +157,9 @@ def unknown_interval() -> LodInterval:
 
 @wp.func
 def predict(interval: LodInterval, depth: wp.int32, min_error: wp.float64, error_m: wp.float64) -> wp.int32:
-    """Predict the verdict on a diamond below, whose stored error is from `min_error` to `error_m` metres.
+    """Return the verdict on a diamond at `depth` below an interval: SPLIT, LEAF, or DOUBT if it must be measured.
 
-    SPLIT and LEAF are certain; DOUBT means that the diamond must be measured.
+    min_error, error_m: limits of the diamond's stored error, metres.
     """
     verdict = wp.int32(LEAF)
     if depth < interval.split_depth or min_error > interval.split_above:

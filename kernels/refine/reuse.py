@@ -27,7 +27,10 @@ LAST_LEVELS = wp.constant(6)  # levels above the deepest leaves in which a subtr
 
 @wp.func
 def move_cursor(r: Reuse, slot: wp.int32, after: wp.int64):
-    """Move a slice's cursor to the subtree that follows entry `after` in the last frame's lists; -1 for the first."""
+    """Move the cursor of slice `slot` to the subtree that follows entry `after` in the last frame's lists.
+
+    after: -1 for the first subtree.
+    """
     i = after + wp.int64(1)
     last_slot = wp.int32(i / r.last_room)
     while last_slot < r.last_slots and i - wp.int64(last_slot) * r.last_room >= r.last_counts[last_slot]:
@@ -43,7 +46,7 @@ def move_cursor(r: Reuse, slot: wp.int32, after: wp.int64):
 
 @wp.func
 def begin_reuse(r: Reuse, slot: wp.int32):
-    """Start a slice's cursor at the first subtree of the last frame, with empty lists for the next frame."""
+    """Start the cursor of slice `slot` at the first subtree of the last frame, with empty lists for the next frame."""
     r.cursor[slot] = ReuseCursor()
     r.cursor[slot].end = NOWHERE
     move_cursor(r, slot, wp.int64(-1))
@@ -90,7 +93,7 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
 
 @wp.func
 def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
-    """Limit the margins of the open subtree: footprints may fall and rise by at most `fall` and `rise` metres."""
+    """Limit the margins of slice `slot`'s open subtree: footprints may fall by `fall` and rise by `rise` metres."""
     entry = wp.int64(slot) * r.room + r.cursor[slot].count
     r.cached[entry].fall = smaller(r.cached[entry].fall, fall)
     r.cached[entry].rise = smaller(r.cached[entry].rise, rise)

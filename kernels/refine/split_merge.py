@@ -43,9 +43,10 @@ def decide(
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):
-    """Write an order for leaf `offset + tid`: a node to split, MERGE plus a node whose children to merge, or 0.
+    """Write to orders[k] the order for leaf k = offset + tid: a node to split, MERGE plus a node, or 0.
 
-    max_depth: largest number of bisections of a square; deeper leaves are merged.
+    MERGE plus a node merges the children of that node. max_depth: largest number of bisections of a square; deeper
+    leaves are merged.
     """
     k = offset + wp.tid()
     tree_id = heap_id_of(t, decode_leaf(t, k))
@@ -72,7 +73,7 @@ def decide(
 
 @wp.kernel
 def carry_out(offset: wp.int32, t: Bitfield, grid: SquareGrid, orders: wp.array(dtype=wp.uint64)):
-    """Carry out the order of leaf `offset + tid`: split a node or merge its children."""
+    """Carry out orders[offset + tid], from `decide`: split a node, merge the children of one, or nothing."""
     order = orders[offset + wp.tid()]
     if order >= MERGE:
         merge(t, order - MERGE)

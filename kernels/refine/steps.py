@@ -103,7 +103,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
 
 @wp.func
 def put_results(w: Walk, n: Written, end: wp.uint64):
-    """Write a slice's counts of leaves, vertices and edges, and the cell after its last leaf."""
+    """Write a slice's counts n of leaves, vertices and edges, and `end`, the cell after its last leaf."""
     w.ends[w.slot] = end
     w.counts[4 * w.slot] = n.leaves
     w.counts[4 * w.slot + 1] = n.vertices

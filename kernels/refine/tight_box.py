@@ -56,9 +56,9 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
 def box_between(
     domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
 ) -> Diamond:
-    """Return the part of a diamond's box over a lattice rectangle, in a bilinear cell with the surface's heights there.
+    """Return the part of a diamond's box over the lattice rectangle (x0, y0) .. (x1, y1).
 
-    d: the box. depth: the diamond's depth.
+    Inside a bilinear cell it has the surface's heights there. d: the box. depth: the diamond's depth.
     """
     box = Diamond()
     low = d.low[2]

@@ -64,7 +64,7 @@ def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found:
 
 @wp.func
 def distance_outside(at: wp.int32) -> wp.int32:
-    """Return by how many units a coordinate is outside its tile; 0 inside."""
+    """Return by how many units the coordinate `at` is outside its tile, which has 2^UNIT_BITS; 0 inside."""
     return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
 
 

@@ -29,7 +29,7 @@ class Views:
 
 @wp.func
 def density_at_distance(full2: wp.float64, distance_squared: wp.float64) -> wp.float64:
-    """Return the density at a squared distance (metres): 1 up to `full2`, then falling in proportion to it."""
+    """Return the density at a squared distance (metres): 1 up to `full2`, then full2 / distance_squared."""
     return wp.where(distance_squared > full2, full2 / distance_squared, wp.float64(1.0))
 
 

@@ -98,7 +98,7 @@ def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
 
 @wp.func
 def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
-    """Return the page of the words below a word; allocate one if it has none.
+    """Return the page of the words below the word in `slot`; allocate one if it has none.
 
     It is 0 if the pool is full, which sets `state[IS_FULL]`.
     """
@@ -212,6 +212,6 @@ def heap_id_of(t: Bitfield, leaf: TreeLeaf) -> wp.uint64:
 
 @wp.func
 def is_leaf(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
-    """Return whether a node is a leaf: neither split nor below a leaf."""
+    """Return whether the node `heap_id` is a leaf: neither split nor below a leaf."""
     shift = wp.uint64(t.max_depth - highest_bit(heap_id))
     return heap_id_of(t, leaf_at(t, (heap_id << shift) - (ONE << wp.uint64(t.max_depth)))) == heap_id

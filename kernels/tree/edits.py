@@ -13,14 +13,14 @@ from .bitfield import ONE, REPEATS, ROOT, Bitfield, bit_of, cells_of_bit, mark_c
 
 @wp.func
 def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
-    """Return the first cell of a node's second child; its bit is set if the node is split."""
+    """Return the first cell of the second child of node `heap_id`; its bit is set if the node is split."""
     shift = wp.uint64(t.max_depth - 1 - highest_bit(heap_id))
     return ((wp.uint64(2) * heap_id + ONE) << shift) - (ONE << wp.uint64(t.max_depth))
 
 
 @wp.func
 def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
-    """Split a node; return whether it was split already, by another thread or an earlier kernel.
+    """Split node `heap_id`; return whether it was split already, by another thread or an earlier kernel.
 
     Threads may split one node at once, and nodes below it. Nothing is split where the pool of pages is full.
     """
@@ -47,7 +47,7 @@ def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
 
 @wp.func
 def merge(t: Bitfield, heap_id: wp.uint64):
-    """Merge the children of a node, which must be leaves. Several threads may merge the same node."""
+    """Merge the children of node `heap_id`, which must be leaves. Several threads may merge the same node."""
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top

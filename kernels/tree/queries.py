@@ -8,7 +8,7 @@ from .bitfield import Bitfield, decode_leaf, heap_id_of, leaf_at
 
 @wp.kernel
 def decode_leaves(offset: wp.int32, t: Bitfield, numbers: wp.array(dtype=wp.int32), ids: wp.array(dtype=wp.uint64)):
-    """Write the heap id of leaf numbers[offset + tid], counted along the curve."""
+    """Write to ids[k] the heap id of leaf numbers[k], counted along the curve, for k = offset + tid."""
     k = offset + wp.tid()
     ids[k] = heap_id_of(t, decode_leaf(t, numbers[k]))
 
@@ -21,7 +21,7 @@ def find_leaves(
     numbers: wp.array(dtype=wp.int32),
     ids: wp.array(dtype=wp.uint64),
 ):
-    """Write number and heap id of the leaf that contains cells[offset + tid]."""
+    """Write number and heap id of the leaf that contains cells[k] to numbers[k] and ids[k], for k = offset + tid."""
     k = offset + wp.tid()
     leaf = leaf_at(t, cells[k])
     numbers[k] = leaf.number

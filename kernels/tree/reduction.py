@@ -9,7 +9,7 @@ from .bitfield import LEVEL_SHIFT, NUM_CHANGED, ONE, ROOT, Bitfield
 
 @wp.func_native("int sum = 0; for (int k = 0; k < 64; ++k) sum += counts.data[first + k]; return sum;")
 def sum_page(counts: wp.array(dtype=wp.int32), first: wp.int32) -> wp.int32:
-    """Return the sum of the 64 counters of a page."""
+    """Return the sum of the 64 counters of a page, from counts[first] on."""
     ...
 
 
@@ -18,13 +18,13 @@ def sum_page(counts: wp.array(dtype=wp.int32), first: wp.int32) -> wp.int32:
     "return stored;"
 )
 def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64:
-    """Return a bit for each of the 64 words of a page: 1 if the word is not 0."""
+    """Return a bit for each of the 64 words of a page, from words[first] on: 1 if the word is not 0."""
     ...
 
 
 @wp.func
 def sum_word(t: Bitfield, slot: wp.int32):
-    """Count the leaves of a word again, from the words below; free a word of which only the first bit is set."""
+    """Count the leaves of the word in `slot` again, from the words below; free a word with only the first bit set."""
     bits = t.words[slot]
     below = 64 * t.pages[slot]
     t.stored[slot] = stored_words(t.words, below)

@@ -71,7 +71,8 @@ def fill_word(
 ) -> wp.uint64:
     """Return the bits that leaves set in a word from `bit` on, up to its end or the first leaf of a lower level.
 
-    A leaf of depth d sets one bit and takes 2^(deepest - d) of them.
+    codes, first, count: the leaves; a depth is in the bits `shift` .. `shift` + 5 of a code. A leaf of depth d sets one
+    bit and takes 2^(deepest - d) of them.
     """
     ...
 
@@ -121,6 +122,9 @@ def fill_words(
     """Store the whole words of one level below the bits of a word from `bit` on.
 
     It ends at a leaf of another level or at the last one. Return the number of leaves << 8 | the number of words.
+    codes, first, count: the leaves; a depth is in the bits `shift` .. `shift` + 5 of a code. readable: leaves that may
+    be read. deepest: depth of a leaf that takes one bit. first_slot: slot of the first of these words. words, counts,
+    pages, state: arrays of the bitfield.
     """
     ...
 
@@ -136,10 +140,10 @@ def close_word(
     entered: wp.uint64,
     leaves: wp.int64,
 ):
-    """Store a word that a run has passed, with its bits; words below are kept only for the bits in `entered`.
+    """Store the word in `slot`, of a level, that a run has passed, with its bits.
 
-    cell: end of the word. leaves: number in it. A word that runs share is not overwritten: each run flips only its
-    bits, and the word is counted afterwards.
+    Words below are kept only for the bits in `entered`. cell: end of the word. leaves: number in it. A word that runs
+    share is not overwritten: each run flips only its bits, and the word is counted afterwards.
     """
     shift = wp.uint64(WORD_BITS * level)
     above = wp.uint64(WORD_BITS * (level + 1))

@@ -56,11 +56,6 @@ class Rounding:
     max_lean: float = 0.0
     near: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def max_total(self) -> float:
-        """Return the largest sum of both terms, metres: of heights, and of facets that move sideways."""
-        return self.height + self.max_lean
-
 
 def left_of(error_m: float, source: float) -> float:
     """Return the part of a height error, metres, that remains for everything but the source's rounding.

@@ -52,13 +52,6 @@ class LayerSources:
     tile: float = 0.0
 
 
-def attribute_names(sources: LayerSources) -> tuple[str, ...]:
-    """Return the names of the attributes that the group reads: of sources without a baked map."""
-    groups = range(-(-len(sources.layers) // A_GROUP))
-    names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
-    return tuple(name for name in names if name not in sources.maps)
-
-
 def dress(obj, sources: LayerSources) -> bpy.types.Material:
     """Give the object a material with the group, or rebuild the group of the material that it has; return the material.
 
@@ -259,7 +252,10 @@ def _add_map(n: Nodes, sources: LayerSources, name: str):
 
 
 def _add_seam_mask(n: Nodes, place, tile: float):
-    """Add nodes that give 1 within a few pixels of the border between tiles of `tile` metres, else 0."""
+    """Add nodes that give 1 within a few pixels of the border between tiles of `tile` metres, else 0.
+
+    place: output socket of the position in tiles. Returns the output socket of the number.
+    """
     off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
     x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
     inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
@@ -299,7 +295,8 @@ def _add_noise(n: Nodes, size):
 def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     """Add nodes that mix the layers' colours by their weights; the noise makes the borders ragged.
 
-    Return the colour.
+    n: adds nodes to the tree. colours: output sockets, one for each layer. noise: output socket of a vector. Returns
+    the output socket of the mixed colour.
     """
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
     three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
@@ -320,7 +317,7 @@ def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
 def _add_variation(n: Nodes, colour, noise, variation):
     """Add nodes that make a colour lighter or darker, warmer or colder by the noise; return the colour.
 
-    variation: socket of the strength, 0 .. 1.
+    noise: output socket of a vector, independent along its axes. variation: socket of the strength, 0 .. 1.
     """
     first, _, third = n.add("ShaderNodeSeparateXYZ", {0: noise}).outputs
     grey, warm = n.scaled(LIGHTER, first), n.scaled(WARMER, third)

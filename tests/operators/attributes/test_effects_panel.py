@@ -11,7 +11,6 @@ from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.attributes import panel as effects_panel
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.cli import command_line
-from adaptive_terrain.operators.layers import material, terrain_material
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
 from drawn_panels import DrawnLayout, draw
@@ -106,8 +105,9 @@ def test_the_button_reads_the_layers_and_nothing_else(terrain):
     assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
     session.update_object(terrain)
     computed = {name for name, s in session.record_of(terrain).status.effects.items() if not s.skipped}
-    sources = terrain_material.sources_of(terrain, ())
-    assert material.attribute_names(sources) == ("splat_1",) and "splat_1" in computed
+    [group] = [node for node in terrain.data.materials[0].node_tree.nodes if node.type == "GROUP"]
+    assert {node.attribute_name for node in group.node_tree.nodes if node.type == "ATTRIBUTE"} == {"splat_1"}
+    assert "splat_1" in computed
     assert computed - {"splat_1"} == {"height", "slope"}, "what the default layers' rules are about"
     weights = np.empty(4 * len(terrain.data.vertices), np.float32)
     terrain.data.attributes["splat_1"].data.foreach_get("color", weights)

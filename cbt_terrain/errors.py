@@ -95,7 +95,7 @@ def check_path(what: str, path: str | os.PathLike) -> None:
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:
     """Raise TerrainError unless `value` is a number from `low` to `high`.
 
-    name: subject of the error, as "The detail's wavelength". unit: of the range, in the error's text only.
+    name: subject of the error, as "The detail's wavelength". unit: the range's unit, for the error's text only.
     """
     if not (isinstance(value, int | float) and low <= value <= high):
         raise TerrainError(f"{name} is {value!r}", expected=f"{low:g} .. {high:g} {unit}")
@@ -110,7 +110,7 @@ def check_seed(name: str, seed: int) -> None:
 def check_free_name(kind: str, name: str, known: Container[str]) -> None:
     """Raise TerrainError unless `name` is a lower-case identifier that is not in `known`.
 
-    Registries check the name of a new entry with it; kind: of the entry, as "effect", for the error.
+    Registries check the name of a new entry with it; kind: word for the entry in the error, as "effect".
     """
     if not (name.isidentifier() and name == name.lower()):
         raise TerrainError(

@@ -46,7 +46,7 @@ def plain_number(value: Any, kind: Any, name: str) -> Any:
 def _plain_parts(value: Any, kind: Any, name: str) -> Any:
     """Return a value with Python's numbers, where `kind` is a tuple of kinds (tuple[float, float]) or an optional kind.
 
-    Values of other kinds are returned as they are. name: of the value, in the TerrainError for a wrong number.
+    Values of other kinds are returned as they are. name: the value's name, in the TerrainError for a wrong number.
     """
     kinds = get_args(kind)
     if get_origin(kind) is not tuple:
@@ -75,8 +75,8 @@ def vertical(scale: float, offset: float) -> tuple[float, float]:
 def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
     """Return the vectors as float64 [n, width], contiguous.
 
-    Raises TerrainError for another shape or infinite numbers. name: of the vectors in the error, as "origins of
-    rays".
+    Raises TerrainError for another shape or infinite numbers. name: the vectors' name in the error, as
+    "origins of rays".
     """
     found = rows(values, width, name)
     finite = np.isfinite(found)

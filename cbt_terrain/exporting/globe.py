@@ -49,7 +49,7 @@ def place_on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tup
     """Return the frame of a terrain, and positions and unit vectors upwards in it, float64 [n, 3]. Raises TerrainError.
 
     Args:
-        placing: of the terrain, in a named coordinate system.
+        placing: the terrain's position in a named coordinate system.
         positions: float64 [n, 3], points of the terrain's space.
         folder: for a file that the child process reads.
     """

@@ -43,10 +43,13 @@ UNREAL_MIDDLE, UNREAL_STEP = 32_768, 12_800.0
 
 @dataclass(frozen=True)
 class HeightTiles:
-    """Settings of tiles. `size`, `tiles`, `overlap`: see `axes_of`.
+    """Settings of tiles.
 
     Attributes:
         form: a suffix of FORMATS without its dot.
+        size: samples of a tile's side, 0 for one tile.
+        tiles: numbers of tiles that cover the terrain exactly; None keeps the spacing of the samples.
+        overlap: samples that neighbours share.
         is_flipped: whether the first row of a tile, and the first row of tiles, are the southern ones.
         pattern: name of a tile without suffix, with {name}, {x} and {y}; `name` is the first of these.
     """

@@ -57,7 +57,7 @@ def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap:
     """Return the axes from west to east and between north and south. Raises TerrainError.
 
     Args:
-        lattice: of the terrain.
+        lattice: the terrain's lattice.
         size: samples of a tile's side; 0 for one tile with the samples of the raster.
         tiles: number of tiles along x and y that cover the terrain exactly, with another spacing of the samples; None
             keeps the raster's spacing, and the last tiles reach beyond its border.

@@ -163,7 +163,7 @@ def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -
 def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame | None:
     """Set positions in the frame of the tileset, and add to bounds by how much the globe bends the triangles.
 
-    Return the frame, None for a terrain without a named coordinate system.
+    Return the frame, None for a terrain without a named coordinate system. folder: for a temporary file.
     """
     if not placing.crs:
         for level in levels:

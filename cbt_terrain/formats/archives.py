@@ -39,7 +39,7 @@ class Member(NamedTuple):
     """The height map in an archive.
 
     Attributes:
-        name: of the file, without folders.
+        name: the file's name, without folders.
         sidecars: members of a .zip that belong to it.
     """
 
@@ -91,7 +91,10 @@ class UnpackedFiles:
         self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
 
     def path_of(self, path: Path) -> Path:
-        """Return the height map of an archive, unpacked; any other path as it is. Raises TerrainError."""
+        """Return the unpacked height map of an archive; `path` itself if it is no archive or nothing is to be unpacked.
+
+        Nothing is unpacked without a folder. Raises TerrainError.
+        """
         if self._folder is None or not is_archive(path):
             return path
         if path not in self._kept:
@@ -101,7 +104,7 @@ class UnpackedFiles:
                 file = _unpack(path, inner)
             self._kept[path] = file, sum(int(entry.stat().st_size) for entry in inner.iterdir())
             self._remove_oldest()
-        self._kept[path] = self._kept.pop(path)
+        self._kept[path] = self._kept.pop(path)  # now the latest
         return self._kept[path][0]
 
     def with_names(self, text: str) -> str:

@@ -99,8 +99,9 @@ def raster_of(
     """Return the band `settings.band` of an open rasterio dataset as a raster.
 
     The georeference, the unit of heights and the rounding of stored values come from the dataset; a VRT's from its
-    sources. The raster is reprojected if the settings request it or its grid is sheared. notes: warnings so far. Raises
-    TerrainError for a missing band or complex values.
+    sources. The raster is reprojected if the settings request it or its grid is sheared. driver: GDAL's name of the
+    format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises TerrainError for
+    a missing band or complex values.
     """
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     if not 1 <= band <= dataset.count:
@@ -193,7 +194,10 @@ def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> 
 def _window_reader(
     path: Path, dataset: DatasetReader, band: int, masked: bool, no_data: float | None, alpha: int
 ) -> Callable[[int, int, int, int], np.ndarray]:
-    """Return the function `window` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
+    """Return the function `window` of a Raster.
+
+    masked: the file has a mask of missing samples. alpha: number of a band that is 0 at missing samples; 0 for none.
+    """
     from rasterio.windows import Window
 
     def read(first: int, count: int, column: int, columns: int) -> np.ndarray:

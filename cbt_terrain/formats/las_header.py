@@ -31,7 +31,10 @@ def las_damage(file: BinaryIO) -> str:
 
 
 def _chunks_damage(file: BinaryIO, first_point: int, size: int) -> str:
-    """Return the damage of the table of compressed pieces. Its offset is before the points, or at the file's end."""
+    """Return a clause about the damage of the table of compressed pieces, "" without damage.
+
+    The table's offset is before the points, or at the file's end. first_point: offset of the points. size: of the file.
+    """
     try:
         file.seek(first_point)
         (table,) = struct.unpack("<q", file.read(8))

@@ -33,7 +33,7 @@ class _Header:
 
     def check(self) -> None:
         """Read all dimensions, attributes and variables."""
-        self.number(self.count_code)  # of records
+        self.number(self.count_code)  # number of records
         for tag, item in ((DIMENSIONS, self.dimension), (ATTRIBUTES, self.attribute), (VARIABLES, self.variable)):
             self.items(tag, item)
 

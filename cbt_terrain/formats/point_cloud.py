@@ -227,7 +227,7 @@ def _sum_around(values: np.ndarray) -> np.ndarray:
 
 
 def _in_memory(heights: np.ndarray, grid: FileGrid) -> DatasetReader:
-    """Return a rasterio dataset of heights in memory."""
+    """Return a rasterio dataset of heights in memory, placed by the grid's CRS and transform; NaN becomes no data."""
     import rasterio
     from rasterio.transform import Affine
 

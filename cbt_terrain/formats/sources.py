@@ -51,7 +51,10 @@ def check_file(path: Path, kind: str = "height map") -> None:
 
 
 def check_named(path: Path, kind: str = "height map") -> None:
-    """Check a file as `check_file` does, without its neighbours."""
+    """Raise TerrainError unless a path is that of a regular file that can be read and is not empty.
+
+    kind: word for the file in the error.
+    """
     expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"

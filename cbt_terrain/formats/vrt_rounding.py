@@ -28,7 +28,7 @@ def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: Roundi
 def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) -> dict[SourceRounding, None]:
     """Return the roundings of a band's sources, each once, in order, as keys of a dictionary.
 
-    number: of the VRT's text in `mosaic`. rounding_of: returns the rounding of a file's band, None if unknown.
+    number: which of the VRT's texts in `mosaic`. rounding_of: returns the rounding of a file's band, None if unknown.
     """
     found: dict[SourceRounding, None] = {}
     for source, source_band, scaling in sources_of(mosaic, number, band):
@@ -41,7 +41,7 @@ def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) 
 
 
 def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:
-    """Return the XML element of a band, None if there is none. number: of the VRT's text in `mosaic`."""
+    """Return the XML element of a band, None if there is none. number: which of the VRT's texts in `mosaic`."""
     bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
     return next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
 

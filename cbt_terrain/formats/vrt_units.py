@@ -58,6 +58,7 @@ def height_scale(band_unit: str, crs: CRS | None, scale: float, offset: float) -
     Args:
         band_unit: the band's unit in the file, "" if none.
         crs: a rasterio CRS or None; its vertical axis defines the unit if the band has none or an unknown one.
+        scale, offset: the band's; a height is value * scale + offset in its unit.
     """
     vertical = vertical_unit(crs)
     known = metres_of(band_unit)
@@ -96,7 +97,10 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
 
 
 def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
-    """Return the warning that a VRT lacks a unit, or a scale and an offset."""
+    """Return the warning that a VRT lacks a unit, or a scale and an offset.
+
+    scale: those of the mosaic's files. has_unit, has_scale: whether the files name them.
+    """
     missing = HeightScale(
         scale.unit if has_unit else "",
         scale.metres,

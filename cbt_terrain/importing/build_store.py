@@ -89,9 +89,11 @@ def import_raster(
     crew: Crew | None = None,
     part: ImportPart | None = None,
 ) -> dict:
-    """Import the raster of the settings in this process, and return the report; see `run_import`.
+    """Import the raster of the settings in this process into the store at `path`, and return the report.
 
-    file: the source, or its unpacked height map. open_raster: opens the source of the settings.
+    file: the source, or its unpacked height map. folder: name of the new folder of arrays. open_raster: opens the
+    source of the settings. crew: processes that read and measure tiles, None for this process alone. part: the part of
+    the import that this process does, None for all.
     """
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
@@ -196,7 +198,10 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
 
 
 def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None) -> dict:
-    """Return the origin of a store's heights as JSON, with which the import can be repeated. land: see `TileSource`."""
+    """Return the origin of a store's heights as JSON, with which the import can be repeated.
+
+    land: the coarse land around loaded tiles, None if all tiles are loaded.
+    """
     values = dataclasses.asdict(settings)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
     loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
@@ -209,7 +214,8 @@ def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, l
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0) -> str:
     """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
 
-    sources: files that the source names. method: as in Raster. Raises TerrainError for a missing source.
+    sources: files that the source names. method: version of the method that makes the samples, 0 for none. Raises
+    TerrainError for a missing source.
     """
     settings.check()
     values = dataclasses.asdict(settings)

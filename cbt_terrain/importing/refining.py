@@ -188,7 +188,10 @@ def _full_raster(field: HeightField) -> tuple[int, int] | None:
 
 
 def _bits(field: HeightField, full: tuple[int, int]) -> int:
-    """Return the binary logarithm of the finer cells along one of a first picture. full: see `_full_raster`."""
+    """Return log2 of the number of finer cells along one of a first picture.
+
+    full: columns and rows of the complete raster.
+    """
     return min(FACTOR, stride_of(*full, field.provenance["settings"]["quick"])).bit_length() - 1
 
 

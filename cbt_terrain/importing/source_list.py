@@ -68,7 +68,7 @@ def has_archives(settings: ImportSettings) -> bool:
 
 
 def _files_of_one(source: str, step: float | None) -> list[Path]:
-    """Return the files of one source. step: of the settings."""
+    """Return the files of one source. step: the settings' step."""
     if _is_folder(source):
         found = _files_in(Path(source).absolute(), step)
         if not found:

@@ -115,7 +115,7 @@ def loaded_steps(raster: Raster, place: Georeference) -> list[float]:
 
 
 def loaded_entries(raster: Raster, provenance: dict) -> dict:
-    """Return the report entries of a quick import. provenance: of the store."""
+    """Return the report entries of a quick import. provenance: the store's record of its origin."""
     steps, text = provenance[LOADED], loaded_text(provenance)
     return {
         "loaded": text,

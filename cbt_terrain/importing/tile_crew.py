@@ -71,7 +71,7 @@ class ProcessCrew(Crew):
     """Processes that do tasks, one task at a time each."""
 
     def __init__(self, module: str, count: int) -> None:
-        """Start `count` processes. Raises OSError."""
+        """Start `count` processes that each call the `idle_main` of the module named `module`. Raises OSError."""
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "start_new_session": False}
         self._processes = [
             child.start("cbt_terrain.run.idle_process", module, variables=VARIABLES, **pipes) for _ in range(count)
@@ -81,7 +81,10 @@ class ProcessCrew(Crew):
     def run(
         self, work: TileWork, source: TileSource, tasks: Sequence[TileTask], on_progress: Callable[[float], None]
     ) -> bool:
-        """Do tasks: see `Crew.run`."""
+        """Do tasks in the processes. Return False if heights have to be stored as floats.
+
+        on_progress: called with the fraction of finished tasks.
+        """
         if tasks and not self._has_begun:
             self._has_begun = True
             for process in self._processes:
@@ -167,7 +170,7 @@ def _send(process: subprocess.Popen, content: dict) -> None:
 
 
 def idle_main(line: bytes) -> None:
-    """Do the tasks of an import of one file in an idle process. line: see above."""
+    """Do the tasks of an import of one file in an idle process. line: settings and folder as JSON, from `_send`."""
     serve_tasks(line, guard_import, lambda settings, _folder: open_source(settings))
 
 

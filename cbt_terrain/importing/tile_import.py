@@ -89,7 +89,8 @@ def open_work(
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
 
-    by_tile: whether work is continued, and left by a block that fails. Others: see `open_draft`.
+    path: the store's folder. folder: name of the new folder of arrays in it. by_tile: whether work is continued, and
+    left by a block that fails. doubt: a further remedy in errors if the store is implausibly large.
     """
     work = _continued(path, folder, digest) if by_tile else None
     if by_tile and path.exists():
@@ -182,7 +183,7 @@ def build_by_tile(
 
     Args:
         work: an earlier attempt to continue, None for none.
-        digest: of all settings and sources.
+        digest: hash of all settings and sources.
         reader: gets the figures of all samples.
         source_max: returns the rounding error of the heights of a reader, metres.
         crew: does the tasks.
@@ -228,7 +229,7 @@ def _read_units(
 ) -> bool:
     """Read the units that have changed. Return False if heights have to be stored as floats.
 
-    numbers: of the units that are looked at, None for all.
+    numbers: those of the units to read, None for all.
     """
     before, tasks = work.records(READ), []
     for number in _chosen(unit_count(work.grid, source), numbers):
@@ -267,7 +268,7 @@ def _measure_tiles(
     on_progress: Callable[[float], None],
     numbers: Collection[int] | None = None,
 ) -> None:
-    """Measure the tiles that have changed. numbers: of the tiles that are looked at, None for all."""
+    """Measure the tiles that have changed. numbers: those of the tiles to measure, None for all."""
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
     tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
@@ -287,7 +288,11 @@ def _completed(
     on_progress: Callable[[float, str], None],
     coarse: CoarseLand | None,
 ) -> HeightField:
-    """Join the tiles, and return the height field."""
+    """Join the measured tiles into the draft, and return the height field.
+
+    source_max: largest rounding error of the source's heights, metres. coarse: the land around loaded tiles, None if
+    all tiles are loaded.
+    """
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
 
     def tell(share: float) -> None:

@@ -21,7 +21,11 @@ def bridge(
     ranks: np.ndarray,
     moved: np.ndarray,
 ) -> None:
-    """Fill samples that no tile covers from the borders of tiles within one cell, in the order of their ranks."""
+    """Fill samples of a piece that no tile covers from the borders of tiles within one cell, by their ranks.
+
+    found: nodes and samples of each lattice that the piece meets. out, ranks, moved: heights, ranks and errors of the
+    positions of the piece's samples, [rows, columns], which are changed in place.
+    """
     rows, columns = np.nonzero(ranks == UNCOVERED)
     weights, sums = np.zeros(len(rows)), np.zeros(len(rows))
     low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)

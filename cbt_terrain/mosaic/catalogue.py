@@ -55,7 +55,7 @@ class SourceTile:
         scale: a height is value * scale + offset metres.
         offset: see scale.
         block_rows: number of rows that are best read together.
-        roundings: of the stored values, before scale and offset.
+        roundings: rounding errors of the stored values, before scale and offset.
         warnings: sentences for the report.
     """
 

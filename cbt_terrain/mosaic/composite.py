@@ -139,7 +139,10 @@ class Composite:
         return values, moved
 
     def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
-        """Return a hex digest of everything that determines the values of a window: see `read`."""
+        """Return a hex digest of everything that determines the values of a window of the grid.
+
+        row, rows, column, columns: first row and column of the window, and numbers of them.
+        """
         column, row = self.grid.column + column, self.grid.row + row
         reach = self.insets.reach if self.insets is not None else 0
         meets = self._meets(GridPiece(column - reach, row - reach, columns + 2 * reach, rows + 2 * reach))
@@ -309,7 +312,7 @@ class Composite:
         return self.values_of(self.tiles[rank], self._raster(rank), row, rows, column, columns)
 
     def values_of(self, tile: SourceTile, raster: Raster, row: int, rows: int, column: int, columns: int) -> np.ndarray:
-        """Return a window of a tile's raster, or of an overview of it, as `tile_window` does."""
+        """Return a window of a tile's raster, or of an overview of it, as float64 heights, NaN where missing."""
         assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
@@ -319,7 +322,10 @@ class Composite:
         return heights * tile.scale + tile.offset + shift
 
     def overview_of(self, rank: int, max_factor: int) -> Raster | None:
-        """Return an overview of a tile as `open_overview` does. Raises TerrainError if its file has changed."""
+        """Return an overview of a tile at most `max_factor` times coarser, None if it has none.
+
+        Raises TerrainError if its file has changed.
+        """
         tile = self.tiles[rank]
         tile.check_unchanged()
         if tile.format != "GTiff":

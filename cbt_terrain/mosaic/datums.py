@@ -65,9 +65,9 @@ class ShiftNodes(NamedTuple):
         return nodes[:, j] * (1.0 - s) + nodes[:, j + 1] * s
 
     def _places(self, axis: int, first: int, count: int, all_count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nodes before samples, and the fractions of the way to the next nodes.
+        """Return the nodes before samples first .. first + count - 1, and the fractions of the way to the next nodes.
 
-        all_count: samples of the raster or of its overview.
+        axis: 0 for rows, 1 for columns. all_count: samples of the raster or of its overview along it.
         """
         cells, size = self.metres.shape[axis] - 1, self.size[axis]
         samples = (np.arange(first, first + count) + 0.5) * size / all_count - 0.5

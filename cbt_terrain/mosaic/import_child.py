@@ -54,7 +54,12 @@ def run_mosaic_import(
     crew: Crew | None = None,
     part: ImportPart | None = None,
 ) -> dict:
-    """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
+    """Import a mosaic in this process and return the report. Raises TerrainError.
+
+    path: the store's folder. folder: name of the new folder of arrays in it, None for a new one. crew: processes that
+    read and measure tiles, None for this process alone. part: the part of an import that this process does, None for
+    all.
+    """
     store_folder.check_target(path)
     settings.check()
     folder = folder or store_folder.new_data_name()
@@ -100,7 +105,7 @@ def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict
 
 
 def guard_mosaic(settings: ImportSettings, path: Path) -> None:
-    """Prepare this process for a mosaic, as `guard_import`."""
+    """Drop this process's rights before the files of a mosaic are opened. path: the store's folder."""
     guard_import(settings, path, paths_of(settings), (resample,))
 
 

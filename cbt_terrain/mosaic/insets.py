@@ -99,7 +99,12 @@ class InsetBlend:
     """
 
     def __init__(self, levels: np.ndarray, steps: np.ndarray, grid: TargetGrid, scan: Scan) -> None:
-        """Prepare the rings. `scan` yields the parts of a block with each of their levels, below it and with it."""
+        """Prepare the rings of all levels.
+
+        levels: of each tile, int [tiles]; level 0 is the coarsest. steps: float64 [tiles, 2], grid samples a sample of
+        the tile. scan(row, column): yields for each part and level of a block the part, the level, and the values
+        without this level and with it.
+        """
         self.levels, self._scan = levels, scan
         self.rings = [_ring(steps[levels == level].max(axis=0, initial=0.0)) for level in range(levels.max() + 1)]
         self._kind = np.min_scalar_type(1 << len(self.rings))
@@ -172,7 +177,11 @@ class InsetBlend:
         return cells
 
     def _block(self, row: int, column: int) -> dict[int, np.ndarray]:
-        """Return the marks in a block's cells of each level that has any."""
+        """Return the marks of a block's cells by level, which the blend across the level's border reads; cached.
+
+        They are those of `_marks`, united over the samples of each cell. Levels without a mark in the block are left
+        out.
+        """
         key = row, column
         if key not in self._cells:
             found: dict[int, np.ndarray] = {}
@@ -190,9 +199,10 @@ class InsetBlend:
         return self._cells[key]
 
     def _marks(self, below: np.ndarray, top: np.ndarray) -> np.ndarray:
-        """Return marks of samples: bit n where level n is seen past the one on top, the last bit where none is below.
+        """Return marks of samples: bit n where this level has no value and level n shows, else 0 or the last bit.
 
-        below, top: ranks.
+        The last bit is set where only this level has a value. below, top: ranks of the samples without this level and
+        with it.
         """
         marks = self._bits[below]
         marks[top != below] = 0
@@ -211,7 +221,7 @@ def _ring(steps: np.ndarray) -> BlendRing:
 
 
 def _pool(marks: np.ndarray, side: int) -> np.ndarray:
-    """Return the marks of squares of side x side samples."""
+    """Return the marks of squares of side x side samples: all bits that a sample of the square has."""
     if side == 1:
         return marks
     rows = np.bitwise_or.reduce(marks.reshape(len(marks) // side, side, -1), axis=1)
@@ -219,7 +229,10 @@ def _pool(marks: np.ndarray, side: int) -> np.ndarray:
 
 
 def _between(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Interpolate between nodes, bilinearly, at the products of two sets of places."""
+    """Return values between nodes, bilinearly, float64 [len(down), len(across)].
+
+    down, across: rows and columns in units of nodes; every row is combined with every column.
+    """
     j, i = down.astype(np.int64), across.astype(np.int64)
     t, s = (down - j)[:, None], across - i
     rows = nodes[j] * (1.0 - t) + nodes[np.minimum(j + 1, nodes.shape[0] - 1)] * t

@@ -41,7 +41,7 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
 def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride: float, heights: np.ndarray) -> None:
     """Write a tile's samples nearest to positions of the grid's system over `heights`, where it has any.
 
-    stride: see `_samples`.
+    stride: columns of the tile between two positions.
     """
     tile = composite.tiles[rank]
     x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))

@@ -117,7 +117,7 @@ def _kinds(composite: Composite) -> list[str]:
 
 
 def _seams(seams: SeamReport, scale: float) -> dict:
-    """Return the entries about seams. scale: of the heights, by the settings."""
+    """Return the report entries about seams. scale: factor on the heights, by the settings."""
     entries = {"seams": seams.pairs, "seams_compared": seams.compared, "seam_samples": len(seams.steps)}
     if not len(seams.steps):
         return entries

@@ -116,7 +116,10 @@ def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np
 
 
 def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return heights of a tile at fractional columns and rows, NaN where a needed sample is missing."""
+    """Return heights of a tile at fractional columns u and rows v, [n]; NaN where a needed sample is missing.
+
+    rank: number of the tile in the order of priority.
+    """
     tile = composite.tiles[rank]
     u, v = np.clip(u, 0.0, tile.width - 1.0), np.clip(v, 0.0, tile.height - 1.0)
     u, v = (np.where(np.abs(w - np.round(w)) < INSIDE, np.round(w), w) for w in (u, v))

@@ -85,7 +85,7 @@ def _direction(east: float, north: float) -> str:
 def _remedy(name: str, latitude: float) -> str:
     """Return the remedy for wrong lengths.
 
-    name: of the coordinate system, "EPSG:n". latitude: of the raster, degrees.
+    name: the coordinate system's name, "EPSG:n". latitude: the raster's latitude, degrees.
     """
     utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]
     if not -80.0 <= latitude <= 84.0:

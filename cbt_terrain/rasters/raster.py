@@ -89,6 +89,10 @@ class ImportSettings:
     loaded_tiles: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        """Convert numbers to plain ones and sequences to tuples.
+
+        Raises TerrainError for a number that is not finite.
+        """
         keep_plain_numbers(self, "The import's")
         object.__setattr__(self, "more_sources", tuple(self.more_sources))
         object.__setattr__(self, "loaded_tiles", tuple(self.loaded_tiles))
@@ -186,7 +190,8 @@ class Raster:
         offset: see scale.
         projected_from: coordinate system before reprojection; "" if there was none.
         original: raster before resampling; None if there was none.
-        roundings: of the files that hold the samples, before scale and offset; by default that of `stored`.
+        roundings: rounding errors of the files that hold the samples, before scale and offset; by default that of
+            `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
         overview: overview(max_factor) returns a raster of means of at most max_factor samples a side, or None.

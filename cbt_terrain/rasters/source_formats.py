@@ -33,7 +33,7 @@ class SourceFormat:
         starts: first bytes that tell one of `others`; () for plain text.
         others: further formats with the same suffix (format_choice.py).
         is_large: whether its parser is so large that it runs only where the child gives up all rights (guard.py).
-        max_bytes: of a file; 0 for no limit.
+        max_bytes: largest size of a file; 0 for no limit.
         raw_dtype: type of RAW samples, unless the settings give another one of that size; "" for theirs.
         is_archive: whether a file holds another one that has to be unpacked first (archives.py).
     """

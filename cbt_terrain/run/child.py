@@ -59,7 +59,10 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 
 
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
-    """Start a program as `start` does."""
+    """Start a program whose standard input is a pipe that lives as long as its parent; only that receives Ctrl-C.
+
+    variables: additions to its environment. streams: its other standard streams, as of Popen.
+    """
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
     folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # the first in a child that starts others
     environment[GRID_FOLDERS] = os.pathsep.join(filter(None, folders))

@@ -171,7 +171,7 @@ def spread(
 
     The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is the cost of an item relative
     to a lookup and a few operations (about 15 ns); small jobs stay on one thread. More than MAX_LAUNCH items need an
-    int64 offset. `recorded`: see `slices`.
+    int64 offset. `recorded`: dictionary of recorded launches, which are faster when repeated; None to record none.
     """
     if count <= 0:
         return

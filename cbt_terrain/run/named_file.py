@@ -41,7 +41,10 @@ def open_regular(file: str | os.PathLike, links: bool = False) -> BufferedReader
 
 
 def read_regular(file: str | os.PathLike, max_bytes: int, links: bool = True) -> bytes:
-    """Return the content of a regular file. Raises OSError, and ValueError for more than `max_bytes`."""
+    """Return the content of a regular file.
+
+    Raises OSError, and ValueError for more than `max_bytes`. links: follow links.
+    """
     with open_regular(file, links) as handle:
         return _read_limited(handle, max_bytes)
 
@@ -54,6 +57,7 @@ def read_named(
     Args:
         what: the file's role, in errors: "The camera path".
         expected: its content, in errors: "a JSON file of keyframes".
+        links: follow links.
         descriptors: also read a descriptor of this process to its end, such as /dev/stdin.
 
     Raises:

@@ -98,7 +98,7 @@ class OpenFolder(NamedTuple):
 
 
 def derived_components(path: Path) -> int:
-    """Return how many components at the end of an absolute path this program named, see the module's docstring."""
+    """Return how many components at the end of an absolute path this program named, such as a store's folders."""
     parts, count = path.parts, 0
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
@@ -243,7 +243,8 @@ def check_folder(path: str | os.PathLike, *names: str) -> None:
 def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
     """Remove a regular file, if it exists.
 
-    may_be_link: of the file's folder, see `open_folder`. Raises NotOursError for a link or a folder, and OSError.
+    may_be_link: allow a link as the file's folder, if the user chose it. Raises NotOursError for a link or a folder,
+    and OSError.
     """
     path = Path(path)
     try:
@@ -266,11 +267,11 @@ def remove_tree(
 
     Args:
         may_remove: returns whether this program created an entry, from its name and whether it is a folder. None: all
-            entries, as in a folder that this process created.
-        may_be_link: of the folder above, see `open_folder`.
+            entries are removed, also links themselves, as in a folder that this process created.
+        may_be_link: allow a link as the folder above, if the user chose it.
 
-    Raises OSError, and NotOursError, before anything is removed, if the folder or an entry is a link or not of this
-    program.
+    Raises OSError; and NotOursError, before anything is removed, if the folder is a link or if, with `may_remove`, an
+    entry is a link or not of this program.
     """
     path = Path(path)
     try:

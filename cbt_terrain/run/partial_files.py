@@ -59,9 +59,10 @@ def written_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def written_among(path: Path) -> Iterator[Path]:
-    """Do the same as `written_beside`, but inside the folder of `path`, for a file with relative paths to other files.
+    """Yield a path in the folder of `path` for its new content, and rename it to `path` when the block ends well.
 
-    The temporary name is unpredictable, so no link can have it.
+    Else it is removed. Unlike with `written_beside`, relative paths in the file stay right. The temporary name is
+    unpredictable, so no link can have it.
     """
     check_replaceable(path)
     with private_folder(path.parent) as folder:
@@ -150,7 +151,10 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False, may_exis
 
 
 def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int:
-    """Create a folder and open the lock in it. Raises as `make_folder`."""
+    """Create a folder and open the lock in it; return its descriptor. Raises as `make_folder`.
+
+    parents: also create the folders above. may_exist: the folder may be there.
+    """
     with open_folder(folder.absolute().parent, make=parents, may_be_link=not parents) as above:
         try:
             os.mkdir(**above.at(folder.name), mode=mode)
@@ -196,7 +200,8 @@ def remove_if_abandoned(
 ) -> None:
     """Remove a folder of `make_folder` with a name with this token, if no living process uses it.
 
-    `is_needed` is called once that is known, because the process may have ended well. may_remove: see `remove_tree`.
+    `is_needed` is called once that is known, because the process may have ended well. may_remove: returns whether this
+    program created an entry, from its name and whether it is a folder; None for all.
     """
     try:
         if not _is_ours(folder):

@@ -250,7 +250,7 @@ def load(module: ModuleType) -> None:
 
 
 def child_main(*names: str) -> None:
-    """Compile modules into Warp's cache; runs in a child process. names: of the modules, below the package."""
+    """Compile modules into Warp's cache; runs in a child process. names: the modules' names below the package."""
     child.end_with_parent()
     if hasattr(os, "nice"):
         os.nice(5)  # the window and an import come first

@@ -26,7 +26,7 @@ VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM
 def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
     """Drop this process's rights before files are opened, and return the report of `sandbox.enter`.
 
-    folder: where this process may still write. encoding: see ImportSettings.
+    folder: where this process may still write. encoding: how the pixels of an image hold heights, PLAIN for numbers.
 
     Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
     right remains.

@@ -137,6 +137,7 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, access: int) -> None:
     """Add a right to a Landlock ruleset. access: bits of what may be done with `path` and all below."""
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
-        call(libc, LANDLOCK_ADD_RULE, ruleset, 1, struct.pack("=Qi", access, opened), 0)
+        rule_type, flags = 1, 0  # LANDLOCK_RULE_PATH_BENEATH
+        call(libc, LANDLOCK_ADD_RULE, ruleset, rule_type, struct.pack("=Qi", access, opened), flags)
     finally:
         os.close(opened)

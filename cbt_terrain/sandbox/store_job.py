@@ -217,7 +217,10 @@ class StoreJob(ChildJob):
     _consequence = ", and the store is as it was before"
 
     def __init__(self, module: str, store: str | os.PathLike, request: dict, **options: Any) -> None:
-        """Start the child with the request and the name of a new folder for its arrays; options: see ChildJob."""
+        """Start the child with the request and the name of a new folder for its arrays.
+
+        module: the child's main module. store: folder of the store. options: further arguments of ChildJob.
+        """
         self._store, self._folder = Path(store), store_folder.new_data_name()
         self._new_folders = store_folder.missing_folders(self._store)
         folders = list(map(str, self._new_folders))

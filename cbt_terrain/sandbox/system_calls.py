@@ -97,7 +97,8 @@ def keep_limits(libc: ctypes.CDLL) -> None:
 def _allow(number: int, tests: list[Test]) -> list[tuple]:
     """Return instructions that allow a call if its arguments pass the tests, refuse it otherwise, and skip other calls.
 
-    They expect the call's number in the accumulator.
+    They expect the call's number in the accumulator. tests: (index of a 32-bit word of the arguments, mask, allowed
+    values of the masked word).
     """
     inside = []
     for word, mask, values in tests:

@@ -26,7 +26,8 @@ def pass_depths(grid: TileGrid) -> Iterator[tuple[int, bool]]:
 def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[LatticeVertices]:
     """Yield the vertices of one depth that depend on several tiles; some may come twice.
 
-    They are in parts, one for each line between tiles.
+    They are in parts, one for each line between tiles. level: log2 of half the side of a cell, samples. is_centre: the
+    vertices are centres of such cells, otherwise middles of their sides.
     """
     half = 1 << level
     ends = [min(cells + 4 * half, span) + 1 for cells, span in zip(_cells(grid), grid.lattice.span, strict=True)]
@@ -54,7 +55,10 @@ def _cells(grid: TileGrid) -> tuple[int, int]:
 def children_of(
     lattice: Lattice, vertices: LatticeVertices, is_centre: bool
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, for each of the up to four children, the entries, and whether a vertex has that child."""
+    """Yield, for each of the up to four children, the entries, and whether a vertex has that child.
+
+    is_centre: the vertices are centres of cells, otherwise middles of their sides.
+    """
     x, y, level = vertices
     half = 1 << level
     if is_centre:
@@ -74,9 +78,9 @@ def children_of(
 
 
 def raise_kinds(grid: TileGrid, opened: Opened) -> list[tuple[int, bool]]:
-    """Unite the kinds of cells below the shared vertices, and return the depths with both: see `pass_depths`.
+    """Unite the kinds of cells below the shared vertices; return (level, is_centre) of the depths with both kinds.
 
-    opened: maps the kinds, uint8 like the errors.
+    opened: function that maps the kinds (ground, hole), uint8 like the errors.
     """
     both: dict[tuple[int, bool], None] = {}
     for level, is_centre in pass_depths(grid):
@@ -122,7 +126,7 @@ def raise_errors(
 def unite_ranges(grid: TileGrid, opened: Opened) -> None:
     """Give the shared vertices above the finest ones the union of their children's ranges.
 
-    grid: of the whole raster's samples. opened: maps the ranges of the raster.
+    grid: tiles of the whole raster. opened: maps the ranges of the raster.
     """
     half = TileGrid(halved(grid.lattice), grid.bits - 1)
     flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
@@ -171,7 +175,11 @@ def join_borders(
 
 
 def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, opened: Opened) -> None:
-    """Write the errors of diamonds of cells as large as a tile, each the largest over all tiles."""
+    """Write the errors of diamonds of cells as large as a tile, each the largest over all tiles.
+
+    found: the errors over single tiles. table: metres of the codes, float32 [groups, 256]. opened: function that maps
+    the codes of the terrain.
+    """
     for level in range(grid.bits - 1, grid.lattice.levels):
         parts = [*shared_vertices(grid, level, True)]
         parts += [*shared_vertices(grid, level, False)] if level >= grid.bits else []
@@ -191,8 +199,9 @@ def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, 
 
 
 def tables_between(before: Sequence[int], wanted: Sequence[int]) -> np.ndarray:
-    """Return the codes under other exponents, none smaller, of all codes: uint8 [groups, 256].
+    """Return for each group the code under its new exponent of each old code: uint8 [groups, 256].
 
+    before, wanted: exponents of the groups; none becomes smaller.
     The entries of the new tables are entries of the old ones, so rounding twice is rounding once.
     """
     pairs = zip(codes.tables(before), codes.tables(wanted), strict=True)

@@ -117,7 +117,10 @@ class CoarseLand:
             yield item._replace(error=float(self._errors_at(x, y, item.level, is_centre)[0]))
 
     def _errors_at(self, x: np.ndarray, y: np.ndarray, level: int, is_centre: bool) -> np.ndarray:
-        """Return the errors of diamonds with their vertices at samples (x, y) of one level, float32 metres."""
+        """Return the errors of diamonds with their vertices at samples (x, y) of one level, float32 metres.
+
+        is_centre: the vertices are centres of cells, otherwise middles of their sides.
+        """
         above = level - self.bits
         if above >= 0:
             base, pages = self.field.lattice.layout()

@@ -97,9 +97,10 @@ def margin_of(low: float, high: float) -> int:
 
 
 def exact_errors(tile: TileSamples, threads: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile, float32 metres in the layout of its lattice, and kinds of cells as in `TileErrors`.
+    """Return the errors of a tile, float32 metres in the layout of its lattice, and the kinds of its cells.
 
-    Those of cells as large as a tile and larger are `large_errors`.
+    The kinds (ground, hole) are uint8 in the same layout, None without holes. The errors of cells as large as a tile
+    and larger are `large_errors`.
     """
     grid = tile.grid
     local, measured = grid.local(tile.box), tile.measured
@@ -112,7 +113,11 @@ def exact_errors(tile: TileSamples, threads: int) -> tuple[np.ndarray, np.ndarra
 
 
 def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None, threads: int) -> TileErrors:
-    """Return the codes of a tile's errors. errors, kinds: see `exact_errors`."""
+    """Return the codes of a tile's errors.
+
+    errors: float32 metres in the layout of its lattice. kinds: kinds (ground, hole) of the cells below each; None
+    without holes.
+    """
     local = tile.grid.local(tile.box)
     stored = np.zeros(local.node_count, np.uint8)
     largest = [float(errors[part].max()) for part in codes.parts(local, len(errors))]
@@ -243,7 +248,11 @@ def _squares(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
 
 
 def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) -> list[Corner]:
-    """Return the two triangles of the diamond in the middle of cell (x, y) of `side` samples, as `centre_errors`."""
+    """Return the two triangles of the diamond in the middle of cell (x, y) of `side` samples.
+
+    is_root: the cell is a root square. height: function of a sample (i, j), metres. They are those of the kernel
+    `centre_errors`.
+    """
     corners = []
     is_northeast = is_root or (x + y) & 1 == 1
     for k in range(2):
@@ -258,7 +267,7 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
 
 
 def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height) -> Corner:
-    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), as `side_errors`."""
+    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), a right triangle."""
     is_flat = x & 1
     dx, dy = is_flat * half, (1 - is_flat) * half
     i, j = x * half, y * half
@@ -271,7 +280,10 @@ def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height)
 
 
 def _corner(x: int, y: int, right: int, up: int, legs: int, plane: float, slope_x: float, slope_y: float) -> Corner:
-    """Return a right triangle for the kernel."""
+    """Return a right triangle for the kernel: its corner (x, y), samples, and the plane over it.
+
+    right, up: 1 or -1, directions of the legs of `legs` samples. plane: height at the corner, slopes: metres a sample.
+    """
     corner = Corner()
     corner.x, corner.y, corner.right, corner.up, corner.legs = x, y, right, up, legs
     corner.plane, corner.slope_x, corner.slope_y = plane, slope_x, slope_y

@@ -168,7 +168,7 @@ def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndar
 
 
 def rows_of(image: np.ndarray, pages: int) -> np.ndarray:
-    """Return an image of pages, [n, ...], as rows of vertices."""
+    """Return an image of pages, [n, ...], as rows of vertices, [rows, PAGE * pages, ...]. pages: pages in a row."""
     rest = image.shape[1:]
     image = image.reshape(-1, pages, 8, 8, 4, 4, *rest)
     return image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages, *rest)
@@ -189,11 +189,11 @@ class OwnedArea:
     """The area, in the image of a group of the raster's lattice, that one tile writes.
 
     Attributes:
-        group: of the tile's lattice; the cells are the last.
-        entries: of the image, in the array of the raster.
+        group: its number in the tile's lattice; the cells are the last.
+        entries: entries of the image in the array of the raster.
         pages: pages in a row of the image.
         x, y: first vertex of the area.
-        width, height: vertices; those beyond the image's last page are not there.
+        width, height: numbers of vertices; those beyond the image's last page are not there.
     """
 
     group: int
@@ -223,7 +223,10 @@ class OwnedArea:
 
 
 def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterator[OwnedArea]:
-    """Yield the areas of the groups that a tile writes, those of its eastern and northern neighbours left out."""
+    """Yield the areas of the groups that a tile writes, those of its eastern and northern neighbours left out.
+
+    with_cells: also yield the area of the raster's cells, the last group.
+    """
     base, pages = grid.lattice.layout()
     groups = grid.local(box).groups
     for group in range(groups + with_cells):

@@ -124,7 +124,10 @@ def measure(
 def _errors(
     tile: TileSamples, coarse: CoarseLand | None, is_near_loaded: bool, threads: int
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile as `exact_errors`, or bounds of them if it has no holes and no loaded tile is near."""
+    """Return the errors of a tile, exact or as bounds, and the kinds of its cells.
+
+    Bounds suffice, and the kinds are None, if the tile has no holes and no loaded tile is near.
+    """
     if coarse is None:
         return exact_errors(tile, threads)
     errors, kinds = coarse.errors(tile.grid, tile.box), None
@@ -161,7 +164,10 @@ def join(
     on_progress: Callable[[float], None],
     coarse: CoarseLand | None = None,
 ) -> JoinedErrors:
-    """Complete the errors and ranges of a terrain whose tiles are all measured. coarse: see `measure`."""
+    """Complete the errors and ranges of a terrain whose tiles are all measured.
+
+    coarse: the land around loaded tiles, None if all tiles are loaded.
+    """
     grid, lattice = work.grid, work.grid.lattice
     records = work.records(MEASURED)
     large = [LargeError(*item) for record in records.values() for item in record["above"][1]]
@@ -229,7 +235,10 @@ def _nested(largest: Sequence[float]) -> list[float]:
 
 
 def _longest(lattice: Lattice, level: int, is_centre: bool) -> float:
-    """Return the longest edge of a diamond with a vertex of this level, float32 metres."""
+    """Return the longest edge of a diamond with a vertex of this level, float32 metres.
+
+    is_centre: the vertex is the centre of a cell, otherwise the middle of a side.
+    """
     return float(np.float32(longest_edge(lattice, 2 * (lattice.levels - level) - is_centre)))
 
 

@@ -52,8 +52,8 @@ class TileWork:
     """A folder of arrays while a store is made by tile.
 
     Attributes:
-        digest: of all settings and sources.
-        steps: of the stored samples; None for float32.
+        digest: hash of all settings and sources.
+        steps: first value, scale and offset of stored 16-bit samples; None for float32.
         holes: whether missing samples are cut out.
     """
 
@@ -215,6 +215,7 @@ class TileWork:
         return found
 
     def _all_records(self) -> Iterator[dict]:
+        """Return the whole records of all processes that worked on tiles."""
         for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
             for line in read_regular(file, MAX_RECORDS, links=False).splitlines():
                 try:

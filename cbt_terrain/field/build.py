@@ -76,8 +76,8 @@ def build(
         step_x, step_y: metres between samples.
         missing: number of missing samples.
         holes: whether missing samples are cut out.
-        source_max: see HeightField.
-        name: of the raster, in errors.
+        source_max: largest rounding error of the source's heights, metres.
+        name: the raster's name, in errors.
         allocate: allocate(name, shape, dtype) returns the other arrays; "errors" is not needed afterwards.
 
     Raises TerrainError.
@@ -143,7 +143,8 @@ def from_array(
         source_max: largest rounding error of the samples, metres.
         holes: whether samples that are not finite are cut out instead of filled.
         threads: largest number of threads.
-        origin, crs, provenance: see HeightRaster.
+        origin: float64 [3], coordinates of the raster's middle. crs: coordinate system. provenance: record of the
+            source, with which an import can be repeated.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)

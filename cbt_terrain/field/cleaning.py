@@ -54,9 +54,10 @@ def fill_rows(
     shape: tuple[int, ...],
     threads: int,
 ) -> None:
-    """Replace the missing samples of a raster that need not be in memory, as `fill_missing`.
+    """Replace each missing sample of a raster that need not be in memory by the nearest valid one.
 
-    opened: maps the samples, of any type. missing_in: returns, for rows, which samples are missing. shape: of all.
+    opened: maps the samples, of any type. missing_in: returns, for rows, which samples are missing. shape: rows and
+    columns of the raster.
     """
     height, width = shape
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]

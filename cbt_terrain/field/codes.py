@@ -101,7 +101,10 @@ def encode_with_table(lattice: Lattice, errors: np.ndarray, table: np.ndarray, c
 
 
 def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threads: int) -> None:
-    """Do the same for one group. values: float32 [256] metres."""
+    """Write the codes of one group's errors: for each the first value of the table that is not below it.
+
+    errors: float32 metres. values: the group's table, float32 [256] metres, rising. codes: uint8, zeroed.
+    """
     arrays = [flat(values, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     inputs = [BLOCK, wp.int64(0), wp.int64(len(errors)), 0, *arrays]
     launch.spread(
@@ -167,7 +170,10 @@ def pack_samples(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
 
 
 def steps_of(stored: np.dtype, scale: float, offset: float) -> Steps | None:
-    """Return the conversion of a source of integers with 16 bits or fewer; None for any other source."""
+    """Return the conversion of a source of integers with 16 bits or fewer; None for any other source.
+
+    stored: type of the source's numbers. A height is number * scale + offset, metres.
+    """
     if stored.kind not in "iu" or stored.itemsize > 2 or not np.isfinite([scale, offset]).all() or scale == 0.0:
         return None
     return Steps(int(np.iinfo(stored).min), float(scale), float(offset))

@@ -41,7 +41,10 @@ def derive(
 
 
 def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
-    """Do the same as `derive` for arrays that only a large raster has in its store; those of others are in memory."""
+    """Return arrays by name: of a large raster cached in its store, of others computed in memory.
+
+    fill(arrays): fills zeroed arrays by name, and keeps no reference to them.
+    """
     if raster.samples.size >= MIN_CACHED:
         return derive(raster, shapes, fill)
     return _fill_in_memory(shapes, fill)

@@ -92,7 +92,10 @@ def max_distance(parts: Iterable[DetailTerm], radius: float) -> float:
 
 
 def max_climb(parts: Iterable[DetailTerm], radius: float) -> float:
-    """Return how much, in metres, the sum can differ between two corners of a triangle in such a circle."""
+    """Return how much, metres, the sum of `parts` can differ between two corners of a triangle.
+
+    radius: of a circle that contains the triangle, metres.
+    """
     return add_up(min(s.far + 2 * radius * s.steep for s in part.splits) for part in parts)
 
 
@@ -119,7 +122,8 @@ def tables(
     """Return two bounds for each depth, float32 [64, 2] metres, rounded up.
 
     These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
-    edges. Entry 0 holds for all triangles, and also for depths above `smooth_from`: with a mask the depth of half a
+    edges. parts: summands of the displacement. steps: metres between samples. levels: a root square has 2**levels cells
+    a side. Entry 0 holds for all triangles, and also for depths above `smooth_from`: with a mask the depth of half a
     cell.
     """
     limit = 2 * highest(parts)

@@ -113,7 +113,10 @@ def bound_terms(ground: Ground | None, finest: float, lattice: Lattice) -> list[
 
 
 def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list[DetailTerm]]:
-    """Return the summands of all layers without a mask, then those of each layer with one."""
+    """Return the summands of all layers without a mask, then those of each layer with one.
+
+    finest: shortest edge of a mesh, metres; waves that it cannot resolve are left out.
+    """
     layers = layers_below(ground)
     everywhere = [part for layer in layers if layer.mask is None for part in layer.detail.parts(finest)]
     steps = lattice.step_x, lattice.step_y
@@ -124,9 +127,10 @@ def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list
 
 
 def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
-    """Return `tables` of the layers without a mask, and of each layer with one for 1 of 255.
+    """Return the bounds of the layers without a mask, then of each layer with one at a mask of 1 of 255.
 
-    The result is float32 [1 + masks, 64, 2] metres. The first table holds the climbs of all layers.
+    finest: shortest edge of a mesh, metres. meshlet: leaves are drawn as 4**meshlet triangles. The result is float32 [1
+    + masks, 64, 2] metres. The first table holds the climbs of all layers.
     """
     steps, cell = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)

@@ -226,7 +226,11 @@ def from_transform(
 
 
 def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:
-    """Return metres in a unit of a geographic CRS along x and y, at the raster's middle `y`, in that unit."""
+    """Return metres in a unit of a geographic CRS along x and y.
+
+    y: the raster's middle, in that unit. degrees: degrees of a unit. ellipsoid: its semi-major axis, metres, and
+    inverse flattening.
+    """
     latitude = y * degrees
     if abs(latitude) > 89.9:
         raise TerrainError(

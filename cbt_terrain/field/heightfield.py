@@ -88,7 +88,7 @@ class HeightRaster:
         origin: float64 [3], CRS coordinates of the local origin.
         place: from the terrain's space to the CRS, see georeference.py; None without a geotransform and in stores of
             older versions.
-        path: of the store, None for a raster in memory.
+        path: the store's folder, None for a raster in memory.
         cache: empty in a copy that `replace` has made.
     """
 

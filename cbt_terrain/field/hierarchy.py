@@ -48,7 +48,7 @@ def ranges_at(lattice: Lattice, depth: int) -> Depth:
 def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
     """Return the layout of diamonds `finer` bisections above the raster's cells; 0: of the cells themselves.
 
-    extent: columns and rows of the depth. base, pages: see `Lattice.layout`.
+    extent: columns and rows of the depth. base: first entries, pages: pages in a row, of each group and of the cells.
     """
     group = (finer - 1) // 4 if finer else len(pages) - 1
     layout = Depth()
@@ -117,7 +117,7 @@ def measure_triangles(
 ) -> None:
     """Fill `errors` above the raster's cells, whose entries are there; the coarsest depth is `coarsest`.
 
-    Further arguments: see `build_errors`.
+    measured: samples with NaN where they do not count, as in holes; None if all count.
     """
     out = flat(errors, wp.float32)
     raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
@@ -139,10 +139,10 @@ def measure_triangles(
 
 
 def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
-    """Raise the stored value of each cell to at least `part` of its four neighbours'.
+    """Raise each cell's value to at least part^n of that of every cell n steps between neighbours away.
 
-    The value of a neighbour is raised first, so that a cell counts with part^n at a distance of n cells. out: the array
-    of all values. step: name of the timed step.
+    cells: layout of the cells in `out`, the array of all values, which is changed in place. part: 0 .. 1. step: name of
+    the timed step.
     """
     spread = partial(launch.spread, step=step, threads=threads)
     inputs = [wp.float32(part), cells, out]

@@ -56,7 +56,7 @@ class BuiltInTerrain:
 def _mountain_terrain(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
     """Return a built-in terrain of mountain ranges, which `raise_land` computes.
 
-    number: of its shape in the kernel. side: metres of its square. preset: name of the stack that shapes it.
+    number: its shape's number in the kernel. side: metres of its square. preset: name of the stack that shapes it.
     """
     half = wp.float64(0.5 * side)
     return BuiltInTerrain(

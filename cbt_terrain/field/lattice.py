@@ -146,7 +146,8 @@ class Lattice:
     def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
         """Return first entries and pages a row of the images in which groups of depths are stored, and of the cells.
 
-        A root square has 2**levels cells; see `layout` for the results.
+        A root square has 2**levels cells a side. Both results are int arrays, an item for each group and one for the
+        cells.
         """
         sizes, pages = [0], []
         for group in range((levels + 1) // 2 + 1):
@@ -204,7 +205,10 @@ def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> La
 
 
 def lattice_for(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0, name: str = "The raster") -> Lattice:
-    """Call `fit`. Raises TerrainError for a raster that is too large. name: of the raster, in the error."""
+    """Return the lattice of a raster, from `fit`. Raises TerrainError for one that is too large.
+
+    step_x, step_y: metres between samples. name: the raster's name, in the error.
+    """
     lattice = fit(width, height, step_x, step_y)
     if not lattice.is_addressable:
         raise TerrainError(

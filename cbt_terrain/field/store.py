@@ -287,12 +287,13 @@ class Draft:
     """A version of a store while it is written; invisible until `publish`."""
 
     def __init__(self, path: Path, name: str | None = None, may_exist: bool = False):
-        """Create the folder of a new version and lock it. name: of the folder, by default a new unpredictable one.
+        """Create the folder of a new version and lock it.
 
-        may_exist: whether the folder may be there, with arrays that were allocated before.
+        path: the store's folder. name: that of the folder of arrays in it; None for a new unpredictable one. may_exist:
+        whether the folder of arrays may be there, with arrays that were allocated before.
         """
         self.path = path
-        self._new_folders = missing_folders(path)
+        self._new_folders = missing_folders(path)  # to be removed if the draft is discarded
         self.folder = path / (name or new_data_name())
         self._lock = partial_files.make_folder(self.folder, parents=True, may_exist=may_exist)
         self.published = False
@@ -377,7 +378,7 @@ class Draft:
     def discard_unless_published(self, with_work: bool = True) -> None:
         """Remove the draft's files if it was not published. An earlier store at its path is untouched.
 
-        with_work: also if they can be completed later.
+        with_work: also remove the files of a tiled import that could be completed later.
         """
         if self.published:
             return

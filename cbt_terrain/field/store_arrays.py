@@ -146,7 +146,10 @@ def is_cut_off(array: np.ndarray) -> bool:
 
 
 def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:
-    """Check every block and return their number. Raises as `map_array`."""
+    """Check the checksum of every block of an array's file; return the number of blocks.
+
+    Raises FileNotFoundError, and TerrainError for any other fault.
+    """
     array, sums = _map_unchecked(file, shape, dtype)
     _check_blocks(file, array, sums, range(len(sums)))
     return len(sums)

@@ -206,6 +206,7 @@ class Fitter:
     ) -> FittedMesh:
         """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
+        rounds: number of rounds that the fit took. deepest: a triangle is too coarse at the deepest level.
         Rounding a plane coordinate moves a facet sideways, and no facet is steeper than the surface but for
         twice the distance of its corners over the shortest way between them. The bound is rounded up unless it
         then exceeded one that holds already.

@@ -32,7 +32,7 @@ class Attribute:
     """A value for each element of a domain.
 
     `array`: [n], or [n, width] for several numbers each, of a dtype and width in TYPES. `domain`: one of DOMAINS.
-    `unit`: of the numbers, as "m" or "px"; "" where they have none.
+    `unit`: the numbers' unit, as "m" or "px"; "" where they have none.
     """
 
     array: np.ndarray

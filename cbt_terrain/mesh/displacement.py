@@ -34,7 +34,8 @@ def displace(
     """Displace the points in parts (base, count) of the array `point`, each part in `pieces` pieces.
 
     `slots`: number of each part's list of runs, which `reuse_points` or `reuse_inner_points` has bound; None if nothing
-    is copied. Raises TerrainError if a damaged field gives positions that are not finite.
+    is copied. geomorph: weights by which points move, None without. meshlet: leaves are drawn as 4**meshlet triangles.
+    Raises TerrainError if a damaged field gives positions that are not finite.
     """
     arrays, scratch, vertices = history.next.arrays, history.scratch, sum(int(n) for _, n in parts)
     p = arrays.struct(displace_kernels.DisplacedPoints)

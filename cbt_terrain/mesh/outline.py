@@ -52,7 +52,10 @@ def outline(triangles: np.ndarray) -> np.ndarray:
 
 
 def _lines(border: np.ndarray) -> np.ndarray:
-    """Return float64 [n, 3]: the edges' lines (a, b, c), each once; a x + b y + c is the distance to the left."""
+    """Return float64 [n, 3]: the edges' lines (a, b, c), each once; a x + b y + c is the distance to the left.
+
+    border: ends of the edges, float64 [n, 2 ends, x y].
+    """
     along = border[:, 1] - border[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths(along.T)[:, None]
     lines = np.concatenate([normal, -np.sum(normal * border[:, 0], axis=1, keepdims=True)], axis=1)

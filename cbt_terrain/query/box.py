@@ -27,10 +27,9 @@ def box_range(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> tuple[float, float]:
-    """Return the lowest and highest height in the box between two meridians and two parallels, all in metres.
+    """Return the lowest and highest height in a box of the plan, metres; (nan, nan) without ground.
 
-    (nan, nan) without ground. Raises TerrainError.
-
+    west, south, east, north: sides of the box, metres in the terrain's space. Raises TerrainError.
     Exact for a bilinear surface: in a cell its extrema are at the corners of the part inside the box. A bicubic one is
     between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
     terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).

@@ -91,7 +91,10 @@ def _checked_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarr
 
 
 def _hits(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> Hits:
-    """Return the hits at distances along rays; places are NaN where a ray hits nothing, and its distance infinite."""
+    """Return the hits at distances along rays; positions are NaN where a ray hits nothing.
+
+    origins, directions: float64 [n, 3]. distance: float64 [n] metres, infinite where a ray hits nothing.
+    """
     hit = np.isfinite(distance)[:, None]
     with np.errstate(invalid="ignore"):
         return Hits(distance, np.where(hit, origins + distance[:, None] * directions, np.nan))

@@ -116,7 +116,7 @@ class ConcurrentBinaryTree:
     # Edit: O(depth) a node
 
     def split(self, heap_ids: np.ndarray) -> None:
-        """Replace leaves above the deepest level by their two children each. heap_ids: of the leaves, uint64."""
+        """Replace leaves above the deepest level by their two children each. heap_ids: ids of the leaves, uint64."""
         ids = np.ascontiguousarray(heap_ids, np.uint64)
         self.edit(edits.split_leaves, len(ids), [shared(ids, wp.uint64)])
 

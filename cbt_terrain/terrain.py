@@ -70,7 +70,8 @@ class _Result:
     """The last mesh and its parameters.
 
     `shape`: the arguments that place its leaves' vertices, in the order of `_shape`. `horizon`: arguments of
-    `horizon_of`, None if occlusion is unknown. `pieces`: of the surface, once triangles at points are requested.
+    `horizon_of`, None if occlusion is unknown. `pieces`: pieces of cut triangles, once triangles at points are
+    requested.
     """
 
     update: Update
@@ -193,8 +194,8 @@ class Terrain:
     ) -> Update:
         """Rebuild the mesh of a saved tree and commit it as the last frame; its bound in metres is that of its errors.
 
-        Raises TerrainError if the tree does not fit the height field. ms: dict that collects the milliseconds of each
-        step.
+        Raises TerrainError if the tree does not fit the height field. key: arguments that identify the frame. meshlet:
+        leaves are drawn as 4**meshlet triangles. ms: dict that collects the milliseconds of each step.
         """
         box_of(self.field, vertical_scale, vertical_offset)
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
@@ -226,8 +227,7 @@ class Terrain:
     def _has_other_shape(self, shape: tuple) -> bool:
         """Return whether the last frame placed its points with arguments other than `shape`.
 
-        They cannot be reused then. shape: meshlet, interpolation, vertical scale, offset and end of the morph,
-        as in `_Result.shape`.
+        They cannot be reused then. shape: meshlet, interpolation, vertical scale, offset and end of the morph.
         """
         last = self._last
         return last is None or last.shape != shape
@@ -296,7 +296,7 @@ class Terrain:
         unsure = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
-            """Return the views in terrain space; `margins` as in `localise`, by default the guard band."""
+            """Return the views in terrain space. margins: degrees around the frame, None for the guard band."""
             seen = zip(spans.views, spans.scales, strict=True)
             return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
 

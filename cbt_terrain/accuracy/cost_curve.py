@@ -24,8 +24,8 @@ SMALLEST, LARGEST = 1e-30, 1e30
 class CostCurve:
     """Straight lines between measured points, with both axes logarithmic; at least two points.
 
-    `unit`: of the error, "px" or "m". `error`: the requested errors, strictly decreasing. `triangles`, `ms`: the cost
-    of a warm update; neither falls from one point to the next. Raises TerrainError for anything else.
+    `unit`: the error's unit, "px" or "m". `error`: the requested errors, strictly decreasing. `triangles`, `ms`: the
+    cost of a warm update; neither falls from one point to the next. Raises TerrainError for anything else.
     """
 
     unit: str
@@ -105,7 +105,10 @@ class CostCurve:
         return cls(**data)
 
     def _cost(self, costs: tuple[float, ...], error: float) -> float:
-        """Return the cost at an error by the power law between the two measured points around it."""
+        """Return the cost at an error by the power law between the two measured points around it.
+
+        costs: those of the measured points, in the order of `error`.
+        """
         # The first segment that reaches down to the error, or the last; from its nearer measured end.
         i = next((i for i, e in enumerate(self.error[1:-1]) if e <= error), len(self.error) - 2)
         j = i + 1 if error <= self.error[i + 1] else i
@@ -122,7 +125,7 @@ class CostCurve:
 def _positive_numbers(name: str, values: Sequence) -> tuple[float, ...]:
     """Return the values as floats, each within SMALLEST and LARGEST.
 
-    Raises TerrainError for anything else. name: of the values in the error.
+    Raises TerrainError for anything else. name: the values' name in the error.
     """
     try:
         numbers = tuple(float(v) for v in values if not isinstance(v, str | bool))

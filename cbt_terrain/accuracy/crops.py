@@ -39,11 +39,10 @@ class Crop:
 
 
 def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
-    """Return one crop for each error, through the frame's first view.
+    """Return a crop of the picture at each error, pixels, through the frame's first view; [] for a panorama.
 
-    Each has the edges of triangles in its lower left half.
-
-    The part is the one in which the first and the last error differ most. There are none of a panorama.
+    The part is the one in which the first and the last error differ most. Each crop shows the edges of triangles in its
+    lower left half. base: criterion whose error is replaced; None for the default.
     """
     if not errors_px or not frame.views or frame.views[0].kind == PANORAMIC:
         return []
@@ -129,9 +128,9 @@ class _Drawn:
 
 
 def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights of the corners and pixels to the nearest edge.
+    """Return for points in triangles the weights of the corners, [n, 3], and the pixels to the nearest edge, [n].
 
-    For points in triangles [n, 3, >= 2]: weights [n, 3], pixels [n].
+    ends: corners of each point's triangle, [n, 3, >= 2], x and y first. x, y: the points, [n]. All in pixels.
     """
     corners, at = ends[..., :2], np.stack([x, y], axis=1)[:, None]
     from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner

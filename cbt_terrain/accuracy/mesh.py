@@ -70,25 +70,28 @@ def _blocks_of(values: np.ndarray) -> Iterator[np.ndarray]:
 
 
 class MeshGround:
-    """The reference surface of a height field as the kernels of the measurement read it; memory is shared."""
+    """The reference surface of a height field as the kernels of the measurement read it; its samples are not copied."""
 
     def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> None:
-        """Pack the reference surface of a height field for kernels, at a vertical scale and offset (metres)."""
+        """Pack the reference surface of a height field for kernels, at a vertical scale and offset (metres).
+
+        threads: their number for the launches of the measurement.
+        """
         lattice = field.lattice
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
         # The lattice of the finest mesh: as many bits a side as `depth_limit` in field/depths.py allows.
         self.bits = PLANE_BITS - lattice.side_bits - lattice.levels
-        g = self.packed = kernels.Reference()
-        g.bits = self.bits
-        g.bicubic = int(field.interpolation == "bicubic")
-        g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)
-        g.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
-        g.step_x, g.step_y = lattice.step_x, lattice.step_y
-        g.west, g.south, _, _ = lattice.rectangle()
-        g.scale, g.offset = self.scale, self.offset
-        g.samples = codes.pack_samples(field.samples, field.steps)
+        packed = self.packed = kernels.Reference()
+        packed.bits = self.bits
+        packed.bicubic = int(field.interpolation == "bicubic")
+        packed.curved, packed.max_detail = int(packed.bicubic or bool(field.parts)), highest(field.parts)
+        packed.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
+        packed.step_x, packed.step_y = lattice.step_x, lattice.step_y
+        packed.west, packed.south, _, _ = lattice.rectangle()
+        packed.scale, packed.offset = self.scale, self.offset
+        packed.samples = codes.pack_samples(field.samples, field.steps)
 
     @property
     def point_ends(self) -> tuple[int, int]:

@@ -137,9 +137,9 @@ class Sight:
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
-        """Return the point seen at each point of the frame.
+        """Return the point of the surface seen at each point of the frame.
 
-        int64 [n, 2], -1 in the sky, for float64 [n, 2], pixels from the middle.
+        int64 [n, 2], units of 2^-(bits + 7) cells, -1 in the sky, for `places`, float64 [n, 2], pixels from the middle.
         """
         x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
         inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
@@ -147,9 +147,9 @@ class Sight:
         return np.stack([x, y], axis=1)
 
     def pixel_points(self, on_progress: Progress = ignore_progress) -> np.ndarray:
-        """Return the point seen in the middle of each pixel.
+        """Return the point of the surface seen in the middle of each pixel.
 
-        int64 [rows * columns, 2], row 0 below; x is -1 in the sky.
+        int64 [rows * columns, 2], units of 2^-(bits + 7) cells, row 0 below; x is -1 in the sky.
         """
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
@@ -205,9 +205,9 @@ class Sight:
         return found, errors_of(np.concatenate(hidden))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Return pixels between two heights of the visible points, float32 [n].
+        """Return pixels between two displaced copies of each visible point, float32 [n].
 
-        The heights are float64 [n], metres above the reference.
+        before, after: heights of the copies, float64 [n] metres above the reference.
         """
         return self._pixels_between(self.visible_points(), before, after)
 

@@ -28,9 +28,9 @@ MAX_TRIANGLES = 1 << 23
 class Setting:
     """One thing to measure.
 
-    `error`: of the criterion, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a Criterion. `fitted`:
-    heights of vertices are fitted (metres only). `interpolation`: of the height field. `morph`: in place of the
-    criterion's; None keeps that.
+    `error`: the criterion's error in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a Criterion.
+    `fitted`: heights of vertices are fitted (metres only). `interpolation`: the height field's. `morph`: in place of
+    the criterion's; None keeps that.
     """
 
     unit: str

@@ -269,7 +269,10 @@ def _srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
-    """Return the index of the folder: these maps, and other existing ones of the same ground."""
+    """Return the index of the folder: the maps of `images`, and others that exist for the same ground.
+
+    before: the folder's index so far, None without one.
+    """
     lattice, tiling = place.field.lattice, place.tiling
     west, south, east, north = lattice.rectangle()
     index = {

@@ -43,7 +43,10 @@ class DecalPicture:
 
 
 def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
-    """Return the picture of float [rows, columns, 4], linear colours or a normal map in 0 .. 1, not premultiplied."""
+    """Return the picture of pixels, float [rows, columns, 4], 0 .. 1, not premultiplied.
+
+    tilts: the pixels are a normal map, of which slopes are stored; else linear colours.
+    """
     finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
     rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
@@ -71,6 +74,7 @@ class Decal:
     opacity: float = 1.0
 
     def __post_init__(self) -> None:
+        """Check that numbers are finite and that the decal has an area from above. Raises TerrainError."""
         keep_plain_numbers(self, "The decal's")
         if not (math.isfinite(self._area) and self._area != 0.0):
             raise TerrainError(f"The decal {self.name!r} stands upright or has no size", fix="rotate or scale it")

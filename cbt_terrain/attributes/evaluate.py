@@ -98,7 +98,7 @@ def evaluate(
     """Evaluate attributes on a surface; points of the last surface reuse its values.
 
     Values are functions of a point, a level, parameters and heights alone, so that the bytes do not depend on the
-    history. `max_bytes`: see MAX_BYTES.
+    history. `max_bytes`: limit of values and caches together; values of the last surface are dropped to keep it.
     """
     with history.alone():
         values, history.values = history.values, None  # discarded if this is interrupted
@@ -181,10 +181,10 @@ def on_samples(
     threads: int = 1,
     level: float = 0.0,
 ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-    """Yield attributes of a raster by bands of rows: a slice of rows (row 0 south), and the values there by name.
+    """Yield attributes of a raster by strips of rows: a slice of rows (row 0 south), and the values there by name.
 
-    These are float32 [rows, columns] or [rows, columns, width]. level: of the height pyramid, 0 for the raster's
-    own scale. Masks and splat layers are computed with it.
+    These are float32 [rows, columns] or [rows, columns, width]. level: level of the height pyramid, 0 for the raster's
+    own scale. Masks and splat layers are computed with this function.
     """
     lattice, requests = field.lattice, list(requests)
     west, south, _, _ = lattice.rectangle()
@@ -278,8 +278,8 @@ def _make_group(
 ) -> int:
     """Compute the group's values into `found` and return the number of computed elements.
 
-    which: points to compute, where `found` has the others from the last surface; None for all. once: names whose
-    last arrays are dropped, see `_held_once`.
+    which: points to compute, where `found` has the others from the last surface; None for all. once: names of the
+    attributes whose values of the last surface are dropped, to keep memory bounded.
     """
     read = {name: found[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:

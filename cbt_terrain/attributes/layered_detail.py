@@ -99,8 +99,8 @@ def _compute_masks(
     """
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
     versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
-    mark = hashlib.blake2b(repr((versions, layers, numbers, heights)).encode(), digest_size=8).hexdigest()
-    masks, maxima = f"masks_{mark}", f"mask_maxima_{mark}"
+    digest = hashlib.blake2b(repr((versions, layers, numbers, heights)).encode(), digest_size=8).hexdigest()
+    masks, maxima = f"masks_{digest}", f"mask_maxima_{digest}"
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
         """Compute the masks row by row, and their maxima."""
@@ -118,5 +118,5 @@ def _compute_masks(
     }
     found = derive_large(field.raster, shapes, fill)
     for name in shapes:
-        remove_old(field, f"{name.removesuffix(mark)}*.npy", name, MAX_CACHED)
+        remove_old(field, f"{name.removesuffix(digest)}*.npy", name, MAX_CACHED)
     return list(map(LayerMask, found[masks], found[maxima]))

@@ -44,10 +44,10 @@ def footprint_levels(
 ) -> np.ndarray:
     """Return the level of each point whose spacing is the finest pixel footprint of any view, float32 [n].
 
-    positions: float32 [n, 3], metres in the terrain's space, which `placement` (4 x 4) maps to the world. The footprint
-    is across the line of sight and depends on the distance, not on the depth, so that rotating the camera changes
-    nothing. For an unevenly scaled terrain it is that along the axis of least scale, the largest. Without views level
-    0.
+    positions: float32 [n, 3], metres in the terrain's space, which `placement` (4 x 4) maps to the world. out: array
+    for the result, None for a new one. The footprint is across the line of sight and depends on the distance, not on
+    the depth, so that rotating the camera changes nothing. For an unevenly scaled terrain it is that along the axis of
+    least scale, the largest. Without views level 0.
     """
     levels = np.empty(len(positions), np.float32) if out is None else out
     if not views:

@@ -44,8 +44,9 @@ def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_of
 def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False) -> np.ndarray:
     """Return the finest pixel footprint of any view on each tile, float64 [tiles] metres in the terrain's space.
 
-    `boxes`: see `boxes`. `placement`: float64 [4, 4], maps the terrain's space to the world. `only_seen`: a tile
-    outside of every view's frame has an infinite footprint; otherwise only the distance counts.
+    `boxes`: float64 [tiles, 2, 3], lowest and highest corner of each tile's ground, metres. `placement`: float64 [4,
+    4], maps the terrain's space to the world. `only_seen`: a tile outside of every view's frame has an infinite
+    footprint; otherwise only the distance counts.
     """
     finest = np.full(len(boxes), np.inf)
     seen = np.zeros(len(boxes), bool)

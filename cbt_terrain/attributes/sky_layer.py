@@ -89,7 +89,10 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
 
 
 def _layer_state(field: HeightField, scale: float) -> dict:
-    """Return the state of the sky (see `_add_azimuth`) from memory or from the store; new if it is in neither."""
+    """Return the state of the sky's computation from memory or from the store; a new one if it is in neither.
+
+    It has the number of finished azimuths and the sum of the sky so far. scale: vertical scale.
+    """
     if (LAYER, scale) not in field.cache.results:
         _load_from_store(field, scale)
     state = _cache_entry(field, LAYER, scale)

@@ -74,7 +74,10 @@ class EffectValues:
         self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
-        """Return arrays as `turn` does, filled with the values of points that the last surface has."""
+        """Return new arrays by name, float32 [V] or [V, width], with the values of points that the last surface has.
+
+        Values of other points are uninitialized. widths: numbers for each point, by name of the attribute.
+        """
         turned = {name: self.turn(name, width) for name, width in widths.items()}
         pairs = [
             _pair(new_points, last, widths[name]) for name, (new_points, last) in turned.items() if last is not None

@@ -32,7 +32,8 @@ def whole(
 ) -> HeightRaster:
     """Return the result of the attribute `name`, finite float32 [lattice.height, lattice.width], as a raster.
 
-    `make` computes it if it is not cached. Other results may be evicted from memory for it.
+    `make` computes it if it is not cached. Other results may be evicted from memory for it. version: the attribute's.
+    parameters: everything else that the result depends on except the raster.
     """
     file = result_file(name, version, parameters)
     key = f"{field.raster.digest}-{file}"
@@ -52,10 +53,10 @@ def whole(
 def result_file(name: str, version: int, parameters: tuple) -> str:
     """Return the name, without its suffix, of the file in a store that caches a result for the whole raster.
 
-    version: of the attribute. parameters: everything else that the result depends on except the raster.
+    version: the attribute's version. parameters: everything else that the result depends on except the raster.
     """
-    mark = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
-    return f"effect_{name}_{mark}"
+    digest = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
+    return f"effect_{name}_{digest}"
 
 
 def forget_results() -> None:

@@ -204,7 +204,7 @@ def _shape(land: Land, open_field: OpenField) -> None:
 def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
     """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs.
 
-    wanted: result of `wanted_tiles`.
+    wanted: the requested tiles, from `wanted_tiles`; None for all. gentle: run at low priority.
     """
     wanted = requested_tiles.with_known(land.folder, wanted)
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted

@@ -39,8 +39,9 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | 
 
 
 def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
-    """Apply [1 2 1] / 4 along both axes, which conserves the sum.
+    """Return a change, metres, smoothed by [1 2 1] / 4 along both axes, which conserves its sum.
 
+    missing: bool, samples that do not change; None for none.
     It removes the washboard that droplets leave on level ground and smooths linear stretches between coarse samples.
     """
     out = change.copy()

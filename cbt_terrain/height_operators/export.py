@@ -82,10 +82,10 @@ def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
     return found[::-1]
 
 
-def _bands(field: HeightField, names: Sequence[str], number: int, on_progress: OnProgress) -> Iterator[np.ndarray]:
-    """Yield the rows of the layer names[number] in bands of LINES, from the north.
+def _strips(field: HeightField, names: Sequence[str], number: int, on_progress: OnProgress) -> Iterator[np.ndarray]:
+    """Yield the rows of the layer names[number] in strips of LINES rows, from the north.
 
-    on_progress(fraction) is called after each band with the fraction of all layers.
+    on_progress(fraction) is called after each strip with the fraction of all layers.
     """
     firsts = range(0, field.lattice.height, LINES)
     for k, first in enumerate(firsts):
@@ -96,17 +96,20 @@ def _bands(field: HeightField, names: Sequence[str], number: int, on_progress: O
 def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
     """Write heights and layers as OpenEXR files. files: by name of the layer."""
     for number, path in enumerate(files.values()):
-        _write_exr(field, _bands(field, list(files), number, on_progress), path)
+        _write_exr(field, _strips(field, list(files), number, on_progress), path)
 
 
-def _write_exr(field: HeightField, bands: Iterable[np.ndarray], path: Path) -> None:
-    """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits. bands: its rows."""
+def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> None:
+    """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits.
+
+    strips: arrays of LINES rows, from the north; the last may be shorter.
+    """
     lattice = field.lattice
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
             exr = ExrFile(partial, lattice.width, channels=1, depth=32, text="", pool=pool, lines=lattice.height)
             try:
-                for rows in bands:
+                for rows in strips:
                     exr.add(rows[..., None])
                 exr.close()
             finally:
@@ -138,7 +141,7 @@ class RasterShape:
         transform: six numbers from pixels to coordinates, in rasterio's order.
         crs: name of the coordinate system, "" if it has none.
         has_missing: whether NaN marks missing samples.
-        name: of the band.
+        name: the band's name.
     """
 
     width: int
@@ -190,7 +193,10 @@ def _open_raw(path: Path, _shape: RasterShape, dtype: np.dtype, _pool: Executor)
 
 
 def _convert_to_tiffs(paths: Iterable[Path], shapes: Iterable[RasterShape]) -> None:
-    """Turn RAW files of float32 into GeoTIFF files in one child process."""
+    """Replace RAW files of float32 by GeoTIFF files with the same names, in one child process.
+
+    shapes: size and georeference of each.
+    """
     raws = [{"path": str(path.absolute()), "shape": asdict(shape)} for path, shape in zip(paths, shapes, strict=True)]
     ask(MODULE, {"store": raws[0]["path"], "raws": raws}, "the rows of GeoTIFF files")
 
@@ -200,7 +206,7 @@ class RasterFormat:
     """A format of exported rasters.
 
     Attributes:
-        dtype: of the file's numbers; integers need a scale and an offset.
+        dtype: type of the file's numbers; integers need a scale and an offset.
         open: open(path, shape, dtype, pool) returns a RowFile.
         finish: finish(paths, shapes) completes files that `open` has written, None if nothing is left to do.
         keeps_missing: whether NaN marks missing samples; they are filled in other formats.
@@ -249,20 +255,23 @@ def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -
         for raw in request["raws"]:
             shape = RasterShape(**raw["shape"])
             samples = np.fromfile(raw["path"], "<f4").reshape(shape.height, shape.width)
-            bands = (samples[first : first + LINES] for first in range(0, shape.height, LINES))
-            _write_tiff(Path(raw["path"]), bands, shape)
+            strips = (samples[first : first + LINES] for first in range(0, shape.height, LINES))
+            _write_tiff(Path(raw["path"]), strips, shape)
         return []
     field = open_store(request["store"])
     transform, crs = _georeference(field, request["store"])
     names, lattice, missing = list(request["files"]), field.lattice, field.valid is not None
     for number, (name, path) in enumerate(request["files"].items()):
         shape = RasterShape(lattice.width, lattice.height, transform[:6], crs, missing, name)
-        _write_tiff(Path(path), _bands(field, names, number, lambda fraction: tell(fraction, "Writing")), shape)
+        _write_tiff(Path(path), _strips(field, names, number, lambda fraction: tell(fraction, "Writing")), shape)
     return list(request["files"].values())
 
 
-def _write_tiff(path: Path, bands: Iterable[np.ndarray], shape: RasterShape) -> None:
-    """Write a raster to a GeoTIFF. bands: arrays of LINES rows, in order. Raises TerrainError."""
+def _write_tiff(path: Path, strips: Iterable[np.ndarray], shape: RasterShape) -> None:
+    """Write a raster to a GeoTIFF. Raises TerrainError.
+
+    strips: arrays of LINES rows, from the north; the last may be shorter.
+    """
     import rasterio
     from rasterio.transform import Affine
     from rasterio.windows import Window
@@ -274,7 +283,7 @@ def _write_tiff(path: Path, bands: Iterable[np.ndarray], shape: RasterShape) -> 
     try:
         with written_beside(path) as partial, rasterio.open(partial, "w", **options) as file:
             file.set_band_description(1, shape.name)
-            for k, rows in enumerate(bands):
+            for k, rows in enumerate(strips):
                 file.write(rows, 1, window=Window(0, k * LINES, shape.width, len(rows)))
     except rasterio.errors.RasterioError as reason:
         raise unwritable(str(path), OSError(f"GDAL: {reason}")) from reason

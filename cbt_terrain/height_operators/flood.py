@@ -73,8 +73,9 @@ def still(
 ) -> Flood:
     """Return a flood at rest, with water `surge` metres above the `sea` level over ground below it.
 
-    bed, metres, rough: see Flood. rain: m/s, one number or one for each sample. missing: bool [rows, columns], holes,
-    where water vanishes. Beyond the border is the sea, or land that water leaves to.
+    bed: heights in metres. metres: between samples, east and north. rough: Manning's coefficient. rain: m/s, one number
+    or one for each sample. missing: bool [rows, columns], holes, where water vanishes. Beyond the border is the sea, or
+    land that water leaves to.
     """
     bed = np.ascontiguousarray(bed, np.float32)
     holes = np.zeros(bed.shape, bool) if missing is None else missing

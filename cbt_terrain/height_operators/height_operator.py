@@ -19,8 +19,8 @@ from ..attributes.attribute import Parameter
 class LandLayer:
     """A by-product, a number for each sample.
 
-    `name`: of the attribute, map or file. `per_metre`: it is a depth, which adds up over a stack; otherwise a state,
-    which is replaced. `signed`: a depth that may be negative.
+    `name`: name of the attribute, map or file. `per_metre`: it is a depth, which adds up over a stack; otherwise a
+    state, which is replaced. `signed`: a depth that may be negative.
     """
 
     name: str

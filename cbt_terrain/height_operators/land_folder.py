@@ -47,7 +47,7 @@ def is_land_name(name: str) -> bool:
 def records(provenance: dict, folder: str, source_key: str) -> bool:
     """Return whether a store records that it is the land its folder is named for, and False for an older record.
 
-    provenance: the store's. source_key: of the store next to the folder. Raises TerrainError for the store
+    provenance: the store's. source_key: key of the store next to the folder. Raises TerrainError for the store
     of another terrain, which this program did not make for that folder.
     """
     shaped, name = provenance.get("shaped"), Path(folder).name

@@ -124,8 +124,8 @@ class LevelPlan:
     def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:
         """Return the needed tiles of a level where its change may exceed the allowed error.
 
-        max_change: float64 [tiles of the next coarser level], metres; finer levels change heights less. uncertain: bool
-        likewise, where that does not hold.
+        max_change: float64 [tiles of the next coarser level], largest change there, metres; finer levels change heights
+        less. uncertain: bool [tiles of the next coarser level], where that does not hold.
         """
         needed = self.needed[level.number]
         if max_change is None or uncertain is None or level.is_whole:

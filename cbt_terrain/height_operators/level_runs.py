@@ -164,9 +164,11 @@ def _compute_tile(
     mask: np.ndarray | None,
     sums: list[TileSums],
 ) -> tuple[list[np.ndarray], LandWindow]:
-    """Apply a run of entries to one tile.
+    """Apply a run of entries, given by their numbers, to one tile.
 
-    Return their changes and the land over its window widened by BAND. mask: of the first entry, for the whole level.
+    Return their changes and the land over its window widened by BAND. coarse: each entry's change at the coarser level.
+    land: the land of the whole level. mask: weights of the first entry's mask for the whole level, None without one.
+    sums: statistics of each entry's changes, to which those of the tile are added.
     """
     level, changes = work.level, []
     windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]

@@ -15,7 +15,7 @@ COARSEST = 257
 def finer(samples: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Interpolate samples of a level linearly to `shape`, float32 [rows, columns], of the next finer level.
 
-    samples: float32 [(rows + 1) // 2 or one more, likewise].
+    samples: float32 [(rows + 1) // 2 or one more, (columns + 1) // 2 or one more].
     """
     rows, columns = samples.shape
     wide = np.empty((rows, 2 * columns - 1), np.float32)

@@ -76,6 +76,7 @@ class _Layers(Mapping[str, np.ndarray]):
     results: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
+        """Return a layer at the preview's samples, float32 [rows, columns], interpolated when it is first read."""
         if name not in self.results:
             self.results[name] = interpolate(self.coarse[name], self.rows, self.columns)
         return self.results[name]

@@ -43,7 +43,7 @@ def sides(shape: tuple[int, ...]) -> list[tuple]:
 
 
 def border_motion(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
-    """Return a function that moves the border samples after each step; `years`: of all steps.
+    """Return a function that moves the border samples after each step; `years`: sum of all steps.
 
     At the coarsest level they sink with the sample inside them, so that a border is no dam, but not below their lowest,
     which is the base level; they never rise. At finer levels they follow the coarser change as an uplift in every
@@ -187,7 +187,11 @@ def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
 
 
 def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple[Positions, np.ndarray]:
-    """Return rows and columns of the samples along four sides, cuts `inset` samples inside, and which are on cuts."""
+    """Return rows and columns of the samples along four sides of a tile, and which of them are on cuts.
+
+    rims: whether the south, north, west and east side is the raster's border; the others are cuts, whose samples are
+    taken `inset` samples inside.
+    """
     south, north, west, east = rims
     low, high = inset * (not south), shape[0] - 1 - inset * (not north)
     left, right = inset * (not west), shape[1] - 1 - inset * (not east)
@@ -226,7 +230,8 @@ def _ring(seen: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
 def _ends(seen: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns where the water of each sample enters the tile, followed for up to 16 samples.
 
-    y, x: receivers.
+    seen: where the samples lie inside of the tile. y, x: row and column of each sample's receiver, to which its water
+    flows.
     """
     shape, itself = y.shape, np.arange(y.size).reshape(y.shape)
     down = np.where(seen.inside, itself, y * shape[1] + x).reshape(-1)

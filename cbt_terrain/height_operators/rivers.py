@@ -152,7 +152,10 @@ def _fade(ground: OperatorGround) -> np.ndarray:
     wide = FADE * min(sizes)
 
     def fade_along(first: int, count: int, spacing: float, size: float) -> np.ndarray:
-        """Return weights along one axis: 1 inside, smoothly to 0 at both borders of the raster, float64 [count]."""
+        """Return weights along one axis: 1 inside, smoothly to 0 at both borders of the raster, float64 [count].
+
+        first: number of the first sample in the raster. spacing: metres between samples. size: the raster's, metres.
+        """
         at = np.arange(first, first + count) * spacing
         t = np.clip(np.minimum(at, size - at) / max(wide, spacing), 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)

@@ -154,7 +154,10 @@ def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int
 
 
 def _result(run: Shaping, state: LevelState | None, early: bool) -> Shaped:
-    """Return the result at the raster's own samples, interpolated from the last computed level."""
+    """Return the result at the raster's own samples, interpolated from the last computed level.
+
+    state: of that level, None if no level was computed. early: whether shaping was finished before the finest level.
+    """
     levels, shape_ = run.plan.levels, (run.heights.lattice.height, run.heights.lattice.width)
     depths, counts = run.depths, [level.tile_count for level in levels]
     if state is None:

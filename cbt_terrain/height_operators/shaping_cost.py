@@ -35,7 +35,11 @@ def costs_less_whole(lattice: Lattice, stack: Stack) -> bool:
 
 
 def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: Wanted) -> bool:
-    """Return whether the whole land in one piece costs less than those of some tiles that its folder lacks."""
+    """Return whether the whole land in one piece costs less than the wanted tiles that its folder lacks.
+
+    folder: the derived store's. wanted: by level the errors, metres, that tiles may have, None for a level in one
+    piece.
+    """
     before = requested_tiles.read_requested(folder) or [{} for _ in wanted]
     new = [
         level and {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error}

@@ -108,7 +108,7 @@ class Stack:
         content = []
         for entry in self.active:
             mask = entry.mask
-            mark = None if mask is None else (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
+            mark = None if mask is None else (replace(mask, image=""), _image_identity(mask.image), *mask.versions)
             values = sorted(entry.values.items())
             content.append((key_name(entry.effect), entry.declaration.version, values, entry.seed, mark))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
@@ -144,8 +144,11 @@ def check_by_products(stack: Stack, source: Iterable[str]) -> None:
         available |= {layer.name for layer in entry.declaration.layers}
 
 
-def _file_mark(image: str) -> tuple:
-    """Return a value that changes with the content of an image file, for keys. An unreadable file has its name."""
+def _image_identity(image: str) -> tuple:
+    """Return a tuple that changes with the content of an image file, for the stack's key.
+
+    It is () without an image, and the name alone if the file cannot be read.
+    """
     if not image:
         return ()
     try:
@@ -290,7 +293,10 @@ def _check_object(where: str, content: object, known: tuple[str, ...]) -> dict:
 
 
 def _check_list(where: str, name: str, content: object, max_length: int) -> list:
-    """Return `content` if it is a list of at most `max_length` items. Raises TerrainError. name: of the items."""
+    """Return `content` if it is a list of at most `max_length` items. Raises TerrainError.
+
+    where, name: words in the error for the list's owner and for its items.
+    """
     if not isinstance(content, list) or len(content) > max_length:
         found = f"{len(content)} {name}" if isinstance(content, list) else f"{name} {shown(repr(content))}"
         raise TerrainError(f"{where} has {found}", expected=f"a list of at most {max_length}")

@@ -139,7 +139,10 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
 def pack_slope(
     ground: OperatorGround, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
 ) -> kernels.Slope:
-    """Return parameters and arrays as the kernels read them; the memory of the arrays is shared."""
+    """Return parameters and arrays as the kernels read them; the memory of the arrays is shared.
+
+    base: constant rock, left: rock that may break off, scree; float32 [rows, columns] metres.
+    """
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape
     slope.first_row, slope.first_column = ground.first

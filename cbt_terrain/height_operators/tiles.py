@@ -179,8 +179,7 @@ def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_off
 def _merge_boxes(level: Level, boxes: np.ndarray) -> np.ndarray:
     """Return the bounding boxes of a level's tiles, each around up to four tiles of the next finer level.
 
-    boxes: those of the finer level, see `_boxes`. The result is float64 [rows, columns, lowest and highest, x y z],
-    metres.
+    boxes: those of the finer level. Both are float64 [rows, columns, lowest and highest, x y z], metres.
     """
     rows, columns = level.tiles
     padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")

@@ -148,7 +148,7 @@ def _extend_to_shore(
 
 
 def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the dry samples next to wet ones, and the means of the surface and the depth of the latter."""
+    """Return the dry samples next to wet ones, and the mean surface and depth, metres, of their wet neighbours."""
     level, depths, count = (_sum_neighbours(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
     is_shore, count = ~wet & (count > 0), np.maximum(count, 1.0)
     return is_shore, level / count, depths / count
@@ -176,7 +176,8 @@ SIDES_NORTH_WEST = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST
 def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
 
-    A side goes from a corner to the next and is 4 * sample + direction. The diagonal is the one whose shallower end is
+    deep: depth, metres; wet: samples with water; missing: holes, None without; [rows, columns]. A side goes from a
+    corner to the next and is 4 * sample + direction. The diagonal is the one whose shallower end is
     deeper, so that a river across cells is not cut in two.
     """
     columns = deep.shape[1]

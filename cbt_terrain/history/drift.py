@@ -59,7 +59,7 @@ def _squares(criterion: CriterionArrays) -> list[float]:
 def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
     """Fill in the motion of the view from `before` to `now`, for the kernels that test cached subtrees.
 
-    drift: see `CachedSubtrees.drift`.
+    drift: fraction by which the lengths may differ that footprints are made of, since Blender's matrices are float32.
     """
     motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)

@@ -112,7 +112,11 @@ class FrameHistory:
         return key == self.last.key
 
     def commit(self, key: tuple | None = None, result: object = None, keeps_vertices: bool = False) -> None:
-        """Make the next frame the last one. `keeps_vertices`: it has the same mesh and reuses its vertices."""
+        """Make the next frame the last one.
+
+        key: the arguments of the update that computed it; result: that update. keeps_vertices: it has the same mesh as
+        the last frame and takes over its vertices.
+        """
         if keeps_vertices:
             self.next.vertices = self.last.vertices
             self._replace_vertices()
@@ -155,7 +159,8 @@ class FrameHistory:
         """Return whether vertices of the last frame may be copied; let go of its result.
 
         Vertices that changed places where the mesh was cut are put back. Without reuse the next vertices are written
-        into the memory of the last ones. `has_runs`: whether runs of vertices that are in both frames can be known.
+        into the memory of the last ones. morphs: whether this frame's vertices geomorph. has_runs: whether runs of
+        vertices that are in both frames can be known.
         """
         vertices = self.last.vertices
         reuses = has_runs and vertices is not None and vertices.domain is domain and vertices.morphs == morphs

@@ -175,7 +175,10 @@ def bounds_of(criterion: Criterion, spans: Spans, o: Outcome) -> ReportedBounds:
 
 
 def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
-    """Return the first of REASONS that applies to a refinement, "" if none does."""
+    """Return the first of REASONS why a bound of a refinement exceeds the request, "" if none does.
+
+    relaxed: factor by which a triangle limit coarsened the criterion.
+    """
     reasons = {bound.reason for bound in bounds if bound} | ({"max_triangles"} if relaxed > 1 else set())
     return next((reason for reason in REASONS if reason in reasons), "")
 

@@ -58,7 +58,10 @@ def refine(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> list[T
 
 
 def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criterion:
-    """Return the criterion that also splits all ancestors of a split diamond (a *saturated* criterion)."""
+    """Return the criterion that also splits all ancestors of a diamond that `is_split` (a *saturated* criterion).
+
+    roots: triangles of the root squares. depth: number of bisections down to which it holds.
+    """
     found: dict[Point, bool] = {}
 
     def visit(triangles: Sequence[Triangle], depth_left: int, parents_of: dict[Point, set[Point]]) -> None:

@@ -43,7 +43,7 @@ def refinable_domain(
 ) -> Domain:
     """Return the placed field as a refinement reads it.
 
-    rounding: errors of float32 positions, see `terms.rounding`. meshlet: leaves are drawn as 4**meshlet triangles.
+    rounding: largest errors of float32 positions, metres. meshlet: leaves are drawn as 4**meshlet triangles.
     """
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean

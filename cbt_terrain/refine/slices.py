@@ -84,8 +84,8 @@ class Slices:
     def bind_reuse(self, caches: bool, motion: "Motion | None") -> None:
         """Bind the lists of subtrees that the walks cache, and those of the last frame that they reuse.
 
-        caches: whether subtrees are cached for the next frame. motion: of the view since the last frame; None: reuse
-        none.
+        caches: whether subtrees are cached for the next frame. motion: movement of the view since the last frame; None
+        to reuse no subtree.
         """
         history, count, last = self.history, len(self.walks), self.history.last
         written, scratch, read = history.next.arrays, history.scratch, history.last.arrays

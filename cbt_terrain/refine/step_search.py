@@ -42,7 +42,8 @@ class Found(NamedTuple):
 def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Found:
     """Find the finest step at which at most `max_splits` triangles are split, MAX_STEP + 1 if there is none.
 
-    splits: function that counts them at steps; the numbers fall as steps rise. start, low: see `search` in budget.py.
+    splits: function that counts them at steps; the numbers fall as steps rise. start: the last frame's result, None
+    without one; it changes the time only. low: the finest step that is allowed.
     """
     search = _Search(splits, max_splits, low)
     if start:
@@ -67,7 +68,7 @@ class _Search:
         self._reached = 0  # splits at `high`, or a number that the next finer step exceeds
 
     def look(self, finest: int, coarsest: int, goal: int) -> int:
-        """Count between two steps as far as there are at most `goal` splits; returns the first such step."""
+        """Count splits at the steps finest .. coarsest, where there are at most `goal`; return the first such step."""
         first, found = self._splits(finest, coarsest, goal)
         self.known[first : coarsest + 1] = found
         if len(found) and first <= self.high:

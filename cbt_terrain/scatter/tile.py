@@ -45,7 +45,10 @@ class Tile:
         return sum(map(len, self.order))
 
     def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Return the windows of squares (int [n, 2]: column and row) in tiles with these shifts, int64 [n]."""
+        """Return the windows of squares (int [n, 2]: column and row) in tiles with these shifts, int64 [n].
+
+        halvings: int [n], how many times a tile's side is halved to that of the square.
+        """
         starts = STARTS[halvings][:, None]
         column, row = ((square * (starts >> halvings[:, None]) - shift * starts // SHIFTS) % starts).T
         return row * starts[:, 0] + column

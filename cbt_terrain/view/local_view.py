@@ -128,8 +128,8 @@ def _narrowness(view: View) -> float:
 def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
     """Return planes in camera space, float64 [n, 4], positive on the visible side, n from 0 to 6.
 
-    margins: see `guard_margins`. They turn the side planes of a perspective outward, and widen an orthographic frame
-    by their tangents. A clip range that is upside down culls nothing.
+    margins: degrees beyond left and right, and beyond top and bottom. They turn the side planes of a perspective
+    outward, and widen an orthographic frame by their tangents. A clip range that is upside down culls nothing.
     """
     if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
         return np.zeros((0, 4))

@@ -47,10 +47,10 @@ class PlanUnits:
 class Spans:
     """Factors between pixels and pixel footprints ("spans"), for each of `views`.
 
-    `wholes`: see `whole_of`. `widenings`: see `widening`. `scales`: largest slant in the frame times the widening.
-    `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice unit, in camera space.
-    `allowed`: factor by which the request for edges is shorter, for float32 rounding. `off`: largest error of float32
-    corners, in camera space.
+    `wholes`: pixels of an error that reaches the eye. `widenings`: factors, 1 or more, on spans that make limits in
+    spans hold in pixels on screen. `scales`: largest slant in the frame times the widening. `edge`: spans of an edge of
+    one pixel. `lengths`: squared diagonal and side of a lattice unit, in camera space. `allowed`: factor by which the
+    request for edges is shorter, for float32 rounding. `off`: largest error of float32 corners, in camera space.
     """
 
     views: tuple[View, ...] = ()
@@ -156,7 +156,7 @@ def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
     """Return the screen size, pixels, of an error that reaches the eye; larger errors have no bound on screen.
 
     In a perspective it is as long as the depth, measured along the view, and seen at the smallest slant; in a panorama
-    it is as long as the distance, and seen at that slant. slant: see `slants_of`.
+    it is as long as the distance, and seen at that slant. slant: the smallest that counts in the frame.
     """
     if view.kind == PANORAMIC:
         return view.pixels_per_unit * slant
@@ -169,7 +169,7 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
     depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
     a panorama the angle whose tangent is e slant / (d - e steep), with slant^2 + steep^2 = 1, and at most asin(e / d)
-    where e > d steep. If the error may reach the eye, LARGEST. whole: see `whole_of`.
+    where e > d steep. If the error may reach the eye, LARGEST. whole: pixels of an error that reaches the eye.
     """
     if view.kind == PERSPECTIVE:
         return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
@@ -186,8 +186,8 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 def widening(view: View, whole: float, error_px: float) -> float:
     """Return the factor, 1 or more, on spans of a pixel that makes a limit in spans hold in pixels on screen.
 
-    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either. whole: see
-    `whole_of`.
+    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either. whole:
+    pixels of an error that reaches the eye.
     """
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING

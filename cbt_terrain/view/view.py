@@ -24,7 +24,7 @@ class View:
     `world_to_camera` float64 [4, 4]: x right, y up, looking along -z; it need not be rigid (a sheared camera).
     `projection` float64 [4, 4]: camera space to normalised device coordinates, as OpenGL; None for a panorama.
     `resolution`: pixels across and up, of the whole frame. `clip`: start and end in metres along the view.
-    `radians_per_pixel`: of a panorama, which has no projection matrix.
+    `radians_per_pixel`: angle of a pixel of a panorama, which has no projection matrix.
     """
 
     world_to_camera: np.ndarray
@@ -164,7 +164,7 @@ def listed_views(views: "Iterable[View] | View") -> list[View]:
 
 
 def _point(place: ArrayLike, name: str) -> np.ndarray:
-    """Return a point as float64 [3], metres; TerrainError for anything else. name: of the point, in errors."""
+    """Return a point as float64 [3], metres; TerrainError for anything else. name: what errors call the point."""
     found = vectors(place, 3, f"view's {name}")
     if len(found) != 1:
         raise TerrainError(f"The view's {name} has {len(found)} points", expected="one point: x, y and z in metres")

@@ -54,7 +54,8 @@ def export_frames(
 
     A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and digests. With
     `resume`, frames are left as they are if settings, inputs and files agree with the digests in their summaries.
-    Several processes may write into one folder at once.
+    Several processes may write into one folder at once. formats: suffixes without dots. on_frame(frame, summary,
+    skipped): called after each frame.
     """
     write_frames(
         lambda frame: _export_frame(source, frame, formats, out),

@@ -40,7 +40,7 @@ class Piece:
         surface: arrays of the mesh. Those of a scene's terrain are copies, because anything in Blender may update a
             terrain; those of a store's terrain are valid until the next frame is refined.
         origin: float64 [3], metres, of which the positions are relative.
-        info: see `describe`.
+        info: facts of the frame for JSON.
         obj: the Blender object that shows it, None without Blender.
         tree: the saved tree for `Terrain.restore`; b"" of a baked mesh.
         scatters: points and their placement (float64 [4, 4]) by the name of their file.
@@ -75,7 +75,8 @@ class StoreFrames:
     ):
         """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale.
 
-        has_anchor: positions are about a point near the path instead of the raster's middle.
+        in_blender: whether the format needs a Blender object. has_anchor: positions are about a point near the path
+        instead of the raster's middle.
         """
         self.files = [Path(store), Path(path)]
         self.path = read_camera_path(path)
@@ -179,7 +180,7 @@ class SceneFrames:
 def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
     """Update the terrain `obj` at the detail of a render, write its mesh, and return it as a Piece.
 
-    options: further arguments of `request.gather`. Raises TerrainError.
+    options: `camera`, `resolution` and `overrides` in place of those of the scene. Raises TerrainError.
     """
     from ...cbt_terrain.view.linear import determinant
     from ..bridge.cleanup import clean_up
@@ -219,8 +220,8 @@ def baked_piece(
 ) -> Piece:
     """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
 
-    `fitted`: vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the
-    measured maximum.
+    `in_blender`: whether the format needs a Blender object. `fitted`: vertices leave the surface to save triangles,
+    which `on_progress` follows (0 .. 1); the info then has the measured maximum.
     """
     from ...cbt_terrain.fit.fit import bake, check_interpolation
 

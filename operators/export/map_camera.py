@@ -56,7 +56,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
 
     Args:
         obj: the terrain, in any location, rotation and scale.
-        depsgraph: of the scene.
+        depsgraph: the scene's.
         pixels_per_cell: pixels along each side of a cell of the height map.
         metres_a_pixel: side of a pixel in metres of the height map, in place of those; rounded to fit the extent.
         with_sun: whether a scene without a sun gets one from the north-west.

@@ -58,6 +58,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether there is ground and an object to drop; otherwise set the reason that Blender shows."""
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select what is to be dropped: objects that are no terrains")

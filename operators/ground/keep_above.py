@@ -30,6 +30,7 @@ class KeepAboveGround(GroundOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether there is ground and an object to keep above it; otherwise set the reason to show."""
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select an object that is no terrain, or give the scene a camera")

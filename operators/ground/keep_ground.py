@@ -79,7 +79,7 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
 
     Args:
         mode: VIEWPORT or RENDER.
-        waits: whether missing ground is computed, see `grounds_of`.
+        waits: whether missing ground is computed; otherwise its objects stay where they are.
         frame_changes: the frame was just set. Animated channels are then evaluated again, since the dependency
             graph of a render forgets animated values of written objects.
     """
@@ -101,7 +101,7 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
 def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> None:
     """Move released objects to the ground, those that follow others after these.
 
-    grounds: list of WorldGround.
+    grounds: list of WorldGround. frame_changes: the frame was just set, so animated channels are evaluated again.
     """
     for obj in objects:
         _notes.pop(obj.session_uid, None)
@@ -123,7 +123,7 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
 
 
 def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
-    """Evaluate the scene after objects were written, with their animation if the frame has just changed."""
+    """Evaluate the scene after objects were written, with their animation if `frame_changes`: it was just set."""
     for obj in written if frame_changes else ():
         obj.update_tag(refresh={"TIME"})
     depsgraph.update()
@@ -169,7 +169,7 @@ def _is_aligned(obj) -> bool:
 def _rise_of(obj, evaluated, height: float) -> float:
     """Return the metres by which an object must rise; 0 if it is in place or has no ground.
 
-    height: of the ground below or above it.
+    height: the ground's height below or above it, metres in the world.
     """
     settings, z = obj.adaptive_terrain_keep, _origin_of(evaluated).z
     if settings.how == ON:
@@ -215,7 +215,7 @@ def _leaders(obj) -> set:
 def settle_now(scene, depsgraph, waits: bool = True) -> list[str]:
     """Place a scene's kept objects on the ground in the viewport at the present frame.
 
-    Returns and raises as `settle`.
+    waits: whether missing ground is computed. Returns why some objects are not moved. Raises TerrainError.
     """
     release(scene)
     depsgraph.update()

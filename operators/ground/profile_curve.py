@@ -44,6 +44,7 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether there is ground and a selected curve; otherwise set the reason that Blender shows."""
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select a curve over the terrain")

@@ -43,6 +43,7 @@ class Viewshed(GroundOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether there is ground and an eye that looks at it; otherwise set the reason that Blender shows."""
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Make the object that looks active, or a terrain to be seen from the scene's camera")

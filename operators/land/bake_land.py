@@ -45,6 +45,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active terrain has an entry that is on; otherwise set the reason that Blender shows."""
         if not (on_terrain_object(cls, context) and super().poll(context)):
             return False
         cls.poll_message_set("There is nothing to bake: the list is empty, or all its entries are switched off")

@@ -51,7 +51,7 @@ def _write_once(folder: Path, digest: str, make) -> str:
         return str(path)
     try:
         with open_folder(folder, make=True):
-            pass
+            pass  # it is created
         with written_beside(path) as partial, open(partial, "wb") as file:
             np.save(file, np.ascontiguousarray(make(), np.float32))
     except OSError as reason:

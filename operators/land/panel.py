@@ -128,13 +128,17 @@ class LandPanel(TerrainSubpanel):
 
 
 def _draw_shaping(row, obj, state) -> None:
-    """Draw one row: the button Shape Now, or the progress of shaping with the buttons that end it."""
+    """Draw one row: a render's wait for this land, else the button Shape Now, else the progress of shaping.
+
+    state: a LandState. The progress of shaping has buttons that end it.
+    """
     job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
     if wait is not None:
         row.progress(factor=wait.fraction, text=phrase("Render: {}", wait.brief))
         return
     if job is None:
-        row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
+        failed = state.active and bool(session.record_of(obj).status.error)
+        row.enabled = wanted = state.wanted or failed
         text = _shape_button_text(obj) if wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
         return

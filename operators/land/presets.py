@@ -68,6 +68,7 @@ class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Replace the entries of the active terrain by those of the preset, fitted to its range of heights."""
         stack = read_stack(self.filepath)
         imported = imported_of(context.object.adaptive_terrain)
         if stack.heights is not None and imported is not None:

@@ -158,6 +158,7 @@ class CancelWaiting(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, _context, event):
+        """Note that Escape was pressed; end when no render waits for land."""
         global _is_cancelled
         if waiting is None:
             return {"FINISHED", "PASS_THROUGH"}

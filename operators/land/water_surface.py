@@ -60,6 +60,7 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         return on_terrain_object(cls, context) and super().poll(context)
 
     def invoke(self, context, event):
+        """Start the job if the land is shaped as its entries say; otherwise report why it cannot start."""
         try:
             check_is_shaped(context.object, context.evaluated_depsgraph_get())
         except TerrainError as error:
@@ -101,8 +102,8 @@ def _water_mesh(
 ) -> tuple[Surface, float | None]:
     """Return the water of a terrain, and the level of its sea; None where the land has its own water. For any thread.
 
-    name, anchor: of the terrain. store, land: its heights. level: of the sea in metres; None for the land's own water,
-    or else a level that shows water. Raises TerrainError.
+    name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the land's own
+    water, or else a level that shows water. Raises TerrainError.
     """
     field = anchored(raster_of(store, land, session.open_field, verified=True), *anchor)
     if level is None and DEPTH.name not in field.layers:

@@ -69,7 +69,7 @@ def visit_for_request(
     Args:
         names: maps in place of those of the settings.
         frames: frames in place of those of the settings.
-        look: further arguments of `request.gather`, such as a camera.
+        look: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
     look = {"about_middle": True, **look}  # maps do not depend on the anchor

@@ -23,6 +23,7 @@ class JobOperator:
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain without such a job; otherwise set the reason to show."""
         if not on_terrain(cls, context):
             return False
         cls.poll_message_set(f"{cls.kind.title} is under way: wait for it, or cancel it beside its progress bar")

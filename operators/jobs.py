@@ -212,7 +212,7 @@ def draw_progress(layout, job: BackgroundJob, text: str = ""):
 def draw_button(layout, kind: JobKind, obj, operator: str, **options) -> None:
     """Draw the button of an operator, or the progress of its job in the same row, so that no row moves.
 
-    obj: the terrain of the job. options: of the button.
+    obj: the terrain of the job. options: further arguments of `layout.operator`, such as text and icon.
     """
     if job := find(kind, obj):
         draw_progress(layout, job, job.text)
@@ -331,6 +331,7 @@ class CancelJob(bpy.types.Operator):
         return bool(running)
 
     def execute(self, context):
+        """Stop the job of this kind on the active object, or report that it has ended."""
         job = find(KINDS[self.kind], context.object)
         if job is None:
             self.report({"INFO"}, f"{KINDS[self.kind].title} has ended already")

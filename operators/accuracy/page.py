@@ -260,7 +260,10 @@ def cost_sentences(subject) -> list[str]:
 
 
 def difference_text(difference_ms: float, whole_ms: float) -> str:
-    """Describe a difference of times; one within the noise of a measurement gets no number."""
+    """Describe a difference of times; one within the noise of a measurement gets no number.
+
+    whole_ms: the measured time, of which NOISE is the noise.
+    """
     return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 

@@ -111,7 +111,7 @@ def _list_bounds(status) -> list[tuple[str, float, str, object]]:
 
 
 def _bound_label(value: float, unit: str, digits: int) -> str:
-    """Return a bound as text, rounded up; 0 if nothing is in view."""
+    """Return a bound as text, rounded up to a number of digits; 0 if nothing is in view. unit: px or m."""
     shown = max(value, SMALLEST) if value else 0.0
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 

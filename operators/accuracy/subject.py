@@ -79,7 +79,7 @@ def store_subject(
 ) -> AccuracySubject:
     """Return the subject of a store, seen along a camera path, or from a position that shows all of it (no path).
 
-    frames: of the path, by default a few that are evenly spaced.
+    frames: numbers of frames of the path, by default a few that are evenly spaced.
     """
     heights = open_store(store)
     name, current = file_slug(Path(store).stem), Setting("px", Criterion().error_px)
@@ -148,8 +148,8 @@ class Look:
 def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
     """Visit the frames `numbers` of a scene and return a Look for each terrain of `objects`.
 
-    Each frame has the next one with it, if the scene has one, for measuring popping. look: further arguments of
-    `request.gather`.
+    Each frame has the next one with it, if the scene has one, for measuring popping. look: `criterion`, `camera`,
+    `resolution` or `overrides` in place of those of the scene.
     """
     from ..terrain.request import RENDER, gather
 

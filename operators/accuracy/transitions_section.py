@@ -58,13 +58,18 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
 
 
 def paired_rows(rows: list[Row]) -> list[tuple[Row, Row]]:
-    """Return pairs of rows of the same error, without geomorph and with it, where popping was measured."""
+    """Return pairs of rows of the same error, without geomorph and with it, where popping was measured.
+
+    A setting's `morph` of None is that of the swept criterion; another value is the opposite transition (1: no
+    geomorph).
+    """
     by_setting = {row.setting: row for row in rows if row.popping_px is not None}
     pairs = []
     for row in by_setting.values():
         other = by_setting.get(replace(row.setting, morph=None))
         if row.setting.morph is not None and other is not None:
-            pairs.append((other, row) if row.setting.morph > 1 else (row, other))
+            has_geomorph = row.setting.morph > 1
+            pairs.append((other, row) if has_geomorph else (row, other))
     return pairs
 
 

@@ -62,7 +62,7 @@ def write_library(folder: Path, stamp: str) -> None:
 
 
 def _mark(item, catalog: str, about: str) -> None:
-    """Mark a data-block as an asset of a catalog."""
+    """Mark a data-block as an asset of a catalog. about: its description in the Asset Browser."""
     item.asset_mark()
     data = item.asset_data
     data.catalog_id, data.author, data.description = UUIDS[catalog], AUTHOR, about

@@ -25,7 +25,7 @@ _process: subprocess.Popen | None = None
 
 
 def library_folder(create: bool = False) -> Path | None:
-    """Return the library's folder; None for a package that Blender did not install."""
+    """Return the library's folder; None for a package that Blender did not install. create: make it if missing."""
     if not PACKAGE.startswith("bl_ext."):
         return None
     return Path(bpy.utils.extension_path_user(PACKAGE, path="assets", create=create))

@@ -98,7 +98,10 @@ def about_text(name: str) -> str:
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
-    """Return three (name, value) rows: number of computed attributes, their cost, and the memory that they hold."""
+    """Return three (name, value) rows: number of computed attributes, their cost, and the memory that they hold.
+
+    statuses: an EffectStatus by name. nbytes: the memory.
+    """
     computed = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in computed), sum(status.nbytes for status in computed) / 1e6
     return [

@@ -13,7 +13,7 @@ from ...cbt_terrain.view.linear import inverse
 class Sun(NamedTuple):
     """`direction`: float64 [3], unit length, of the world, towards the sun.
 
-    `angle`: of its disc, radians. `strength`: W/m^2.
+    `angle`: diameter of its disc, radians. `strength`: W/m^2.
     """
 
     direction: np.ndarray

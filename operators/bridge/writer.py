@@ -22,20 +22,26 @@ COLOUR_ATTRIBUTE = "terrain_overlay"  # corner colours that Solid shading and ma
 NORMAL_ATTRIBUTE = "custom_normal"
 # Since Blender 4.5 a mesh takes a free normal per vertex. Older versions encode normals per corner: 200 ms instead of
 # 1 ms for 236,000 triangles.
-FREE_NORMALS = bpy.app.version >= (4, 5, 0)
+STORES_VERTEX_NORMALS = bpy.app.version >= (4, 5, 0)
 
 
 def write_mesh(mesh, surface: Surface, *, smooth: bool = True, exact: bool = True) -> bool:
     """Replace the geometry and the attributes of a Blender mesh by those of `surface`.
 
-    Its `uv` become the UV map, its `normals` the custom normals; other attributes keep their names. Returns whether
-    normals are missing: without `exact`, Blender before 4.5 shades with its own until `write_normals` is called.
-    Raises TerrainError if the mesh cannot be written (edit mode, shape keys).
+    Its `uv` become the UV map, its `normals` the custom normals; other attributes keep their names. Raises TerrainError
+    if the mesh cannot be written (edit mode, shape keys).
+
+    Args:
+        smooth: shade faces smoothly, with the surface's normals.
+        exact: set those normals now, also where it is slow (Blender before 4.5).
+
+    Returns whether the normals are still missing. Blender computes normals by itself until `write_normals` is
+    called.
     """
     check_writable(mesh)
     _write_geometry(mesh, surface)
     _set_shading(mesh, smooth)
-    is_postponed = smooth and not exact and not FREE_NORMALS
+    is_postponed = smooth and not exact and not STORES_VERTEX_NORMALS
     if smooth and not is_postponed:
         write_normals(mesh, surface.normals)
     _show_colours(mesh)
@@ -47,7 +53,7 @@ def write_normals(mesh, normals: np.ndarray) -> None:
     """Set the custom normals of a smooth mesh, float32 [V, 3]."""
     if not len(mesh.polygons):
         return
-    if FREE_NORMALS:
+    if STORES_VERTEX_NORMALS:
         normal = mesh.attributes.new(NORMAL_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
         normal.data.foreach_set("vector", np.ascontiguousarray(normals, np.float32).ravel())
         return
@@ -65,7 +71,10 @@ def check_writable(mesh) -> None:
 
 
 def add_attribute(mesh, name: str, kind: str, domain: str) -> None:
-    """Add an attribute. Raises TerrainError if Blender gives it another name."""
+    """Add an attribute; kind, domain: Blender's names for its type and elements, as FLOAT and POINT.
+
+    Raises TerrainError if Blender gives it another name.
+    """
     if mesh.attributes.new(name, kind, domain).name != name:
         raise TerrainError(f"Blender cannot add an attribute with the name {name!r}", fix="give it another name")
 

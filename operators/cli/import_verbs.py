@@ -92,7 +92,7 @@ def _is_store(path: str) -> bool:
 
 
 def _described(arguments, is_store: bool) -> dict:
-    """Return the description of a store, an exported mesh, a height map or a mosaic of several."""
+    """Return the description of a store (is_store), an exported mesh, a height map or a mosaic of several."""
     paths = arguments.paths
     if is_store:
         from ...cbt_terrain.importing.build_store import describe

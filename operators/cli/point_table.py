@@ -117,7 +117,8 @@ def _split_into_cells(text: str, name: str) -> tuple[list[tuple[int, list[str]]]
 def _find_coordinates(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[int, int]:
     """Return the positions of the x and the y column by their names.
 
-    Raises TerrainError unless there is one of each.
+    names: the columns' names. name: the table's name and crs: the store's system, in errors. is_degrees: the store is
+    in degrees. Raises TerrainError unless there is one of each.
     """
     folded = [column.casefold() for column in names]
     for pair in (ANY, LENGTHS, DEGREES):

@@ -58,7 +58,10 @@ def number_texts(values: np.ndarray) -> list[str]:
 
 
 def write_csv(names: list[str], lines: list[list[str]], out: Path | None) -> None:
-    """Write a table as CSV into a file, or to stdout if `out` is None. Raises TerrainError."""
+    """Write a table as CSV into a file, or to stdout if `out` is None. Raises TerrainError.
+
+    names: the columns' names, for the first line. lines: the cells.
+    """
     if out is None:
         csv.writer(sys.stdout, lineterminator="\n").writerows([names, *lines])
         return

@@ -137,7 +137,10 @@ def water_material(sun) -> bpy.types.Material:
 
 
 def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
-    """Return a material that colours triangles by level, with edges and some shading by the `sun` (unit vector)."""
+    """Return a material that colours triangles by level, with edges and some shading by the `sun` (unit vector).
+
+    coarsest, finest: levels at the ends of the colours.
+    """
     material, n = _new_material("Levels")
     level = n.add("ShaderNodeAttribute", attribute_name=LEVEL).outputs["Fac"]
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}

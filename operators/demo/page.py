@@ -54,9 +54,9 @@ def write_page(
     """Write the page.
 
     Args:
-        summaries: of the exported frames.
+        summaries: one of each exported frame.
         levels: figures of the drawings by level.
-        crops: of the frame of `levels`.
+        crops: enlarged parts of the frame of `levels`.
         effects: an EffectStatus by name for each pictured frame.
         steps: seconds by step.
     """

@@ -56,6 +56,7 @@ class SubmitToFarm(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the file is saved and its scene has a terrain; otherwise set the reason that Blender shows."""
         if not bpy.data.filepath:
             cls.poll_message_set("Save the file first")
             return False

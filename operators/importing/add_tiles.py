@@ -29,6 +29,7 @@ class ChosenFiles:
         return [os.path.join(self.directory, name) for name in names] if names else [self.filepath or self.directory]
 
     def invoke(self, context, _event):
+        """Add the files that were dropped, or open a file browser in the .blend file's folder."""
         if self.filepath or len(self.files):  # dropped
             return self.execute(context)
         remember_object(self, context)
@@ -47,6 +48,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain from a file; otherwise set the reason that Blender shows."""
         obj = context.object
         settings = getattr(obj, "adaptive_terrain", None)
         cls.poll_message_set("Select a terrain whose source is a file")

@@ -165,7 +165,8 @@ class ImportOperator(JobOperator):
     ) -> jobs.Steps:
         """Load the tiles that the views of a first picture need, and show them; return the report and the path.
 
-        quick: those of the first picture, which stays if it needs none or if they cannot be loaded.
+        quick: report and path of the first picture, which are returned if its views need no tiles or these cannot be
+        loaded.
         """
         job.raise_if_stopped()
         depsgraph = bpy.context.evaluated_depsgraph_get()

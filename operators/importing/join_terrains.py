@@ -23,6 +23,7 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether several terrains from files are selected; otherwise set the reason that Blender shows."""
         if not super().poll(context):
             return False
         cls.poll_message_set("Select several terrains whose source is a file")

@@ -40,6 +40,7 @@ class PackStore(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether there are stores to pack and no job uses them; otherwise set the reason that Blender shows."""
         if not bpy.data.filepath:
             cls.poll_message_set("Save the file first")
             return False

@@ -19,7 +19,7 @@ SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
     """Return whether an import may move a terrain: it is at its coordinates, or was just added.
 
-    A scene without an origin gets that of the terrain. before: of the terrain's last import, None for the first one.
+    A scene without an origin gets that of the terrain. before: facts of the terrain's last import, None for the first.
     """
     if obj.parent is not None:
         return False

@@ -44,9 +44,9 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
     """
     image = image.original
     check_image_files(image, user)
-    mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
+    identity = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
     cached = _read.get((image.name_full, kind))
-    if cached is None or cached[0] != mark:
+    if cached is None or cached[0] != identity:
         _check_not_truncated(image, user)
         columns, rows = image.size
         if not image.channels or not rows * columns:
@@ -57,7 +57,7 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
             )
         pixels = np.empty(rows * columns * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
-        cached = mark, make(image, pixels.reshape(rows, columns, image.channels))
+        cached = identity, make(image, pixels.reshape(rows, columns, image.channels))
         _read[image.name_full, kind] = cached
     return cached[1]
 

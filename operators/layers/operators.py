@@ -51,6 +51,7 @@ class RemoveLayer(_LayerOperator, bpy.types.Operator):
         return super().poll(context) and len(context.object.adaptive_terrain.layers) > 0
 
     def execute(self, context):
+        """Remove the active layer and make the one that takes its place active, or the last one."""
         settings = context.object.adaptive_terrain
         settings.layers.remove(settings.active_layer)
         settings.active_layer = max(0, min(settings.active_layer, len(settings.layers) - 1))

@@ -114,7 +114,7 @@ def _scale_table() -> np.ndarray:
 
 
 def _table_rows(fractions: np.ndarray) -> np.ndarray:
-    """Return the rows of `_scale_table` for fractions of the scale, int16 [n]; above 1 the last row."""
+    """Return the rows of the table of colours for fractions of the scale, int16 [n]; above 1 the last row."""
     rows = np.rint(np.clip(fractions, 0.0, 1.0) * (STEPS - 1)).astype(np.int16)
     rows[fractions > 1.0] = STEPS
     return rows

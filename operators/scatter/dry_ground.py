@@ -33,8 +33,8 @@ def keep_dry(settings, terrain) -> str:
 def follow_sea(terrain, before: float | None, is_new: bool) -> None:
     """Keep the scatters of a terrain out of the sea that *Add Water* shows now.
 
-    before: the level that it showed before. New water switches Above the Sea on; later its level is changed only where
-    it was that of the water.
+    before: the level that it showed before, None for no water. is_new: the water was just added, which switches *Above
+    the Sea* on; later a scatter's level is changed only where it was that of the water.
     """
     settings, sea = terrain.adaptive_terrain, shown_sea(terrain)
     for scatter in (obj.adaptive_scatter for obj in scatters_of(terrain)):

@@ -112,11 +112,9 @@ class ScatterSettings(bpy.types.PropertyGroup):
 
 
 def scatter_of(settings, terrain_settings) -> Scatter:
-    """Return the engine's Scatter of evaluated settings.
+    """Return the engine's Scatter of evaluated settings. Raises TerrainError.
 
-    Raises TerrainError.
-
-    terrain_settings: of the terrain below it, of which a layer may limit it.
+    terrain_settings: settings of the terrain below the scatter; one of its layers may limit the scatter.
     """
     layers, on = (), -1
     if settings.layer:

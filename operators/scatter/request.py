@@ -44,7 +44,7 @@ class ScatterItem:
 class Scatters:
     """Visible scatters of a terrain, and the views that they are for; without a view, everywhere.
 
-    `max_points`: of each scatter, and what limits it.
+    `max_points`: largest number of points of each scatter, and what limits it.
     """
 
     items: tuple[ScatterItem, ...] = ()
@@ -60,8 +60,8 @@ class Scatters:
 class ScatterRecord:
     """The last points of a scatter.
 
-    `key`: what they depend on. `shown`: which points its mesh has. `ms`: of the last points; `runs`: how often points
-    were made. `history`: holds candidates on the ground for later frames.
+    `key`: what they depend on. `shown`: which points its mesh has. `ms`: time for the last points; `runs`: how often
+    points were made. `history`: holds candidates on the ground for later frames.
     """
 
     history: FrameHistory = field(default_factory=FrameHistory)
@@ -105,7 +105,10 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
 
 
 def max_points(render: bool) -> tuple[int, str]:
-    """Return how many points a scatter may have, and what limits them, in words: Blender crashes without memory."""
+    """Return how many points a scatter may have, and what limits them, in words: Blender crashes without memory.
+
+    render: for a render, whose limit is the machine's memory alone.
+    """
     held = physical_memory() * 3 // 4 // POINT_BYTES
     if not render and held > MAX_IN_VIEWPORT:
         return MAX_IN_VIEWPORT, "the maximum of a viewport (hide it there, and renders have them all)"

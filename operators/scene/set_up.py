@@ -61,6 +61,7 @@ class SetUpScene(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active terrain has a store; otherwise set the reason that Blender shows."""
         if not on_terrain_object(cls, context):
             return False
         cls.poll_message_set("Import a height map first")
@@ -79,6 +80,7 @@ class SetUpScene(bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Add or update camera, sun, sky, layers and haze for the active terrain; remove Blender's default objects."""
         scene, obj = context.scene, context.object
         sight.box_of(obj)  # raises an error before anything changes
         for default in defaults.untouched(scene):

@@ -45,7 +45,7 @@ def lens_of(space) -> float:
 
 
 def look_from(region_3d, place: Matrix, distance: float) -> None:
-    """Move a viewport to a camera's place; it turns about a point `distance` metres ahead."""
+    """Move a viewport to a camera's matrix in the world; it turns about a point `distance` metres ahead."""
     region_3d.view_perspective = "PERSP"
     region_3d.view_rotation = place.to_quaternion()
     region_3d.view_distance = distance

@@ -237,8 +237,9 @@ def _solve_on_worker(record: session.Record, request: Request):
 
 
 def _refine_on_worker(record: session.Record, request: Request):
-    """Run one step of the slow attributes on the worker thread; return an update as `_solve_on_worker`, None if
-    more steps are needed.
+    """Run one step of the slow attributes on the worker thread; return None if more steps are needed.
+
+    Else it is the Update, the number of its surface, and True: no preview is left.
     """
     global _stage
     _stage = "Refining effects"

@@ -106,7 +106,8 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
 
     Args:
         depsgraph: the evaluated dependency graph, the context's by default.
-        options: further arguments of `request.gather`.
+        mode: VIEWPORT or RENDER, whose settings are read.
+        options: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene.
 
     Raises:
         TerrainError: the update failed. The panel shows the error, and the mesh stays.
@@ -119,7 +120,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
         except TerrainError as error:
             if error.code != derived_store.DAMAGED:
                 raise
-            return _update(obj, record, depsgraph, mode, options)
+            return _update(obj, record, depsgraph, mode, options)  # the damaged shaped land was removed: make it again
     except Exception as error:
         set_error(record, error)
         raise
@@ -128,7 +129,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
 def _update(obj, record: Record, depsgraph, mode: str, options: dict):
     """Refine and show a terrain's mesh in this thread, and return its Update.
 
-    mode: VIEWPORT or RENDER. options: of `gather`.
+    mode: VIEWPORT or RENDER. options: `criterion`, `camera`, `resolution` or `overrides` in place of the scene's.
     """
     request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
     with engine_lock:

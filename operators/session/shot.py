@@ -24,7 +24,7 @@ def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **look
     `obj`.
 
     The views are relative to a terrain that stays at `placement`, float64 [4, 4]. The scene then returns to its
-    frame. look: further arguments of `request.gather`. Raises TerrainError.
+    frame. look: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene. Raises TerrainError.
     """
     views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
     try:

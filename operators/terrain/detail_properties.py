@@ -55,7 +55,7 @@ def _criterion_switch(setting: CriterionSetting):
     """Return the check box of a criterion, which stores nothing: it sets the number to 0 or to its usual value."""
 
     def set_switch(self, on: bool) -> None:
-        """Set the number to its usual value, or to 0."""
+        """Set the number to its usual value if it is switched `on` and was 0, or to 0."""
         if on != (getattr(self, setting.name) > 0.0):
             setattr(self, setting.name, setting.usual if on else 0.0)
 

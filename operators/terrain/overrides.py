@@ -13,7 +13,7 @@ class Overrides:
 
     Attributes:
         criterion: fields of `Criterion` by their names. An error in pixels or metres also replaces a time budget.
-        interpolation: of the height field.
+        interpolation: the height field's.
         effects: names of the attributes to compute, in place of those that the scene reads.
         ground: displacement.
     """

@@ -46,7 +46,7 @@ class Request:
         store: folder of the height field; in a viewport that of its shaped land, if there is some.
         made_ns: time of the last change of that folder, which tells it from one that is made again or repaired.
         land: land to be shaped from it first, or None.
-        interpolation: of the height field, by its name in heightfield.py.
+        interpolation: the height field's, by its name in heightfield.py.
         ground: displacement on it, or None.
         placement: float64 [4, 4], the terrain's space to the world, metres.
         anchor: origin of that space, metres east and north of the raster's middle.

@@ -60,7 +60,10 @@ def readers_text(status, say: Callable[..., str] = str.format) -> str:
 
 
 def cost_text(status, say: Callable[..., str] = str.format) -> str:
-    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`. say: see `readers_text`."""
+    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`; "-" without one.
+
+    say: formats a template with values, in a panel also translated.
+    """
     return "-" if status is None or status.skipped else say("{}, {} new", cost_figures(status), f"{status.computed:,}")
 
 

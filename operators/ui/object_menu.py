@@ -30,6 +30,7 @@ class ObjectMenu(bpy.types.Menu):
     bl_label = "Adaptive Terrain"
 
     def draw(self, _context):
+        """Draw the operators by groups; each opens its dialog."""
         self.layout.operator_context = "INVOKE_DEFAULT"
         for names in OPERATORS:
             for name in names:

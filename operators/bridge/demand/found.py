@@ -24,7 +24,7 @@ class Demand(dict[str, list[Reader]]):
     """Readers by attribute name."""
 
     def add(self, name: str, words: str, family: str) -> None:
-        """Add a reader of an attribute, once."""
+        """Add a reader of the attribute `name`, once. words: the reader for people. family: its family of nodes."""
         readers = self.setdefault(name, [])
         if (reader := Reader(words, family)) not in readers:
             readers.append(reader)

@@ -42,9 +42,10 @@ def _used_of_mix_colours(walk, node, context, inputs):
 
 
 def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
-    """Return the used ones of a factor and two sides: a constant factor of 0 or 1 hides one side.
+    """Return those of a node's inputs, a factor and two sides, that have an effect: a factor of 0 or 1 hides one side.
 
-    replaces: a factor of 1 hides the first side. clamped: factors are limited to 0 .. 1.
+    Only a constant factor hides any. replaces: a factor of 1 hides the first side. clamped: factors are limited to 0 ..
+    1.
     """
     if len(inputs) != 3:
         return inputs

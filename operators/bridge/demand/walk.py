@@ -65,7 +65,7 @@ class NodeWalk:
         return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
-        """Return the value of an input if nothing can change it, else None."""
+        """Return the value of an input if nothing can change it, else None. context: see the module."""
         for _ in range(100):
             links = self.feeding(socket)
             if len(links) > 1:
@@ -91,7 +91,10 @@ class NodeWalk:
         self.found.add(name, f"{words} ({why})" if why else words, self.family)
 
     def _unlinked_value(self, node, socket):
-        """Return the constant value of an unlinked input, else None."""
+        """Return the value of an unlinked input; None if animation may change it or it is no number or text.
+
+        Drivers count as animation.
+        """
         if self.is_altered(node) or socket.as_pointer() in self.trees.varied:
             return None
         value = getattr(socket, "default_value", None)

@@ -14,7 +14,7 @@ ROUNDING = 0.0142  # radians: an encoded normal that is nearer to Blender's own 
 @pytest.fixture
 def older(monkeypatch):
     """Write normals as Blender before 4.5 needs them."""
-    monkeypatch.setattr(writer, "FREE_NORMALS", False)
+    monkeypatch.setattr(writer, "STORES_VERTEX_NORMALS", False)
 
 
 def corner_normals(obj) -> np.ndarray:
@@ -105,7 +105,7 @@ def test_a_saved_mesh_has_exact_normals(scene, add_terrain, older, monkeypatch, 
 
 
 def test_free_normals_are_never_postponed(scene, add_terrain, monkeypatch):
-    if not writer.FREE_NORMALS:
+    if not writer.STORES_VERTEX_NORMALS:
         pytest.skip("this Blender encodes normals")
     terrain = add_terrain()
     show_window(monkeypatch)

@@ -308,7 +308,7 @@ def wait_for_kernels(job: BackgroundJob) -> Steps:
 
 def prepare_kernels(job: BackgroundJob, modules: Iterable[ModuleType]) -> Steps:
     """Yield until child processes have compiled some modules of kernels, and show their progress."""
-    while not warmup.ask(modules):
+    while not warmup.prepare_modules(modules):
         job.progress(warmup.progress() or 0.0, PREPARING)
         yield
     yield from wait_for_kernels(job)

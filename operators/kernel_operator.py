@@ -63,6 +63,6 @@ class KernelOperator:
         if warmup.preparing():
             return False
         try:
-            return warmup.ask(self.kernels(context))
+            return warmup.prepare_modules(self.kernels(context))
         except TerrainError:
             return True  # the operator reports it

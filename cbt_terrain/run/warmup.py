@@ -153,8 +153,8 @@ def start() -> None:
         _current = _Preparation(kernel_modules(), overlay_modules(), later=FIRST_CLICKS)
 
 
-def ask(modules: Iterable[ModuleType]) -> bool:
-    """Return whether these modules are prepared. If not, start that, unless others are in progress; then ask again."""
+def prepare_modules(modules: Iterable[ModuleType]) -> bool:
+    """Return whether these modules are prepared. If not, start that, unless others are in progress; then call again."""
     global _requested
     missing = [module for module in modules if module not in _tried]
     if missing and not preparing():
@@ -163,7 +163,7 @@ def ask(modules: Iterable[ModuleType]) -> bool:
 
 
 def stop() -> None:
-    """End the preparations of `start` and `ask` at once; `wait` then raises TerrainError."""
+    """End the preparations of `start` and `prepare_modules` at once; `wait` then raises TerrainError."""
     global _current, _requested
     begun, _current, _requested = [p for p in (_current, _requested) if p is not None], None, None
     for preparation in begun:
@@ -193,7 +193,7 @@ def progress() -> float | None:
 
 
 def wait(overlay: bool = False) -> None:
-    """Wait until the kernels of a frame, or of the overlay, and those of `ask` are ready.
+    """Wait until the kernels of a frame, or of the overlay, and those of `prepare_modules` are ready.
 
     Raises TerrainError if `stop` was called.
     """

@@ -231,7 +231,7 @@ def settle_shown(scene, depsgraph) -> bool:
     objects = objects_on_ground(scene)
     if not objects or depsgraph is None:
         return True
-    if not warmup.ask([ground, rays]):
+    if not warmup.prepare_modules([ground, rays]):
         return False
     try:
         grounds = world_ground.grounds_of(scene, depsgraph, waits=False)

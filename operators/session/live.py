@@ -193,7 +193,7 @@ def _shown_terrains() -> list[tuple]:
 def _is_prepared(record: session.Record, request: Request) -> bool:
     """Return whether the kernels of a request are loaded; if not, start loading them for a later turn."""
     try:
-        ready = warmup.ask(kernels_for(request))
+        ready = warmup.prepare_modules(kernels_for(request))
     except TerrainError as error:
         _report_error(record, error)
         return True  # the update will fail with the same error

@@ -16,7 +16,7 @@ from .request import Request
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
-    """Return the kernel modules that a request needs, for `warmup.ask`, which compiles them ahead of the update.
+    """Return the kernel modules that a request needs, so that they can be compiled ahead of the update.
 
     Raises TerrainError for attributes that are not valid.
     """

@@ -182,15 +182,15 @@ def test_what_a_scene_asks_for_is_prepared_once_with_a_bar(no_modules, monkeypat
     wanted = warmup.other_modules()[:2]
     loaded = []
     monkeypatch.setattr(warmup, "load", loaded.append)
-    assert not warmup.ask(wanted) and warmup.preparing()
+    assert not warmup.prepare_modules(wanted) and warmup.preparing()
     while len(no_modules) < 3:
         threading.Event().wait(0.01)
-    assert warmup.progress() == 0.0 and not warmup.ask(wanted), "they are under way"
+    assert warmup.progress() == 0.0 and not warmup.prepare_modules(wanted), "they are under way"
     for process in no_modules:
         process.kill()
     warmup.wait()
-    assert loaded == wanted and warmup.ask(wanted) and not warmup.preparing()
-    assert warmup.ask([])
+    assert loaded == wanted and warmup.prepare_modules(wanted) and not warmup.preparing()
+    assert warmup.prepare_modules([])
 
 
 def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
@@ -199,9 +199,9 @@ def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
     monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/"))
     monkeypatch.setattr(warmup, "load", lambda module: 1 / 0)
     wanted = warmup.other_modules()[:1]
-    assert not warmup.ask(wanted)
+    assert not warmup.prepare_modules(wanted)
     warmup.wait()
-    assert warmup.ask(wanted) and "ZeroDivisionError" in capfd.readouterr().err
+    assert warmup.prepare_modules(wanted) and "ZeroDivisionError" in capfd.readouterr().err
 
 
 FORESEEN = """

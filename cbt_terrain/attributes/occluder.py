@@ -32,7 +32,10 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
 
 
 def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
-    """Return the ground for rays, without the tree of blocks by which others skip ground below a ray."""
+    """Return the ground for rays, without the tree of blocks by which others skip ground below a ray.
+
+    scale: vertical scale of the heights.
+    """
     lattice, occluder = field.lattice, kernels.Occluder()
     occluder.samples = pack_samples(field.samples, field.steps)
     occluder.west, occluder.south, _, _ = lattice.rectangle()

@@ -125,7 +125,10 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
 
 
 def _inverse_distances(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
-    """Return 1 / distance by direction, with the factors of DIAGONAL, for the choice of receivers."""
+    """Return 1 / distance by direction, with the factors of DIAGONAL, for the choice of receivers.
+
+    draw: noise on the choice, None without; then no factor is needed.
+    """
     if draw is None or draw.jitter == 0.0:
         return grid.inverse_distance
     ew, ns, across = grid.inverse_distance

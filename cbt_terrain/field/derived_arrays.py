@@ -32,7 +32,8 @@ def derive(
 ) -> Arrays:
     """Return arrays by name from the raster's store; compute and cache all of them if one is missing or damaged.
 
-    fill(arrays): fills zeroed arrays by name, and keeps no reference to them. is_valid: further test of cached arrays.
+    shapes: (shape, dtype) of each array by name. fill(arrays): fills zeroed arrays by name, and keeps no reference to
+    them. is_valid: further test of cached arrays.
     """
     found = load(raster, shapes)
     if found is None or not (is_valid is None or is_valid(found)):

@@ -100,7 +100,10 @@ class _Net:
 
 @lru_cache(maxsize=16)
 def _nets(image: Painted) -> tuple[_Net, ...]:
-    """Return the image's net and coarser ones, the finest first, each for pixels a metre apart."""
+    """Return the image's net and coarser ones, the finest first, each for pixels a metre apart.
+
+    A net has the control heights of a B-spline, -1 .. 1 for values 0 .. 1; a coarser one has half the rows and columns.
+    """
     first = 2.0 * image.values.astype(np.float64) - 1.0
     heights, off = [first.astype(np.float32)], []
     while all(n % 2 == 0 for n in heights[-1].shape):

@@ -158,7 +158,11 @@ def _default_cell(extent: GroundExtent) -> float:
 
 
 def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, float, float, int]:
-    """Return mean heights, float32 [rows, columns], row 0 north; the west; the north; the number of filled cells."""
+    """Return (heights, west, north, filled): mean heights of cells, float32 [rows, columns], row 0 north, NaN for none.
+
+    west, north: coordinates of the grid's borders. filled: number of cells without points that were interpolated. cell:
+    side of a cell in the file's unit.
+    """
     first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
     columns, rows = (last - first).astype(np.int64) + 1
     if columns * rows > MAX_CELLS or min(columns, rows) < 2:

@@ -135,7 +135,7 @@ def use(user: int, land: Land) -> None:
         _in_use[user] = land.folder
         for folder in (land.folder, land.of_views_alone.folder):
             with suppress(OSError):
-                owned_files.touch(folder)  # see `remove_old`
+                owned_files.touch(folder)  # the folders that were not used for longest are removed first
 
 
 def release(user: int) -> None:

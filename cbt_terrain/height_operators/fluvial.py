@@ -56,7 +56,7 @@ class Bed:
         cell_weight: float64, upstream samples a sample stands for, including those outside the tile.
         first: row and column of the first sample in the whole level, which places the noise.
         seed: the noise's seed.
-        curvature: float32 1/m, see `curvature_of`, or 0.
+        curvature: float32 1/m, Laplacian of the ground's heights at first, which creep preserves; or 0.
         border, outlet_level: indices of border samples, and the float32 level in metres where water leaves there.
         inflow: float64, sediment that enters the tile, metres times samples a year, or None.
         path, path_level: indices and float32 levels in metres of samples that count as no higher in the choice of

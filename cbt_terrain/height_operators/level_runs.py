@@ -118,9 +118,10 @@ def _apply_tiles(
     coarse: Sequence[Arrays | None],
     land: LandWindow,
 ) -> tuple[Sequence[Arrays], list[TileSums]]:
-    """Apply a run of entries to tiles and blend these into the interpolated coarser level; see `apply_run`.
+    """Apply a run of entries to tiles, and blend these into the interpolated coarser level; update `land`.
 
-    It blends the land after all entries, not each change, so that depths that are nowhere negative stay so.
+    It blends the land after all entries, not each change, so that depths that are nowhere negative stay so. coarse:
+    changes of the entries at the coarser level. Return those at this level, and the sums of each entry.
     """
     level, first, changes = work.level, None, []
     start = land.crop(level.whole)

@@ -136,7 +136,10 @@ def _image_at(image: np.ndarray, level: Level, rows: slice, columns: slice) -> n
 
 
 def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pixels on both sides of samples, of `count`, and the fraction of the way from the first one."""
+    """Return the pixels on both sides of samples along an axis, and the fraction of the way from the first one.
+
+    at: numbers of samples. count: samples of the whole axis. pixels: the image's pixels along it.
+    """
     position = np.clip(at * (pixels / (count - 1)) - 0.5, 0.0, pixels - 1.0)
     first = np.minimum(position.astype(np.int64), pixels - 1)
     return first, np.minimum(first + 1, pixels - 1), (position - first).astype(np.float32)

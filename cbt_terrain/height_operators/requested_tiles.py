@@ -74,7 +74,10 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 
 
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
-    """Return these tiles with those of earlier requests, so that one frame keeps what another needs."""
+    """Return these tiles with those of earlier requests, so that one frame keeps what another needs.
+
+    folder: the shaped land's. wanted: allowed error of each tile, metres, by level; None for all tiles.
+    """
     there = read_requested(folder)
     if wanted is None or len(there) != len(wanted):
         return wanted

@@ -66,7 +66,8 @@ def _change_of_bed(
 ) -> Change:
     """Return the change of the heights since `origin`, with the layers and the state for the next finer level.
 
-    load: float64 [n], sediment that came to each sample, metres times samples a year.
+    origin: float32 [n], heights before all steps. load: float64 [n], sediment that came to each sample, metres times
+    samples a year.
     """
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
@@ -83,7 +84,10 @@ def _change_of_bed(
 
 
 def doubts(coarser: Change, change: Change, cell: float) -> bool:
-    """Return whether the big rivers of two levels run elsewhere; see `HeightOperator.doubts`. cell: m^2 of a sample."""
+    """Return whether the big rivers of two levels run elsewhere, so that finer levels must be computed in one piece.
+
+    coarser: change of the coarser level, interpolated. change: that of the finer one. cell: m^2 of a sample.
+    """
     coarse, fine = (change.layers["flow"] / np.float32(cell) for change in (coarser, change))
     return max(_elsewhere(coarse, fine), _elsewhere(fine, coarse)) > ELSEWHERE
 

@@ -23,8 +23,8 @@ _enough = threading.Event()
 class ShapeJob(StoreJob):
     """A child process that applies a stack to the store `source` and writes the store `store`.
 
-    wanted: tiles of each level from `tiles_seen` (tiles.py), None for all. tiles: see `run_shape`. gentle: run at low
-    priority. Raises TerrainError at once for invalid arguments.
+    wanted: tiles of each level from `tiles_seen` (tiles.py), None for all. tiles: folder of cached tiles, None for one
+    in the store. gentle: run at low priority. Raises TerrainError at once for invalid arguments.
     """
 
     def __init__(

@@ -124,7 +124,8 @@ def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None
 def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
     """Smooth the wear, `breakable` - `left`, by [1 2 1] / 4 along both axes, in place; conserves it.
 
-    It removes the part that alternates from sample to sample.
+    It removes the part that alternates from sample to sample. left, breakable: float32 [rows, columns], metres of rock
+    that is left, and that was there before.
     """
     for a, b, of_a, of_b in (
         (left[:-1], left[1:], breakable[:-1], breakable[1:]),

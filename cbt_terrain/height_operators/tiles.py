@@ -204,7 +204,8 @@ def add_coarser(
 ) -> list[dict[int, TileNeed]]:
     """Return the requested tiles and the tiles of coarser levels that contain them, by level.
 
-    halo: rows and columns that the operators read beyond a tile, by level.
+    wanted: allowed error of each requested tile, metres, by level. halo: rows and columns that the operators read
+    beyond a tile, by level.
     """
     found = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):

@@ -27,7 +27,10 @@ DISCHARGE = LandLayer(
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return surface, speed and discharge of steady rivers; heights stay, and the coarser level is not read."""
+    """Return surface, speed and discharge of steady rivers; heights stay, and the coarser level is not read.
+
+    values: the parameters by name, as `sea`, the height of the sea in metres.
+    """
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
     dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)

@@ -44,7 +44,7 @@ class Vertices:
     """Description of the points in a frame's arrays "positions", "normals" and "uv".
 
     With meshlets, `leaves` counts leaves and `first_inner` is the first vertex inside one; the array "leaf_level" has
-    the leaves' levels. `swapped`: vertices that have changed places where the mesh was cut, see `cut.py`.
+    the leaves' levels. `swapped`: pairs of vertices that have changed places where the mesh was cut, int64 [2, n] each.
     """
 
     domain: Domain

@@ -243,9 +243,10 @@ class _Work:
         return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 
     def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
-        """Return the elements that move, and the new numbers of all elements behind the end.
+        """Return how the last elements of a kind fill the gaps of removed ones: (number that remain, moves, new).
 
-        int64 [2, n]: old and new numbers of those that move; int32: new numbers, -1 for removed elements.
+        Moves: int64 [2, n], old and new numbers of the elements that move. New: int32, the new numbers of all elements
+        from that number on, -1 for removed ones. kind: VERTEX, EDGE or TRIANGLE.
         """
         total = int(self.counts[kind])
         removed = np.flatnonzero(self.removed[kind, :total])

@@ -83,7 +83,10 @@ def _quoted(name: str) -> str:
 
 
 def _column(names: list[str], column: str) -> int | None:
-    """Return the position of the column of paths, None if there is none."""
+    """Return the position of the column of paths among `names`, None if there is none.
+
+    column: its name in any case, "" for one of the usual names.
+    """
     lower = [name.lower() for name in names]
     wanted = [column.lower()] if column else COLUMNS
     return next((lower.index(name) for name in wanted if name in lower), None)

@@ -51,7 +51,10 @@ class BlendRing(NamedTuple):
 
 
 def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
-    """Return the ranks of tiles whose boxes overlap, the lower one first."""
+    """Return the ranks of tiles whose boxes overlap, the lower one first.
+
+    boxes: west, south, east and north of each tile by rank, float64 [n, 4].
+    """
     order = np.argsort(boxes[:, 0], kind="stable")
     starts, pairs = boxes[order, 0], []
     for position, rank in enumerate(order):

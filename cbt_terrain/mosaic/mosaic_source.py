@@ -33,7 +33,7 @@ def open_composite(
 ) -> Composite:
     """Open the mosaic of the settings' sources. Raises TerrainError.
 
-    store: its kept catalogue is used. unpacked: height maps of archives.
+    store: folder whose kept catalogue is used, None to read all headers. unpacked: height maps of archives.
     """
     check_settings(settings)
     unpacked = unpacked or UnpackedFiles()

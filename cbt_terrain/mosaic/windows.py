@@ -113,7 +113,10 @@ def source_box(
 
 
 def at_corners(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
-    """Return the values at a piece's corners where the nodes are the corners of the whole block."""
+    """Return the values at a piece's four corners, float64 [4], where the nodes are the corners of the whole block.
+
+    values: those at the nodes, float64 [2, 2]. first: row and column of the piece's first corner in its block.
+    """
     corners = []
     for y in (first[0], first[0] + piece.rows - 1):
         for x in (first[1], first[1] + piece.columns - 1):

@@ -118,7 +118,10 @@ def _evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndar
 
 
 def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of a line and its crossings with lines of samples: metres along the line, and x and y."""
+    """Return the points of a line and its crossings with lines of samples: metres along the line, and x and y.
+
+    line: float64 [n, 2], metres. ends: metres along the line at its n points.
+    """
     lattice = field.lattice
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
     cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))

@@ -94,7 +94,7 @@ class _Search:
         """Return the first and last step between which to search for `goal` splits.
 
         beyond: every finer step has more splits. stride: grows after failures; the window begins at least this many
-        steps finer than `high` and has `stride` * `reach` steps.
+        steps finer than `high`, the finest step that is known to fit, and has `stride` * `reach` steps.
         """
         if self.high > MAX_STEP:  # no step is known to fit
             return beyond, MAX_STEP

@@ -62,7 +62,10 @@ class Candidates:
         return self._used
 
     def add(self, keys: np.ndarray, count: np.ndarray) -> None:
-        """Add reserved and written runs of `count` candidates each; they replace those of the same keys."""
+        """Add reserved and written runs of candidates; they replace those of the same keys.
+
+        keys: of the runs, int64 [n]. count: candidates of each run, int64 [n].
+        """
         at = self._used + np.cumsum(count) - count
         others = ~np.isin(self._keys, keys)
         both = [np.concatenate([a[others], b]) for a, b in ((self._keys, keys), (self._at, at), (self._count, count))]

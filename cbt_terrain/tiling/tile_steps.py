@@ -243,7 +243,10 @@ def _longest(lattice: Lattice, level: int, is_centre: bool) -> float:
 
 
 def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]:
-    """Unite the kinds of cells near the tiles' borders; return the level, and whether centres, of those with both."""
+    """Unite the kinds of cells (ground, hole) near the tiles' borders; return the depths with cells of both kinds.
+
+    A depth is (level, whether its vertices are centres).
+    """
     rows = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
     same = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
     borders.join_borders(work.grid, rows, kinds, lambda _number: same, np.bitwise_or)

@@ -29,7 +29,7 @@ class Cell:
 class CellDiamond:
     """A diamond of a cell."""
 
-    number: wp.int32  # see `diamond_of_cell`
+    number: wp.int32  # 3 .. 0: quadrants of the cell; -1, -2, -3, -4: its south, west, north and east side
     x: wp.int32  # where it is split
     y: wp.int32
     depth: wp.int32

@@ -193,7 +193,7 @@ def redirect_basin(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width
     while going == 1:
         old = wp.int32(to[at])
         to[at] = wp.uint8(new)
-        if old == 4:
+        if old == 4:  # ROOT
             going = 0
         else:
             at = towards(at, old, width)

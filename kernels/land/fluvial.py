@@ -30,7 +30,7 @@ class River:
     rate: wp.array(dtype=wp.float32)  # F: samples that erosion travels upstream in the step
     raised: wp.array(dtype=wp.float32)  # heights before the step, with uplift
     filled: wp.array(dtype=wp.float32)  # surface of the water after incision
-    load: wp.array(dtype=wp.float64)  # see `deposit`
+    load: wp.array(dtype=wp.float64)  # sediment that comes to a sample, metres times samples
     h: wp.array(dtype=wp.float32)  # metres
 
 

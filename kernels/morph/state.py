@@ -26,7 +26,7 @@ class Ramp:
 class Known:
     """Surface at a vertex and the error of its diamond. No view changes them."""
 
-    metres2: wp.float64  # see `metres2_of`; infinite: its W is always 1
+    metres2: wp.float64  # squared metres that the criterion compares; infinite: its W is always 1
     height: wp.float64  # of the surface at the vertex, metres before scaling
     normal: wp.vec3f  # of the surface there
     is_settled: wp.int32  # 1: its W was 1 in the frame of this record

@@ -47,7 +47,7 @@ class MeasuredDiamond:
     edge2: wp.float64  # ... of an edge, which has no slant
     error_m: wp.float64  # stored error, metres
     rest: wp.float64  # metres that rounding to float32 adds
-    metres2: wp.float64  # see `metres2_of`
+    metres2: wp.float64  # squared metres of height that the criterion compares with footprints
     long2: wp.float64  # squared longest edge of a level triangle, metres of camera space
     legs2: wp.float64  # ... and twice its area
     climb2: wp.float64  # how far edges climb, squared metres

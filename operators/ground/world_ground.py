@@ -159,10 +159,9 @@ def normals_at(grounds: Sequence[WorldGround], places: np.ndarray, found: Below)
 
 
 def first_hit(grounds: Sequence[WorldGround], origin, direction) -> tuple[np.ndarray, int] | None:
-    """Return a ray's first hit in the world, float64 [3], and the position of its ground in the list; None if it
-    misses.
+    """Return a ray's first hit in the world and the position of its ground in the list; None if it misses.
 
-    Raises TerrainError for a ray without a direction.
+    The hit is float64 [3]. Raises TerrainError for a ray without a direction.
     """
     origin, direction = (np.asarray(v, np.float64).reshape(1, 3) for v in (origin, direction))
     if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):

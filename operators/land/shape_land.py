@@ -231,7 +231,7 @@ def start() -> None:
 
 
 def stop() -> None:
-    """Return the keys."""
+    """Remove the keys that `start` has added."""
     for keymap, item in _keys:
         keymap.keymap_items.remove(item)
     _keys.clear()

@@ -39,7 +39,7 @@ def stack_of(terrain, depsgraph, masks: Path) -> Stack:
 
 
 def _to_engine(entry, terrain, depsgraph, masks: Path) -> Entry:
-    """Return the engine's Entry for an entry of the settings."""
+    """Return the engine's Entry for an entry of the settings. masks: folder for the files of masks."""
     if operator_of(entry.effect) is None:
         raise unknown_operator(entry.effect)
     mask = _mask_of(entry, terrain, depsgraph, masks)

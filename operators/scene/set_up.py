@@ -163,7 +163,11 @@ def _light(scene, elevation: float, azimuth: float) -> Vector:
 
 
 def _choose_layers(obj) -> None:
-    """Give a terrain that has only default layers those that suit it; high ground keeps them."""
+    """Give a terrain that has only default layers those that suit it.
+
+    They are a preset for its built-in land, or one without snow if it is lower than SNOWLESS_M; otherwise nothing
+    changes.
+    """
     settings, imported = obj.adaptive_terrain, imported_of(obj.adaptive_terrain)
     if imported is None or settings.layers and not has_default_layers(settings):
         return

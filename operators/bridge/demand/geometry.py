@@ -70,7 +70,7 @@ def sets_material_index(modifier) -> bool:
 
 
 def read_particles(found: Demand, system, words: str) -> None:
-    """Add the attributes that a particle system reads of its emitter."""
+    """Add the attributes that a particle system reads of its emitter. words: start of the texts about the reader."""
     words = f"{words}particles {system.name}"
     texts = [p.identifier for p in system.bl_rna.properties if p.type == "STRING"]
     for name in texts:

@@ -100,8 +100,8 @@ class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
         settings = obj.adaptive_terrain
         baked, update = bake_object(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
         _show_instead(baked, obj, context.view_layer)
-        message = f"{baked.name}, in the place of {obj.name}, which is hidden now: {len(baked.data.polygons):,} triangles, "
-        message += f"at most {bound_text(update.bound_m, 'm')} off"
+        message = f"{baked.name}, in the place of {obj.name}, which is hidden now: {len(baked.data.polygons):,} "
+        message += f"triangles, at most {bound_text(update.bound_m, 'm')} off"
         if update.limited:
             self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")
         else:

@@ -160,9 +160,7 @@ class ImportOperator(JobOperator):
             notes = [str(error)] if isinstance(error, TerrainError) else []
             return report | {"warnings": notes}, folder
 
-    def _load_seen(
-        self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, quick: tuple[dict, str]
-    ) -> jobs.Steps:
+    def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, quick: tuple[dict, str]) -> jobs.Steps:
         """Load the tiles that the views of a first picture need, and show them; return the report and the path.
 
         quick: report and path of the first picture, which are returned if its views need no tiles or these cannot be
@@ -212,7 +210,9 @@ class ImportOperator(JobOperator):
         report, folder = result
         before = _size_of(obj)
         if self.baked not in ("", folder):
-            self.report({"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}")
+            self.report(
+                {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
+            )
             self.baked = ""
         follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""

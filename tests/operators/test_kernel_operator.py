@@ -46,7 +46,7 @@ def click(askew, tmp_path, monkeypatch):  # noqa: F811
         operator = running(operator_class, obj, filepath=str(tmp_path / "a.ply"), **OPERATORS[operator_class])
         return operator, asked
 
-    monkeypatch.setattr(warmup, "ask", ask)
+    monkeypatch.setattr(warmup, "prepare_modules", ask)
     return start
 
 
@@ -84,7 +84,7 @@ def test_a_click_that_picks_the_ground_waits_for_kernels(click, monkeypatch):
     drop, _ = click(DropToGround)
     drop.cancel(drop.context)
     answers = iter([False, False, False])
-    monkeypatch.setattr(warmup, "ask", lambda modules: next(answers, True))
+    monkeypatch.setattr(warmup, "prepare_modules", lambda modules: next(answers, True))
     operator = RunningOperator(operator_class=PickGround, report=Mock(), moves="CURSOR", context=drop.context)
     operator.context.window_manager.reset_mock()
     operator.context.area, operator.context.window = SimpleNamespace(type="VIEW_3D"), Mock()

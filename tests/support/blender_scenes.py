@@ -75,7 +75,7 @@ def scene(empty, monkeypatch):
     import bpy
     from adaptive_terrain.cbt_terrain.run import warmup
 
-    monkeypatch.setattr(warmup, "ask", lambda modules: True)
+    monkeypatch.setattr(warmup, "prepare_modules", lambda modules: True)
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.data.clip_end = 1e5
     camera.location, camera.rotation_euler = (0.0, -900.0, 400.0), (1.15, 0.0, 0.0)

@@ -45,7 +45,9 @@ def steps():
         parts()[0].event_simulate(type="ESC", value=value, x=300, y=300)
         yield 0.05
     yield from until(lambda: not jobs.running)
-    result["files"] = sorted(path.name for path in folder.iterdir() if "stopped" in path.name or ".partial" in path.name)
+    result["files"] = sorted(
+        path.name for path in folder.iterdir() if "stopped" in path.name or ".partial" in path.name
+    )
 
 
 def note_until_it_ends():

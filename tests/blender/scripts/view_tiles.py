@@ -80,7 +80,10 @@ def steps():
     run(bpy.ops.render.render, "INVOKE_DEFAULT", write_still=True)
     yield from until((folder / "rendered.png").exists)
     yield from until(lambda: not bpy.app.is_job_running("RENDER"))
-    report["rendered"] = [jobs.find(jobs.IMPORT, terrain) is not None, modules["imported"].loaded_text(terrain.adaptive_terrain)]
+    report["rendered"] = [
+        jobs.find(jobs.IMPORT, terrain) is not None,
+        modules["imported"].loaded_text(terrain.adaptive_terrain),
+    ]
     run(bpy.ops.adaptive_terrain.cancel_job, kind="IMPORT")
     yield from until(lambda: jobs.find(jobs.IMPORT, terrain) is None)
     report["cancelled"] = modules["imported"].loaded_text(terrain.adaptive_terrain)

@@ -103,7 +103,7 @@ def test_a_frozen_mesh_follows_what_is_read(worn):
 def test_the_viewport_waits_for_the_kernels_of_attributes(worn, monkeypatch):
     """Turn by turn: nothing is made before they are there, and then without another change."""
     asked = []
-    monkeypatch.setattr(warmup, "ask", lambda modules: asked.append(modules) or len(asked) > 2)
+    monkeypatch.setattr(warmup, "prepare_modules", lambda modules: asked.append(modules) or len(asked) > 2)
     window = SimpleNamespace(
         view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
     )

@@ -274,9 +274,9 @@ def test_it_waits_for_kernels_that_are_being_prepared(askew, monkeypatch):
     rock.location.x = 150.0
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    monkeypatch.setattr(warmup, "ask", lambda modules: False)
+    monkeypatch.setattr(warmup, "prepare_modules", lambda modules: False)
     assert not keep_ground.settle_shown(bpy.context.scene, depsgraph), "ask again"
-    monkeypatch.setattr(warmup, "ask", lambda modules: True)
+    monkeypatch.setattr(warmup, "prepare_modules", lambda modules: True)
     assert keep_ground.settle_shown(bpy.context.scene, depsgraph)
     at = rock.matrix_world.translation
     assert at.z == pytest.approx(Cast(askew).height(at), abs=NEAR)

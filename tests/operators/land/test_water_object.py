@@ -64,7 +64,7 @@ def test_a_click_waits_for_kernels_beside_the_window(scene, add_terrain, click, 
         return next(is_prepared)
 
     monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
-    monkeypatch.setattr(warmup, "ask", ask)
+    monkeypatch.setattr(warmup, "prepare_modules", ask)
     operator = click(terrain)
     assert operator.began == {"RUNNING_MODAL"} and not launched
     assert jobs.find(jobs.WATER, terrain).text == f"Adding water: {jobs.PREPARING}"
@@ -74,7 +74,7 @@ def test_a_click_waits_for_kernels_beside_the_window(scene, add_terrain, click, 
 
 def test_a_cancelled_click_leaves_the_terrain_dry(scene, add_terrain, click, monkeypatch):
     terrain = add_terrain()
-    monkeypatch.setattr(warmup, "ask", lambda _modules: False)
+    monkeypatch.setattr(warmup, "prepare_modules", lambda _modules: False)
     operator = click(terrain)
     assert bpy.ops.adaptive_terrain.cancel_job(kind="WATER") == {"FINISHED"}
     assert turn(operator) == {"CANCELLED"} and not terrain.children and not jobs.running

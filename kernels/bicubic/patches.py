@@ -120,7 +120,10 @@ def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """Return value k of four neighbouring columns from west to east. a .. d: results of `column`, 12 values each."""
+    """Return value k of four neighbouring columns of samples from west to east.
+
+    a .. d: the values of each, 12 in number.
+    """
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
@@ -128,8 +131,8 @@ def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
 def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
     """Return the lowest and highest control height of the patch between columns b and c: a bound of its heights.
 
-    a .. d: results of `column` for four columns of samples from west to east. Their values 0 .. 3 are control heights
-    of a curve along the column, from south to north.
+    a .. d: values of four columns of samples from west to east, of which 0 .. 3 are control heights of a curve along
+    the column, from south to north.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
@@ -173,8 +176,9 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
 def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     """Return a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
 
-    a .. d: results of `column` for four columns from west to east. The derivatives xx, xy and yy are raised to the
-    degree 3 x 3, so that the norm, which is convex, is bounded by its values at the control points.
+    a .. d: control heights (0 .. 3), slopes to the north (4 .. 6) and second derivatives (7, 8) along four columns of
+    samples from west to east. The derivatives xx, xy and yy are raised to the degree 3 x 3, so that the norm, which is
+    convex, is bounded by its values at the control points.
     """
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
@@ -216,7 +220,8 @@ def elevate_degree(q: wp.vec3d) -> wp.vec4d:
 def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     """Return a bound of the distance between the bicubic and the bilinear patch between columns b and c, metres.
 
-    a .. d: results of `column` for four columns from west to east.
+    a .. d: for four columns of samples from west to east, control heights along the column (0 .. 3) and their distance
+    from its chord (9, 10).
     """
     zero = wp.float64(0.0)
     # Control heights of the difference: off the chord along the rows, along the columns, and both where they meet.

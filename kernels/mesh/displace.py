@@ -66,7 +66,7 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
     east = wp.min(samples.columns - 2 - i, 1)
     south = wp.min(j, 1)
     north = wp.min(samples.rows - 2 - j, 1)
-    p = corners_of(samples, i, j)
+    p = corners_of(samples, i, j)  # in the order south-west (a), south-east (b), north-west (c), north-east (d)
     row = wp.int64(samples.columns)
     one = wp.int64(1)
     at = wp.int64(j) * row + wp.int64(i)

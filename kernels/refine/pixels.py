@@ -245,7 +245,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
 def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
     """Compute the squared coarsest footprints of heights and of edges, metres, in any box inside this one.
 
-    The third result is 1 if the frustum contains the box.
+    The third result is 1 if the frustum contains the box. in_frame: 1 if that is known, 0 to find out.
     """
     coarser2 = wp.float64(1.0)
     inside = wp.int32(1)
@@ -282,9 +282,9 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside a diamond's.
 
-    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
-    They are infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
-    so none is certain to be split.
+    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box,
+    which `in_frame` 1 says is known. They are infinite for a diamond that extends beyond the raster's border: some of
+    its descendants are wholly outside, so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render Map: the picture of the map camera, whole or in tiles, with files that give its position on Earth.
 
-Blender renders on a thread of its own if its operator is invoked in a window. It ends such a render when Esc is pressed,
-or the button of `UILayout.template_running_jobs`, which jobs.py draws beside the progress bar: Python cannot end one.
+Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and so does the button
+of `UILayout.template_running_jobs`, which jobs.py draws beside the progress bar. Python cannot end one.
 """
 
 import os

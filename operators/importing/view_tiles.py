@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tiles in view: while a large import goes on, those that views need are loaded, and renders wait for those they see."""
+"""Tiles in view: a large import loads those that views need, and a render waits only for those that it sees."""
 
 import dataclasses
 import time
@@ -27,7 +27,7 @@ from ..text.translations import phrase
 from .imported import imported_of, loaded_text
 
 REST_S = 1.0  # without a change of a view, before tiles are loaded for it
-LOOKS = np.geomspace(1e-3, 4.0, 128)  # distances at which a ray meets the ground, in diagonals of the terrain
+RAY_DISTANCES = np.geomspace(1e-3, 4.0, 128)  # distances at which a ray meets the ground, in diagonals of the terrain
 _loaders: dict[int, "TileLoader"] = {}  # of running imports, by the session_uid of their terrains
 
 
@@ -39,7 +39,7 @@ class TileLoader:
     """
 
     def __init__(self, settings: ImportSettings, store: str) -> None:
-        """settings: of the quick import. store: absolute path."""
+        """Hold the settings of the quick import and the absolute path of its store."""
         self._settings, self._store = settings, Path(store)
         self.child: ImportJob | None = None
         self._has_failed = False
@@ -168,7 +168,7 @@ def _target_of(context, obj) -> tuple[float, float]:
     eye, ahead = from_camera[:3, 3], -from_camera[:3, 2]
     west, south, east, north = lattice.rectangle()
     size = np.hypot(east - west, north - south) / np.linalg.norm(ahead)
-    points = eye + ahead * (LOOKS * size)[:, None]
+    points = eye + ahead * (RAY_DISTANCES * size)[:, None]
     points = points[((points[:, :2] >= (west, south)) & (points[:, :2] <= (east, north))).all(axis=1)]
     columns = np.rint((points[:, 0] - west) / lattice.step_x).astype(np.int64)
     rows = np.rint((points[:, 1] - south) / lattice.step_y).astype(np.int64)

@@ -13,10 +13,10 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.operators import handlers, jobs
+from adaptive_terrain.operators.importing.import_terrain import ImportTerrain
 from adaptive_terrain.operators.land import bake_land, shape_land, shaped_land
 from adaptive_terrain.operators.land import cache as land_cache
 from adaptive_terrain.operators.land import stack as land_stack
-from adaptive_terrain.operators.importing.import_terrain import ImportTerrain
 from adaptive_terrain.operators.land.bake_land import BakeLand
 from adaptive_terrain.operators.land.panel import NOTE_LINES, shaping_time_text, status_lines
 from adaptive_terrain.operators.session import session

@@ -10,7 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, import_source
+from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -50,7 +50,7 @@ def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
         time.sleep(0.005)
     assert f"signal {killed_by.name}" in str(job.poll().error) and "\n" not in str(job.poll().error)
     assert contents(store) == before
-    import_source(ImportSettings(source="island", size=129), store)
+    run_import(ImportSettings(source="island", size=129), store)
     assert open_store(store).samples.shape == (129, 129) and len(list(store.glob("data-*"))) == 1
     assert_works(store)
 

@@ -9,7 +9,7 @@ import time
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, verify
-from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob, shape_store
+from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -47,7 +47,7 @@ def test_a_killed_child_leaves_the_store_as_it_was(island, tmp_path, contents):
         killed += 1
         assert "SIGKILL" in job.poll().error.what and without_tiles(contents, tmp_path / "out") == before
     assert killed >= 3
-    report = shape_store(island, RELIEF, tmp_path / "out")
+    report = run_shape(island, RELIEF, tmp_path / "out")
     assert "known before" in " ".join(report["levels"]) or "unchanged" in report
     verify(tmp_path / "out")
     run_shape(island, RELIEF, tmp_path / "alone")
@@ -62,7 +62,7 @@ def test_a_cancelled_first_run_leaves_tiles_alone(island, tmp_path):
     job.cancel()
     assert job.cancelled and "cancelled" in job.poll().error.what
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["tiles"]
-    assert shape_store(island, RELIEF, tmp_path / "out")["samples"] == [1200, 1200]
+    assert run_shape(island, RELIEF, tmp_path / "out")["samples"] == [1200, 1200]
 
 
 def test_finishing_early_publishes_the_finished_levels(island, tmp_path):
@@ -75,7 +75,7 @@ def test_finishing_early_publishes_the_finished_levels(island, tmp_path):
     report = job.poll().report
     assert report["finished_early"] and report["tiles_built"] < report["tiles_there_are"]
     assert report["finest_spacing_m"] > 7 and open_store(tmp_path / "out").samples.shape == (1200, 1200)
-    rest = shape_store(island, RELIEF, tmp_path / "out")
+    rest = run_shape(island, RELIEF, tmp_path / "out")
     assert not rest["finished_early"] and rest["left_out_most_m"] == 0.0 and "unchanged" not in rest
 
 

@@ -10,6 +10,8 @@ from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from rasters import hills, write_raster
 
+pytestmark = pytest.mark.usefixtures("imports_here")
+
 
 def export(blend, out, *options) -> int:
     argv = ["export", "--scene", str(blend), "--frames", "1", "--format", "npz", "--out", str(out), *options]

@@ -25,6 +25,8 @@ from adaptive_terrain.operators.importing.imported import (
 )
 from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
 
+pytestmark = pytest.mark.usefixtures("imports_here")
+
 
 @pytest.fixture(scope="module")
 def utm(tmp_path_factory):

@@ -22,6 +22,7 @@ from modal_runs import RunningOperator
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
+pytestmark = pytest.mark.usefixtures("imports_here")
 # A row of a list, an internal step, or the answer to a click.
 NOT_IN_MENU = re.compile(
     "cancel_(job|waiting)|import_added|land_(add|duplicate|move|preset|preset_add|remove|rule_add)|layer_.*|offer_pack|pick_ground|"

@@ -16,6 +16,8 @@ from rasters import hills, imported, write_raster
 
 WEST, SOUTH, CELL = 600_000.0, 5_199_700.0, 10.0
 
+pytestmark = pytest.mark.usefixtures("imports_here")
+
 
 def terrain_of(add_terrain, tmp_path, file, **settings):
     """Return a terrain with the store of a file, imported in this process."""

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
@@ -17,6 +18,8 @@ from modal_runs import running, turn
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
 from rasters import hills, write_raster
+
+pytestmark = pytest.mark.usefixtures("imports_here")
 
 
 def add(path, crs, transform, name, heights=None):
@@ -158,6 +161,7 @@ def test_a_join_beside_the_window_shows_no_first_picture(saved, monkeypatch):
     """The other terrains are removed, so the import has to be complete by then."""
     scene, path = saved
     monkeypatch.setattr(import_terrain, "QUICK_SAMPLES", 60)
+    monkeypatch.setattr(import_terrain, "ImportJob", ImportJob)
     west = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "west", hills(40, 30))
     east = add(path, "EPSG:32632", Affine(10, 0, 6e5 + 400, 0, -10, 5.2e6), "east", hills(40, 30))
     monkeypatch.setattr(join_terrains, "others_of", lambda _context: [east])

@@ -170,7 +170,7 @@ def test_clicks_on_the_panel(program, tmp_path):
     assert 0.0 < report["error_px"] <= 2.0
     assert report["viewport_triangles"] > report["further_triangles"] > 0, "the terrain follows the viewport's own view"
     assert report["cameraless_triangles"] == report["viewport_triangles"], "so does it where the scene has no camera"
-    assert report["import_started_s"] < 0.5, "an import does not block the window"
+    assert report["import_runs_beside"], "an import does not block the window"
     assert report["could_cancel"], report["import_error"]
     assert report["can_import_again"] and report["store_after_cancel"] == report["store"]
     assert min(report["rendered_triangles"]) > report["before_render_triangles"]

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -49,8 +50,9 @@ def test_a_command_is_stopped(program, store, tmp_path, verb, number):
             assert time.monotonic() < deadline
             time.sleep(0.05)
         for pid in processes(str(tmp_path)):
-            if "blender" in Path(f"/proc/{pid}/comm").read_text():
-                os.kill(pid, number)
+            with suppress(FileNotFoundError):  # a child may end between the two looks
+                if "blender" in Path(f"/proc/{pid}/comm").read_text():
+                    os.kill(pid, number)
         report = process.communicate(timeout=60)[1]
     finally:
         process.kill()

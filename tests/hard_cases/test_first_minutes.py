@@ -25,11 +25,12 @@ def pictures(program, dem, tmp_path_factory):
     folder = tmp_path_factory.mktemp("first_import")
     arguments = ["--python", str(SCRIPTS / "first_import.py"), "--", str(folder), str(dem["tif"])]
     with window(program, arguments, folder, place=WHOLE) as blender:
-        wait_for(folder / "imported.json", blender)
+        wait_for(folder / "imported.json", blender, ended=folder / "done.json")
         after = read_screen(folder)
         (folder / "imported_pictured").touch()
-        wait_for(folder / "factory.json", blender)
+        wait_for(folder / "done.json", blender)
         factory = read_screen(folder)
+    assert json.loads((folder / "done.json").read_text()) == {}
     return after, factory, json.loads((folder / "imported.json").read_text())
 
 

@@ -1,37 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake, pack and measure beside the window: cancelled, finished, and ended by a file and by disabling: FOLDER."""
 
-import json
 import sys
 import threading
-import time
-import traceback
 from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.operators import jobs
 
-folder = Path(sys.argv[sys.argv.index("--") + 1])
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import folder, parts, take_steps, terrain, until  # noqa: E402
+
 result = {}
 operators = bpy.ops.adaptive_terrain
 
 
-def terrain():
-    return next(obj for obj in bpy.data.objects if obj.adaptive_terrain.enabled)
-
-
-def until(condition):
-    end = time.monotonic() + 600.0  # only so that a hang ends
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.05
-
-
 def run(operator, **given):
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    with bpy.context.temp_override(window=window, area=area, region=area.regions[-1], object=terrain()):
+    window, area, region = parts("WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region, object=terrain()):
         return list(operator("INVOKE_DEFAULT", **given))
 
 
@@ -63,8 +49,9 @@ def steps():
     bpy.ops.wm.save_mainfile()
     run(operators.export_tileset, error_m=20.0)
     yield from until(lambda: len(bpy.context.window_manager.windows) > 1)
-    yield 1.0
     dialog = bpy.context.window_manager.windows[1]
+    yield from until(lambda: dialog.screen.areas[0].spaces.active.params)
+    yield 1.0
     with bpy.context.temp_override(window=dialog, area=dialog.screen.areas[0]):
         result["proposed"] = bpy.context.space_data.params.filename
         bpy.ops.file.execute("INVOKE_DEFAULT")
@@ -83,18 +70,4 @@ def steps():
     result["after_disabling"] = [len(jobs.running), threads()]
 
 
-_steps = steps()
-
-
-def turn():
-    try:
-        return next(_steps)
-    except StopIteration:
-        pass
-    except Exception:
-        result["error"] = traceback.format_exc()
-    (folder / "done.json").write_text(json.dumps(result))
-    return None
-
-
-bpy.app.timers.register(turn, first_interval=0.5, persistent=True)
+take_steps(steps(), result, persistent=True)

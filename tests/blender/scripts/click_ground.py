@@ -12,7 +12,7 @@ import bpy
 from bpy_extras import view3d_utils
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import click, only_open, parts, picture, run, take_steps, until  # noqa: E402
+from window_steps import click, only_open, parts, picture, run, show_tab, take_steps, until  # noqa: E402
 
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_on_ground"}
@@ -28,10 +28,7 @@ def steps():
     run(bpy.ops.mesh.adaptive_terrain_add, size=2000.0)
     terrain = bpy.context.object
     yield from until(lambda: len(terrain.data.polygons) > 0 and not warmup.preparing())
-    area.spaces.active.show_region_ui = True
-    yield 1.0
-    parts("UI")[2].active_panel_category = "Terrain"
-    yield 1.0
+    yield from show_tab()
     x, y = region.x + region.width // 3, region.y + region.height // 2
     bpy.context.scene.cursor.location = (0.0, 0.0, 9000.0)
     run(bpy.ops.adaptive_terrain.pick_ground, "INVOKE_DEFAULT")

@@ -4,14 +4,13 @@
 The report has the viewport's place and view after the import, and with the clip range and view of a factory scene.
 """
 
-import json
 import sys
 from pathlib import Path
 
 import bpy
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, parts, until  # noqa: E402
+from window_steps import folder, parts, take_steps, until, write_json  # noqa: E402
 
 file = sys.argv[-1]
 
@@ -39,12 +38,10 @@ def steps():
         "camera_moved": place != [list(row) for row in camera.matrix_world],
         "width_m": terrain.dimensions.x,
     }
-    (folder / "imported.json").write_text(json.dumps(result))
+    write_json("imported.json", result)
     yield from until((folder / "imported_pictured").exists)
     space.clip_start, space.clip_end, view.view_distance, view.view_location = factory
     yield 1.0
-    (folder / "factory.json").touch()
 
 
-_steps = steps()
-bpy.app.timers.register(lambda: next(_steps, None), first_interval=2.0)
+take_steps(steps(), {}, first_interval=2.0)

@@ -22,7 +22,7 @@ from bpy.app.handlers import persistent
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
 import window_steps  # noqa: E402
-from window_steps import WAIT_S, folder, parts, terrain  # noqa: E402
+from window_steps import WAIT_S, parts, terrain, write_json  # noqa: E402
 
 counts = json.loads(sys.argv[-1])
 until = functools.partial(window_steps.until, pause_s=0.005)
@@ -176,8 +176,8 @@ def steps():
             if (step + 1) % max(1, count // SAMPLES) == 0:
                 samples.append({"step": step + 1} | held())
         spent = {"wall_s": time.monotonic() - started, "cpu_s": time.process_time() - cpu}
-        (folder / f"{name}.json").write_text(json.dumps(spent | {"samples": samples}))
-    (folder / "done.json").write_text("{}")
+        write_json(f"{name}.json", spent | {"samples": samples})
+    write_json("done.json", {})
 
 
 _steps = steps()
@@ -189,7 +189,7 @@ def turn():
     except StopIteration:
         return None
     except Exception:
-        (folder / "done.json").write_text(json.dumps({"error": traceback.format_exc()}))
+        write_json("done.json", {"error": traceback.format_exc()})
         return None
 
 

@@ -40,10 +40,12 @@ def steps():
     camera = bpy.context.scene.camera
     apart = (camera.matrix_world - view).transposed()
     result["camera_off"] = max(column.length for column in apart) / terrain().dimensions.x
+    scene = bpy.context.scene  # EEVEE would compile its shaders, for most of a minute
+    scene.render.engine, scene.cycles.preview_samples, scene.cycles.use_preview_denoising = "CYCLES", 1, False
     parts()[1].spaces.active.shading.type = "RENDERED"
     parts()[1].spaces.active.region_3d.view_perspective = "CAMERA"
     bpy.context.view_layer.objects.active = camera
-    yield 8.0
+    yield 4.0
     yield from picture("set_up")
     parts()[1].spaces.active.shading.type = "SOLID"
     # As a user: Ctrl Z of the camera's step, and of the scene's.

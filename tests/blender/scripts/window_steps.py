@@ -75,8 +75,34 @@ def module(name: str):
     return importlib.import_module(f"{package}.operators.{name}")
 
 
-def take_steps(steps, report: dict, first_interval: float = 0.5) -> None:
-    """Take the steps one after the other, and write the report at their end or at their first error."""
+def show_tab():
+    """Show the sidebar and wait until it has our tab: only a region that has been drawn knows its tabs."""
+
+    def is_shown() -> bool:
+        try:
+            parts()[2].active_panel_category = "Terrain"
+        except (AttributeError, TypeError):
+            return False
+        return True
+
+    parts()[1].spaces.active.show_region_ui = True
+    parts()[1].tag_redraw()
+    yield from until(is_shown)
+    parts()[1].tag_redraw()
+    yield 1.0
+
+
+def write_json(name: str, content: dict) -> None:
+    """Write a file of the folder for the test, which reads it as soon as it exists: the last step is a rename."""
+    (folder / f"{name}.part").write_text(json.dumps(content))
+    (folder / f"{name}.part").rename(folder / name)
+
+
+def take_steps(steps, report: dict, first_interval: float = 0.5, persistent: bool = False) -> None:
+    """Take the steps one after the other, and write the report at their end or at their first error.
+
+    persistent: whether the steps go on after another file is opened.
+    """
 
     @module("bridge.writing").allow_writing
     def turn():
@@ -86,9 +112,7 @@ def take_steps(steps, report: dict, first_interval: float = 0.5) -> None:
             pass
         except Exception:
             report["error"] = traceback.format_exc()
-        # The test reads the file as soon as it exists: its last step is a change of name.
-        (folder / "done.json.part").write_text(json.dumps(report))
-        (folder / "done.json.part").rename(folder / "done.json")
+        write_json("done.json", report)
         return None
 
-    bpy.app.timers.register(turn, first_interval=first_interval)
+    bpy.app.timers.register(turn, first_interval=first_interval, persistent=persistent)

@@ -198,13 +198,11 @@ def is_rendering() -> bool:
 def draw_progress(layout, job: BackgroundJob, text: str = ""):
     """Draw a row with the progress bar of a job and its cancel button; return the row.
 
-    While the job renders, the button is Blender's own, since only that ends a render at once.
+    While the job renders there is no button, since only Esc ends a render at once.
     """
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
-    if job.kind is MAP and is_rendering():
-        row.template_running_jobs()
-    else:
+    if job.kind is not MAP or not is_rendering():
         row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
     return row
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render Map: the picture of the map camera, whole or in tiles, with files that give its position on Earth.
 
-Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and so does the button
-of `UILayout.template_running_jobs`, which jobs.py draws beside the progress bar. Python cannot end one.
+Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and Python cannot. With
+*Lock Interface* no other event arrives until the picture is complete, while the status bar shows the progress.
 """
 
 import os
@@ -77,7 +77,7 @@ def map_steps(
         geotiff = picture if form == "TIFF" else picture.with_suffix(".tif")
         _check_keeps_sources(scene, {picture, geotiff} if with_geotiff else {picture})
         if job is not None:
-            job.progress(number / total, phrase("Picture {} of {}", number + 1, total))
+            job.progress(number / total, phrase("Picture {} of {}; Esc: cancel", number + 1, total))
         yield from _render_part(scene, picture, size, x, y, job)
         transform = extent.transform(size, x[0], y[0])
         written += [picture, write_world_file(picture, transform)]
@@ -157,7 +157,6 @@ def _render_beside_window(scene, parts: dict, job: jobs.BackgroundJob) -> Iterat
             while jobs.is_rendering() and "render_pre" not in seen:
                 yield
         while jobs.is_rendering():
-            jobs.redraw_panels()  # they show Blender's own progress
             yield
     finally:
         for name, note in watched.items():

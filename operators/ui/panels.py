@@ -163,9 +163,11 @@ class OutputPanel(TerrainSubpanel):
         jobs.draw_button(column, jobs.EXPORT, terrain, "adaptive_terrain.export_tiles", icon="TEXTURE")
         column.operator("adaptive_terrain.export_tileset", icon="WORLD")
         row = column.row(align=True)
-        if not jobs.find(jobs.MAP):
+        if (job := jobs.find(jobs.MAP)) is not None:
+            jobs.draw_progress(row, job)
+        else:
             row.operator("adaptive_terrain.map_camera", icon="CAMERA_DATA")
-        jobs.draw_button(row, jobs.MAP, terrain, "adaptive_terrain.render_map", icon="RENDER_STILL")
+            row.operator("adaptive_terrain.render_map", icon="RENDER_STILL")
         column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 

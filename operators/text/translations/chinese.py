@@ -55,7 +55,7 @@ LABELS = {
     "By": "移动量",
     "By Metres": "按米设置",
     "Checking the shaped land": "正在检查已塑造的地貌",
-    "Picture {} of {}": "图片 {} / {}",
+    "Picture {} of {}; Esc: cancel": "图片 {} / {}；Esc：取消",
     "Rendering a map": "正在渲染地图",
     "Reused": "已复用",
     "Writing GeoTIFF files": "正在写入 GeoTIFF 文件",

@@ -55,7 +55,7 @@ LABELS = {
     "By": "De",
     "By Metres": "En mètres",
     "Checking the shaped land": "Vérification du paysage façonné",
-    "Picture {} of {}": "Image {} sur {}",
+    "Picture {} of {}; Esc: cancel": "Image {} sur {} ; Échap : annuler",
     "Rendering a map": "Rendu d'une carte",
     "Reused": "Réutilisé",
     "Writing GeoTIFF files": "Écriture des fichiers GeoTIFF",

@@ -55,7 +55,7 @@ LABELS = {
     "By": "Um",
     "By Metres": "In Metern",
     "Checking the shaped land": "Die geformte Landschaft wird geprüft",
-    "Picture {} of {}": "Bild {} von {}",
+    "Picture {} of {}; Esc: cancel": "Bild {} von {}; Esc: abbrechen",
     "Rendering a map": "Karte rendern",
     "Reused": "Wiederverwendet",
     "Writing GeoTIFF files": "GeoTIFF-Dateien schreiben",

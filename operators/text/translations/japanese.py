@@ -55,7 +55,7 @@ LABELS = {
     "By": "移動量",
     "By Metres": "メートルで指定",
     "Checking the shaped land": "造形済みの地勢を確認中",
-    "Picture {} of {}": "画像 {} / {}",
+    "Picture {} of {}; Esc: cancel": "画像 {} / {}。Esc: キャンセル",
     "Rendering a map": "地図をレンダリング中",
     "Reused": "再利用",
     "Writing GeoTIFF files": "GeoTIFF ファイルを書き込み中",

@@ -55,7 +55,7 @@ LABELS = {
     "By": "En",
     "By Metres": "En metros",
     "Checking the shaped land": "Comprobando el paisaje modelado",
-    "Picture {} of {}": "Imagen {} de {}",
+    "Picture {} of {}; Esc: cancel": "Imagen {} de {}; Esc: cancelar",
     "Rendering a map": "Procesando un mapa",
     "Reused": "Reutilizado",
     "Writing GeoTIFF files": "Escribiendo archivos GeoTIFF",

@@ -215,11 +215,11 @@ def test_a_cancelled_map_keeps_complete_pictures(in_window, tmp_path, how):
     """Blender reports that the user has ended its render; Escape in a test's window does not reach it."""
     start, rendering = in_window
     operator = start()
-    assert operator.job.text == "Rendering a map: Picture 1 of 2"
+    assert operator.job.text == "Rendering a map: Picture 1 of 2; Esc: cancel"
     rendering.clear()
     while not rendering:  # the second picture
         turn(operator)
-    assert operator.job.text == "Rendering a map: Picture 2 of 2" and operator.job.fraction == 0.5
+    assert operator.job.text == "Rendering a map: Picture 2 of 2; Esc: cancel" and operator.job.fraction == 0.5
     if how == "escape":
         turn(operator, "ESC")
         rendering.clear()

@@ -33,7 +33,7 @@ class ChosenFiles:
         if self.filepath or len(self.files):  # dropped
             return self.execute(context)
         remember_object(self, context)
-        if beside := bpy.data.filepath:  # or the dialog proposes the name of the .blend file
+        if not self.directory and (beside := bpy.data.filepath):  # or the dialog proposes the name of the .blend file
             self.directory = str(Path(beside).parent)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
@@ -53,6 +53,13 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
         settings = getattr(obj, "adaptive_terrain", None)
         cls.poll_message_set("Select a terrain whose source is a file")
         return settings is not None and settings.enabled and settings.source == FILE and bool(settings.source_path)
+
+    def invoke(self, context, event):
+        """Ask for files, beginning in the folder of those that the terrain has."""
+        folder = Path(absolute_path(context.object.adaptive_terrain.source_path)).parent
+        if not self.directory and folder.is_dir():
+            self.directory = str(folder)
+        return ChosenFiles.invoke(self, context, event)
 
     @cancelled_by_errors
     def execute(self, context):

@@ -2,6 +2,8 @@
 """Settings: of a terrain on its object (`object.adaptive_terrain`), of all on the scene (`scene.adaptive_terrain`)."""
 
 import math
+from contextlib import suppress
+from pathlib import Path
 
 import bpy
 from bpy.props import (
@@ -16,11 +18,14 @@ from bpy.props import (
     StringProperty,
 )
 
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED
 from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from ...cbt_terrain.rasters.raster import RAW_TYPES
 from ..attributes import properties as effect_properties
+from ..bridge.scene_paths import absolute_path
 from ..land import properties as land_properties
 from ..layers.properties import LayerSettings
 from ..maps.properties import PATH_OPTIONS, MapSettings
@@ -53,6 +58,14 @@ def _on_source(self, _context) -> None:
     else:
         self.use_extent = False
         self.property_unset("height_scale")
+
+
+def _on_set_heights(self, _context) -> None:
+    """Begin with the heights that the store has, unless the user has entered some."""
+    if self.use_heights and self.store and not any(map(self.is_property_set, ("lowest", "highest"))):
+        with suppress(TerrainError):  # the update reports it
+            store = stores.read_json(Path(absolute_path(self.store)))
+            self.lowest, self.highest = store["min_height"], store["max_height"]
 
 
 def _on_overlay(self, context) -> None:
@@ -193,6 +206,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Set Heights",
         description="Enter the heights of the lowest and the highest value. Otherwise an 8 or 16-bit image without a "
         "size in metres gets a relief of a quarter of its width",
+        update=_on_set_heights,
     )
     lowest: FloatProperty(name="Lowest", description="Height of the lowest value in the file, in metres", unit="LENGTH")
     highest: FloatProperty(

@@ -38,6 +38,8 @@ def draw_status(layout, context, obj) -> None:
         row.label(text="Stands still in Edit Mode", icon="PAUSE")
     elif not obj.adaptive_terrain.store:
         row.label(text="No height map yet: press Import", icon="INFO")
+    elif not obj.visible_get():
+        row.label(text="Hidden: stays as it is", icon="HIDE_ON")
     elif status.mode and not status.left:
         row.label(text="Nothing is left: all is cut away", icon="ERROR")
     elif obj.adaptive_terrain.frozen:

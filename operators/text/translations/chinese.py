@@ -135,6 +135,7 @@ LABELS = {
     "Frames per Task": "每任务帧数",
     "Freeze Detail": "冻结细节",
     "Frozen: keeps its triangles": "已冻结: 保持三角形",
+    "Hidden: stays as it is": "已隐藏：保持不变",
     "Full Until": "完整显示距离",
     "Geometry Scale": "几何尺度",
     "Geomorph": "几何过渡",

@@ -137,6 +137,7 @@ LABELS = {
     "Frames per Task": "Frames par tâche",
     "Freeze Detail": "Figer",
     "Frozen: keeps its triangles": "Figé : garde ses triangles",
+    "Hidden: stays as it is": "Masqué : reste tel quel",
     "Full Until": "Complet jusqu’à",
     "Geometry Scale": "Échelle de la géométrie",
     "Geomorph": "Géomorphing",

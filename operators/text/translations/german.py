@@ -137,6 +137,7 @@ LABELS = {
     "Frames per Task": "Einzelbilder pro Aufgabe",
     "Freeze Detail": "Einfrieren",
     "Frozen: keeps its triangles": "Eingefroren: behält Dreiecke",
+    "Hidden: stays as it is": "Ausgeblendet: bleibt, wie es ist",
     "Full Until": "Vollständig bis",
     "Geometry Scale": "Geometriemaßstab",
     "Geomorph": "Geomorphing",

@@ -136,6 +136,7 @@ LABELS = {
     "Frames per Task": "タスクあたりのフレーム",
     "Freeze Detail": "詳細度を固定",
     "Frozen: keeps its triangles": "固定中: 三角形を維持",
+    "Hidden: stays as it is": "非表示: そのまま変わりません",
     "Full Until": "全点の距離",
     "Geometry Scale": "ジオメトリの尺度",
     "Geomorph": "ジオモーフ",

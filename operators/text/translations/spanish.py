@@ -137,6 +137,7 @@ LABELS = {
     "Frames per Task": "Fotogramas por tarea",
     "Freeze Detail": "Congelar",
     "Frozen: keeps its triangles": "Congelado: conserva triángulos",
+    "Hidden: stays as it is": "Oculto: se queda como está",
     "Full Until": "Completo hasta",
     "Geometry Scale": "Escala de la geometría",
     "Geomorph": "Geomorfismo",

@@ -44,6 +44,30 @@ def test_a_file_becomes_a_terrain(scene, tmp_path):
     assert imported_of(settings).heights_m == pytest.approx((100.0, 130.0), abs=1e-3)
 
 
+def test_set_heights_begins_with_the_present_heights(scene, tmp_path):
+    file = write_raster(tmp_path / "dem.png", (hills() * 50).astype("uint16"))
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(file))
+    settings = bpy.context.object.adaptive_terrain
+    settings.use_heights = True
+    assert (settings.lowest, settings.highest) == pytest.approx((0.0, 39 / 4), abs=1e-4)
+    settings.highest, settings.use_heights = 20.0, False
+    settings.use_heights = True
+    assert settings.highest == 20.0, "a number that the user has entered stays"
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_the_dialog_for_tiles_opens_beside_the_first_file(scene, tmp_path, is_moved):
+    file = write_raster(tmp_path / "dem.png", (hills() * 50).astype("uint16"))
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(file))
+    context = SimpleNamespace(object=bpy.context.object, window_manager=Mock())
+    if is_moved:
+        context.object.adaptive_terrain.source_path = "/nowhere/dem.png"
+    operator = RunningOperator(operator_class=AddTiles, filepath="", directory="", files=[])
+    assert operator.invoke(context, None) == {"RUNNING_MODAL"}
+    assert operator.directory == ("" if is_moved else str(tmp_path)) and not operator.filepath
+    context.window_manager.fileselect_add.assert_called_once()
+
+
 @pytest.mark.parametrize("path", ["", "/nowhere/a.tif"])
 def test_a_missing_file_leaves_no_object(scene, path):
     with pytest.raises(RuntimeError):

@@ -9,7 +9,8 @@ from adaptive_terrain.operators.accuracy.panel import summary_lines
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.ui import panels
 from adaptive_terrain.operators.ui.panel_parts import TerrainSubpanel
-from adaptive_terrain.operators.ui.status_row import NO_VIEW, sight_notice
+from adaptive_terrain.operators.ui.status_row import NO_VIEW, draw_status, sight_notice
+from drawn_panels import DrawnLayout
 
 
 def activate(obj):
@@ -34,6 +35,16 @@ def test_of_several_terrains_the_last_active_is_shown(scene, add_terrain):
     assert session.shown_terrain(bpy.context) == first
     bpy.data.objects.remove(first)
     assert session.shown_terrain(bpy.context) == second, "the only one that is left"
+
+
+def test_the_tab_says_that_its_terrain_is_hidden(scene, add_terrain):
+    terrain, shown = add_terrain(), []
+    for is_hidden in (False, True):
+        terrain.hide_set(is_hidden)
+        layout = DrawnLayout()
+        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
+        shown.append("Hidden: stays as it is" in layout.texts)
+    assert shown == [False, True]
 
 
 def test_without_a_terrain_the_tab_is_empty(scene):

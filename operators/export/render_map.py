@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render Map: the picture of the map camera, whole or in tiles, with files that give its position on Earth.
 
-Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and Python cannot. With
-*Lock Interface* no other event arrives until the picture is complete, while the status bar shows the progress.
+Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and Python cannot.
+With *Lock Interface* no other event arrives until the picture is complete, while the status bar shows the progress.
 """
 
 import os

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render a map by script and from the file dialog, and write a report: FOLDER.
-
-A panel that is drawn while a render on a thread begins can leave Blender refusing writes by timers: the render comes last.
-"""
+"""Render a map by script and from the file dialog, and write a report: FOLDER."""
 
 import importlib
 import sys

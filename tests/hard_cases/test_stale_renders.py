@@ -53,7 +53,7 @@ def test_case_68_a_render_that_would_be_stale_ends(blend, change, frames, why):
     The scene can allow stale renders. A broken terrain that renders do not show stops none.
     """
     command = [sys.executable, "-c", RENDER, blend, change]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert sorted(int(path.stem[-4:]) for path in blend.parent.glob("frame_*.png")) == frames, done.stderr
     for path in blend.parent.glob("frame_*.png"):
         assert bpy.data.images.load(str(path)).pixels[:4]
@@ -91,7 +91,7 @@ def test_case_68_a_scene_that_a_compositor_takes_in(blend, used):
     """Terrains of another scene in the compositor are refined, though Blender announces only the rendered scene."""
     before = len(bpy.data.objects["Hills"].data.polygons)
     done = subprocess.run(
-        [sys.executable, "-c", RENDER, blend, COMPOSED.format(store=used)], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", RENDER, blend, COMPOSED.format(store=used)], capture_output=True, text=True, timeout=600
     )
     pictures = list(blend.parent.glob("frame_*.png"))
     if used == "'/gone'":

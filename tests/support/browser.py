@@ -21,7 +21,7 @@ import pytest
 NAMES = ("chromium-headless-shell", "chromium", "google-chrome")
 CHROMIUM = next((path for path in map(shutil.which, NAMES) if path), None)
 OPTIONS = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe"]
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 needs_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="there is no Chromium here; on Debian: apt-get install chromium-headless-shell"
 )

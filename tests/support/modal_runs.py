@@ -50,7 +50,7 @@ def running(operator_class, obj, **properties):
 def hold(monkeypatch, module, name: str) -> threading.Event:
     """Let a function of a module wait, on a job's thread, until the returned event is set."""
     event, function = threading.Event(), getattr(module, name)
-    monkeypatch.setattr(module, name, lambda *given, **named: (event.wait(60), function(*given, **named))[1])
+    monkeypatch.setattr(module, name, lambda *given, **named: (event.wait(600), function(*given, **named))[1])
     return event
 
 
@@ -61,7 +61,7 @@ def turn(operator, event: str = "TIMER"):
 
 def to_the_end(operator):
     """Send timer events until the operator has ended; return its last answer."""
-    for _ in range(4000):
+    for _ in range(30_000):
         ended = turn(operator)
         if ended != {"PASS_THROUGH"}:
             operator.context.window_manager.event_timer_remove.assert_called_once()

@@ -35,7 +35,7 @@ for path in sys.stdin.read().split("\\0"):
     end, begin = os.pipe()
     child = os.fork()
     if child == 0:
-        signal.alarm(20)
+        signal.alarm(120)
         os.write(begin, json.dumps(read(path)).encode())
         os._exit(0)
     os.close(begin)

@@ -46,7 +46,7 @@ def turns_beside(operator, module, name: str, count: int):
     An operator that works on the main thread would wait in vain, and there would be no turn.
     """
     gate, function, turns = threading.Event(), getattr(module, name), 0
-    setattr(module, name, lambda *given, **named: (gate.wait(60.0), function(*given, **named))[1])
+    setattr(module, name, lambda *given, **named: (gate.wait(300.0), function(*given, **named))[1])
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operator("INVOKE_DEFAULT")
     while not operator.poll():

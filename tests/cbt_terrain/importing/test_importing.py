@@ -146,14 +146,14 @@ def test_an_import_ends_with_its_parent(tmp_path):
         "from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings\n"
         f"job = ImportJob(ImportSettings(source='island', size=4097), {str(tmp_path / 'store')!r})\n"
         "while job.poll().fraction == 0.0: time.sleep(0.01)\n"
-        "print(job._process.pid, flush=True); time.sleep(60)"
+        "print(job._process.pid, flush=True); time.sleep(600)"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment())
     child = int(parent.stdout.readline())
     assert list((tmp_path / "store").glob("data-*"))
     parent.kill()
     parent.wait()
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while running(child) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not running(child) and not list((tmp_path / "store").glob("data-*"))
@@ -201,7 +201,7 @@ def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
         "assert report['raster'] == [33, 33]\n"
         "assert not {'rasterio', 'OpenEXR', 'bpy'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", script], check=True, env=environment(), timeout=60)
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment(), timeout=300)
 
 
 def test_the_steps_of_the_stored_values_are_reported(tmp_path):

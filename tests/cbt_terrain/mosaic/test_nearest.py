@@ -74,7 +74,7 @@ def test_other_systems_give_the_nearest_sample(tmp_path):
 
 def test_a_quick_mosaic_covers_the_ground_of_the_full_one(tiles, tmp_path):
     full = import_source(settings_of(tiles), tmp_path / "full")
-    quick = import_source(settings_of(tiles, quick=400), tmp_path / "quick")
+    quick = run_mosaic_import(settings_of(tiles, quick=400), tmp_path / "quick")
     a, b = open_store(tmp_path / "full"), open_store(tmp_path / "quick")
     assert quick["loaded"] == "to 79.5 m of 10 m"
     assert (
@@ -82,7 +82,7 @@ def test_a_quick_mosaic_covers_the_ground_of_the_full_one(tiles, tmp_path):
     )
     assert "seams" not in quick and full["seams"] > 0, "seams are of the complete import"
     assert import_source(settings_of(tiles, quick=400), tmp_path / "full") == full | {"unchanged": True}
-    again = import_source(settings_of(tiles), tmp_path / "quick")
+    again = run_mosaic_import(settings_of(tiles), tmp_path / "quick")
     assert read_json(tmp_path / "quick")["key"] == read_json(tmp_path / "full")["key"] and "loaded" not in again
 
 

@@ -26,7 +26,7 @@ def interruptible():
 
 def wait_for_stop():
     """Until the thread that listens has noted the signal."""
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         check()
         time.sleep(0.001)
@@ -107,11 +107,11 @@ from adaptive_terrain.cbt_terrain.run import stopping
 stopping.GRACE_SECONDS = float(sys.argv[1])
 with stopping.listening():
     print("here", flush=True)
-    time.sleep(60)
+    time.sleep(600)
 """
 
 
-@pytest.mark.parametrize(("grace", "second"), [(0.3, None), (60, signal.SIGINT)])
+@pytest.mark.parametrize(("grace", "second"), [(0.3, None), (600, signal.SIGINT)])
 def test_a_step_that_does_not_end_is_ended(grace, second):
     """After a while, or by a second signal; but two at once are one press of Ctrl-C."""
     process = subprocess.Popen(
@@ -126,6 +126,6 @@ def test_a_step_that_does_not_end_is_ended(grace, second):
         while process.poll() is None:  # a busy machine may have delivered the first two late
             process.send_signal(second)
             time.sleep(0.1)
-    said = process.communicate(timeout=30)[1].decode()
+    said = process.communicate(timeout=120)[1].decode()
     assert process.returncode == 128 + (second or signal.SIGTERM)
     assert said.startswith("adaptive-terrain: stopped at once") and said.count("\n") == 1

@@ -154,7 +154,7 @@ def test_stopping_ends_the_children_and_tells_who_waits(no_modules):
         threading.Event().wait(0.01)
     assert warmup.preparing() and warmup.progress() == 0.0
     warmup.stop()
-    thread.join(5)
+    thread.join(60)
     assert reasons and "switched off" in reasons[0]
     assert all(process.poll() is not None for process in no_modules)
     assert not warmup.preparing() and warmup.progress() is None

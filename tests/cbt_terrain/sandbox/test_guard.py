@@ -44,7 +44,7 @@ def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path):
     heights[3:5, 7] = np.nan  # to be filled; and it fits no lattice
     np.save(tmp_path / "a.npy", heights)
     command = [sys.executable, "-c", LOADED, source, str(tmp_path / "store")]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
 
 

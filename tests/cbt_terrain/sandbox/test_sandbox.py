@@ -26,7 +26,7 @@ def escaped(request, tmp_path_factory):
     for parent in (folder, folder.parent, folder.parent.parent):
         parent.chmod(0o777 if parent == folder else 0o755)
     command = [sys.executable, str(SCRIPT), str(folder), str(max(request.param, 0))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, start_new_session=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, start_new_session=True)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     yield found, folder

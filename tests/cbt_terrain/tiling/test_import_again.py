@@ -61,7 +61,7 @@ def test_processes_give_the_bytes_of_one_piece(tmp_path, tiled, kind, count):  #
         run(settings, tmp_path / "tiled", crew=crew)
     finally:
         crew.close()
-    assert [process.wait(10) for process in crew._processes] == [0] * count
+    assert [process.wait(60) for process in crew._processes] == [0] * count
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 

@@ -63,7 +63,7 @@ def held(monkeypatch):
     def measure_request(field, request, on_progress):
         on_progress(0.25, "waiting")
         gate.reached.set()
-        gate.go.wait(20)
+        gate.go.wait(60)
         on_progress(0.5, "going on")
         return measure_accuracy.Result(CostCurve("px", (2.0, 1.0), (1.0, 2.0), (1.0, 2.0)), MEASURED, "digest")
 
@@ -157,7 +157,7 @@ def test_the_thread_beside_the_window_measures_the_same(terrain, short):
 
 def test_a_cancelled_measurement_leaves_the_old_curve(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     layout = draw(terrain)
     layout.row().progress.assert_called_once_with(factor=0.125, text="Viewport: waiting")
     with bpy.context.temp_override(object=terrain):
@@ -169,7 +169,7 @@ def test_a_cancelled_measurement_leaves_the_old_curve(terrain, held):
 
 def test_undo_stops_it_and_leaves_the_old_curve(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     handlers.on_undo(None)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
@@ -193,7 +193,7 @@ def test_cancel_waits_for_one_update_at_most(terrain):
 
 def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     bpy.data.objects.remove(terrain)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
@@ -201,7 +201,7 @@ def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
 
 def test_an_opened_file_ends_it(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     threading.Timer(0.1, held.go.set).start()
     operator.cancel(operator.context)
     assert operator.job.result is None and not jobs.running

@@ -52,7 +52,7 @@ def held(monkeypatch):
     def waiting(*arguments, **options):
         options["on_progress"](0.25)
         gate.reached.set()
-        gate.go.wait(20)
+        gate.go.wait(60)
         return sweep(*arguments, **options)
 
     monkeypatch.setattr(sweep_accuracy, "sweep", waiting)
@@ -166,7 +166,7 @@ def test_what_looks_at_the_scene_itself_is_named_in_the_report(terrain, scene):
 
 def test_one_measurement_at_a_time_whatever_the_terrain(terrain, add_terrain, held):
     operator = running(SweepAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     add_terrain("Other")
     assert not bpy.ops.adaptive_terrain.measure_accuracy.poll() and not bpy.ops.adaptive_terrain.sweep_accuracy.poll()
     held.go.set()
@@ -175,7 +175,7 @@ def test_one_measurement_at_a_time_whatever_the_terrain(terrain, add_terrain, he
 
 def test_a_render_ends_it_with_the_reason(terrain, held, monkeypatch):
     operator = running(SweepAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     monkeypatch.setattr(measuring, "is_rendering", lambda: True)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
@@ -220,7 +220,7 @@ def test_a_long_name_fits_into_those_of_files(terrain):
 
 def test_a_folder_that_vanishes_meanwhile_is_made_again(terrain, tmp_path, held):
     operator = running(SweepAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     shutil.rmtree(tmp_path / "reports")
     held.go.set()
     assert to_the_end(operator) == {"FINISHED"} and len(rows_of(terrain)) == len(FEW)
@@ -237,7 +237,7 @@ def test_a_cancelled_sweep_leaves_the_last_report(terrain, held):
     folder.mkdir(parents=True)
     (folder / "accuracy.csv").write_text("the last one")
     operator = running(SweepAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     draw(terrain).row().progress.assert_called_once_with(factor=0.25, text="Report: 2 px")
     assert bpy.ops.adaptive_terrain.cancel_job(kind="MEASURE") == {"FINISHED"}
     held.go.set()
@@ -262,7 +262,7 @@ def test_cancel_does_not_wait_for_the_main_thread(terrain, monkeypatch):
 
 def test_undo_and_an_opened_file_end_it(terrain, held):
     operator = running(SweepAccuracy, terrain)
-    assert held.reached.wait(20)
+    assert held.reached.wait(60)
     handlers.on_undo(None)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}

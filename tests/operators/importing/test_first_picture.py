@@ -67,7 +67,7 @@ def incomplete_terrain(terrain):
 
 def until(operator, is_reached):
     """Send timer events until a condition holds."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + 300
     while not is_reached():
         assert turn(operator) == {"PASS_THROUGH"} and time.monotonic() < end
         time.sleep(0.005)

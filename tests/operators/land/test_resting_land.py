@@ -51,7 +51,7 @@ def until(obj, shown: str) -> None:
     turns(lambda: shaped_land.state_of(obj).shown == shown)
 
 
-def turns(reached, limit_s: float = 60.0) -> None:
+def turns(reached, limit_s: float = 300.0) -> None:
     end = time.monotonic() + limit_s
     while not reached():
         assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, jobs.progress_shown())

@@ -41,9 +41,9 @@ def click_first_button():
 
 
 def turns_beside(operator, module, name: str, count: int):
-    """Start an operator's job, whose work on a thread waits until the window has had some turns; return their number.
+    """Start an operator's job and return the number of turns that the window has until the job ends.
 
-    An operator that works on the main thread would wait in vain, and there would be no turn.
+    The work waits on its thread for `count` turns. On the main thread it would wait in vain, without a turn.
     """
     gate, function, turns = threading.Event(), getattr(module, name), 0
     setattr(module, name, lambda *given, **named: (gate.wait(300.0), function(*given, **named))[1])

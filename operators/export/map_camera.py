@@ -28,6 +28,7 @@ BEFORE = "adaptive_terrain_map_before"  # property with the numbers of SIZE befo
 SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
 MARGIN = 0.1  # of the terrain's height, above and below
+MOVED = 0.1  # pixels by which an unchanged camera may seem to be moved
 # Degrees of the sun of shaded relief: above the horizon, and from north to west.
 SUN_HEIGHT, SUN_WEST = 45.0, 45.0
 
@@ -133,8 +134,14 @@ def _camera_state(scene) -> list[float]:
 
 def is_unchanged(scene) -> bool:
     """Return whether the map camera and the picture's aspect are those of its extent."""
-    frame = _camera_state(scene)
-    return np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0])
+    now = np.array(_camera_state(scene))
+    frame, location = np.array(scene.camera.get(FRAME, now)), slice(7, None, 4)
+    allowed = np.full(len(now), 1e-6)
+    allowed[0] *= frame[0]
+    allowed[3:] *= 10.0  # the aspect and the directions
+    # A metre is a millionth of a location 1,000 km away, but may be several pixels.
+    allowed[location] = MOVED * now[0] / scene.render.resolution_x + np.spacing(np.abs(frame[location], dtype=np.float32))
+    return bool((np.abs(now - frame) <= allowed).all())
 
 
 def _sun_rotation() -> Matrix:

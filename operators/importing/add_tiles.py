@@ -8,6 +8,7 @@ import bpy
 
 from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES
 from ...cbt_terrain.rasters.source_formats import FORMATS
+from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session.polls import cancelled_by_errors, remember_object, remembered_object
 from ..terrain.properties import FILE
@@ -52,7 +53,10 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
         obj = context.object
         settings = getattr(obj, "adaptive_terrain", None)
         cls.poll_message_set("Select a terrain whose source is a file")
-        return settings is not None and settings.enabled and settings.source == FILE and bool(settings.source_path)
+        if not (settings is not None and settings.enabled and settings.source == FILE and settings.source_path):
+            return False
+        cls.poll_message_set(f"{jobs.IMPORT.title} is under way: wait for it, or cancel it beside its progress bar")
+        return jobs.find(jobs.IMPORT, obj) is None
 
     def invoke(self, context, event):
         """Ask for files, beginning in the folder of those that the terrain has."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.store import changed_ns
+from ...cbt_terrain.field.store import changed_ns, read_json
 from ...cbt_terrain.formats.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.source_list import names_several
@@ -17,6 +17,7 @@ from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from .. import jobs
+from ..bridge.evaluated import anchor_of
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
@@ -151,33 +152,27 @@ class ImportOperator(JobOperator):
         try:
             with view_tiles.loading(job.uid, settings_now, absolute_path(folder)) as loader:
                 if quick is not None:
-                    quick = yield from self._load_seen(job, loader, quick)
+                    yield from self._load_seen(job, loader, folder)
                 return (yield from self._complete(job, loader, settings, folder))
         except (jobs.JobStopped, TerrainError) as error:
             if quick is None or job.is_orphan:
                 raise
-            report, _ = quick
             notes = [str(error)] if isinstance(error, TerrainError) else []
-            return report | {"warnings": notes}, folder
+            return read_json(Path(absolute_path(folder)))["report"] | {"warnings": notes}, folder
 
-    def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, quick: tuple[dict, str]) -> jobs.Steps:
-        """Load the tiles that the views of a first picture need, and show them; return the report and the path.
-
-        quick: report and path of the first picture, which are returned if its views need no tiles or these cannot be
-        loaded.
-        """
+    def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, folder: str) -> jobs.Steps:
+        """Load the tiles that the views of a first picture need, and show them; the picture stays if that fails."""
         job.raise_if_stopped()
         depsgraph = bpy.context.evaluated_depsgraph_get()
         try:
             if child := loader.start(job.terrain(), depsgraph, request.VIEWPORT, request.RENDER):
-                quick = (yield from jobs.run_in_child(job, child)), quick[1]
+                report = yield from jobs.run_in_child(job, child)
                 if job.terrain() is not None:
-                    self.finish(bpy.context, job.terrain(), quick)
+                    self.finish(bpy.context, job.terrain(), (report, folder))
         except TerrainError:
             pass  # the complete import then reports it
         finally:
             loader.child = None
-        return quick
 
     def _complete(
         self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, settings: ImportSettings, folder: str
@@ -208,7 +203,7 @@ class ImportOperator(JobOperator):
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
         report, folder = result
-        before = _size_of(obj)
+        before, anchor = _size_of(obj), anchor_of(obj)
         if self.baked not in ("", folder):
             self.report(
                 {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
@@ -218,11 +213,15 @@ class ImportOperator(JobOperator):
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
         imported.tag_object(obj)
-        shared_origin.keep_anchor_inside(obj, imported.imported_of(obj.adaptive_terrain))
+        now = imported.imported_of(obj.adaptive_terrain)
+        shared_origin.keep_anchor_inside(obj, now)
+        shift = shared_origin.origin_shift(obj, self.before, now, anchor)
         if follows:
-            for note in shared_origin.place_terrain(obj, context.scene, imported.imported_of(obj.adaptive_terrain)):
+            for note in shared_origin.place_terrain(obj, context.scene, now):
                 self.report({"WARNING"}, note)
-            context.view_layer.update()
+        shared_origin.keep_ground(obj, shift, follows)
+        self.before = now
+        context.view_layer.update()
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):
             self._bring_into_view(context, obj)

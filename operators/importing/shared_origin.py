@@ -4,12 +4,14 @@
 import math
 
 import numpy as np
+from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
 from ...cbt_terrain.importing.placing import reproject_point
 from ..bridge.evaluated import anchor_of
 from ..bridge.scene_origin import SceneOrigin, origin_of, set_origin, unit_lengths
+from ..terrain import move_world
 from .imported import Imported
 
 WGS84 = "EPSG:4326"
@@ -38,6 +40,32 @@ def keep_anchor_inside(obj, imported: Imported | None) -> None:
     half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
     if any(abs(at) > border for at, border in zip(anchor_of(obj), half, strict=True)):
         obj.adaptive_terrain.anchor = (0.0, 0.0)
+
+
+def origin_shift(obj, before: Imported | None, imported: Imported | None, anchor: tuple[float, float]) -> np.ndarray:
+    """Return how far a new raster moves the origin of a terrain's object, metres x and y of its space before.
+
+    It is 0 for rasters that share no ground or have no common system. before: of the earlier raster. anchor: of the
+    terrain then.
+    """
+    if before is None or imported is None or before.crs != imported.crs or None in (before.place, imported.place):
+        return np.zeros(2)
+    there = from_crs(before.place, to_crs(imported.place, np.array([(0.0, 0.0), anchor_of(obj)])))
+    reach = (np.array(before.extent_m) + imported.extent_m) / 2
+    return there[1] - anchor if (np.abs(there[0]) < reach).all() else np.zeros(2)
+
+
+def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
+    """Let the ground and the children of a terrain stay in the world although its origin has moved in its raster.
+
+    by: see `origin_shift`. is_placed: whether the object was moved already.
+    """
+    if np.abs(by).max() <= SAME:
+        return
+    if not is_placed:
+        basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
+        move_world.shift_location(obj, Vector((basis @ by).tolist()), set())
+    move_world.keep_children(obj, by)
 
 
 def place_terrain(obj, scene, imported: Imported | None) -> list[str]:

@@ -173,6 +173,11 @@ def set_anchor(obj, x: float, y: float) -> None:
     basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
     shift_location(obj, Vector((basis @ by).tolist()), set())
     obj.adaptive_terrain.anchor = (x, y)
+    keep_children(obj, by)
+
+
+def keep_children(obj, by: np.ndarray) -> None:
+    """Keep what belongs to a terrain on its ground after its origin has moved by (x, y) metres of its space."""
     back = Matrix.Translation((*(-by).tolist(), 0.0))
     static = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
     for child in obj.children:

@@ -8,6 +8,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest, SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.evaluate import values_at
+from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, displaced
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import NOISE, SLOPE, Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -134,6 +136,20 @@ def test_queries_attributes_and_scatters_follow_the_anchor():
     a, b = (scatter_points(field, Scatter(spacing=60.0)) for field in (plain, moved))
     assert len(a) == len(b) > 1000
     assert np.abs(a.positions - (b.positions + np.float32([*away, 0.0]))).max() < 2e-2
+
+
+def test_masks_of_displacement_do_not_depend_on_the_anchor():
+    """Masks are kept beside the raster, so they have to be the same for all anchors, with noise in their rules, too."""
+    plain, away = from_array(hills(60, 50), 100.0, 100.0), np.array([2048.0, -1024.0])
+    rules = (Rule(NOISE, low=0.0, edge=0.3),), (Rule(SLOPE, low=0.3, edge=0.2),)
+    layers = Layer("Grass"), *(Layer(name, rule, noise_size=300.0, ragged=1.0) for name, rule in zip("ab", rules, strict=True))
+    ground = LayeredDetail(None, layers, ((1, Detail(4.0, 60.0, 0.5, 7)), (2, Detail(2.0, 30.0))))
+    before, after = (displaced(field, ground, 1.0, 0.0, 1) for field in (plain, anchored(plain, *away)))
+    for one, other in zip(before.detail.layers, after.detail.layers, strict=True):
+        assert np.array_equal(one.mask.values, other.mask.values) and 0 < one.mask.values.mean() < 255
+    places = np.random.default_rng(1).uniform(-2400.0, 2400.0, (500, 2))
+    heights, there = ground_at(before, places).heights, ground_at(after, places - away).heights
+    assert np.abs(heights - there).max() < 1e-9 and np.abs(heights - ground_at(plain, places).heights).max() > 0.1
 
 
 def test_an_anchor_moves_the_origin_of_files():

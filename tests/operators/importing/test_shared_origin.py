@@ -3,6 +3,7 @@
 
 import math
 import time
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -14,7 +15,7 @@ from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
 from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
 from adaptive_terrain.operators.importing.shared_origin import place_terrain
-from modal_runs import running, turn
+from modal_runs import RunningOperator, running, turn
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
 from rasters import hills, write_raster
@@ -183,3 +184,49 @@ def test_a_failed_join_changes_nothing(saved):
         bpy.ops.adaptive_terrain.join()
     assert first.adaptive_terrain.source_path == before and not len(first.adaptive_terrain.more_sources)
     assert second.name in scene.objects and math.isclose(first.location.x, 0.0)
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_ground_stays_where_it_is_when_a_raster_grows(saved, is_moved):
+    """A terrain 500 km away, turned and scaled by the user, and one at its coordinates; both have a child."""
+    scene, path = saved
+    heights, corner = hills(80, 30), Affine(10, 0, 6e5, 0, -10, 5.2e6)
+    terrain = placed(path, "EPSG:32632", corner, "west", heights[:, :40])
+    if is_moved:
+        terrain.location, terrain.rotation_euler = (5e5, 3e5, 7.0), (0.0, 0.0, 0.6)
+        terrain.scale = (2.0, 2.0, 1.5)
+    rock = bpy.data.objects.new("Rock", None)
+    scene.collection.objects.link(rock)
+    rock.parent, rock.location = terrain, (50.0, 20.0, 300.0)
+    bpy.context.view_layer.update()
+    stood = rock.matrix_world.translation.copy()
+    local = np.array([(x, y, 0.0, 1.0) for x in np.linspace(-180, 180, 9) for y in np.linspace(-130, 130, 7)])
+    world = (local @ np.array(terrain.matrix_world).T)[:, :3]
+
+    def ground():
+        bpy.context.view_layer.update()
+        found = world_ground.ground_of(terrain, bpy.context.evaluated_depsgraph_get())
+        return world_ground.find_below([found], world).heights
+
+    before = ground()
+    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock())
+    operator.before = imported_of(terrain.adaptive_terrain)
+    both = write_raster(path / "both.tif", heights, crs="EPSG:32632", transform=corner)
+    for _ in range(2):  # a first picture, and the complete store
+        report = run_import(ImportSettings(str(both)), path / "both")
+        operator.finish(bpy.context, terrain, (report, str(path / "both")))
+    assert imported_of(terrain.adaptive_terrain).raster == (80, 30)
+    assert np.abs(ground() - before).max() < 0.5, "float32 has steps of 3 cm at 500 km, and this ground is steep"
+    assert (rock.matrix_world.translation - stood).length < 0.1
+    assert not is_moved or terrain.location.x > 5e5
+
+
+def test_a_raster_elsewhere_leaves_a_moved_terrain_alone(saved):
+    scene, path = saved
+    terrain = placed(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
+    terrain.location.x = 77.0
+    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock())
+    operator.before = imported_of(terrain.adaptive_terrain)
+    far = write_raster(path / "far.tif", hills(), crs="EPSG:32632", transform=Affine(10, 0, 7e5, 0, -10, 5.2e6))
+    operator.finish(bpy.context, terrain, (run_import(ImportSettings(str(far)), path / "far"), str(path / "far")))
+    assert list(terrain.location) == [77.0, 0.0, 0.0]

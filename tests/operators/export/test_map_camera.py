@@ -58,7 +58,10 @@ def colours(size):
     return np.stack(np.meshgrid(x, y))
 
 
-def test_a_map_shows_each_cell_where_its_files_say(scene, mapped, tmp_path):
+@pytest.mark.parametrize("location", [(300, -200, 50), (5e5, -3e5, 50)])
+def test_a_map_shows_each_cell_where_its_files_say(scene, mapped, tmp_path, location):
+    mapped.location = location
+    bpy.context.view_layer.update()
     assert bpy.ops.adaptive_terrain.map_camera(pixels=2) == {"FINISHED"}
     assert (scene.render.resolution_x, scene.render.resolution_y) == (80, 60)
     assert bpy.ops.adaptive_terrain.render_map(filepath=str(tmp_path / "map.png")) == {"FINISHED"}
@@ -140,11 +143,14 @@ def test_maps_that_cannot_be_made_are_refused(scene, mapped, tmp_path):
         bpy.ops.adaptive_terrain.map_camera()
 
 
-@pytest.mark.parametrize("change", ["move", "widen", "stretch"])
+@pytest.mark.parametrize("change", ["move", "move far out", "widen", "stretch"])
 def test_a_changed_map_camera_renders_no_map(scene, mapped, tmp_path, change):
+    if change == "move far out":  # by less than a millionth of its location
+        mapped.location = (5e6, 0.0, 0.0)
+        bpy.context.view_layer.update()
     bpy.ops.adaptive_terrain.map_camera()
-    if change == "move":
-        scene.camera.location.x += 5.0
+    if change.startswith("move"):
+        scene.camera.location.x += 4.0
     elif change == "widen":
         scene.camera.data.ortho_scale *= 1.01
     else:

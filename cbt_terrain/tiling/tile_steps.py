@@ -124,10 +124,7 @@ def measure(
 def _errors(
     tile: TileSamples, coarse: CoarseLand | None, is_near_loaded: bool, threads: int
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile, exact or as bounds, and the kinds of its cells.
-
-    Bounds suffice, and the kinds are None, if the tile has no holes and no loaded tile is near.
-    """
+    """Return the errors of a tile as `exact_errors`; bounds of them if it has no holes and no loaded tile is near."""
     if coarse is None:
         return exact_errors(tile, threads)
     errors, kinds = coarse.errors(tile.grid, tile.box), None

@@ -134,13 +134,13 @@ def _camera_state(scene) -> list[float]:
 
 def is_unchanged(scene) -> bool:
     """Return whether the map camera and the picture's aspect are those of its extent."""
-    now = np.array(_camera_state(scene))
-    frame, location = np.array(scene.camera.get(FRAME, now)), slice(7, None, 4)
+    now, location = np.array(_camera_state(scene)), slice(7, None, 4)
+    frame, pixel = np.array(scene.camera.get(FRAME, now)), now[0] / scene.render.resolution_x
     allowed = np.full(len(now), 1e-6)
     allowed[0] *= frame[0]
     allowed[3:] *= 10.0  # the aspect and the directions
     # A metre is a millionth of a location 1,000 km away, but may be several pixels.
-    allowed[location] = MOVED * now[0] / scene.render.resolution_x + np.spacing(np.abs(frame[location], dtype=np.float32))
+    allowed[location] = MOVED * pixel + np.spacing(np.abs(frame[location]).astype(np.float32))
     return bool((np.abs(now - frame) <= allowed).all())
 
 

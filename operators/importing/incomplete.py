@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Terrains whose store is incomplete: a render waits for what it needs, or reports them; packing refuses them."""
+"""Terrains whose store is incomplete: a render waits for its tiles, or reports them; packing refuses them."""
 
 from ...cbt_terrain.errors import TerrainError
 from .. import jobs

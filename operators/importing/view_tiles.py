@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tiles in view: a large import loads those that views need, and a render waits only for those that it sees."""
+"""Tiles in view: during a large import those that views need are loaded, and renders wait for those that they see."""
 
 import dataclasses
 import time
@@ -27,7 +27,7 @@ from ..text.translations import phrase
 from .imported import imported_of, loaded_text
 
 REST_S = 1.0  # without a change of a view, before tiles are loaded for it
-RAY_DISTANCES = np.geomspace(1e-3, 4.0, 128)  # distances at which a ray meets the ground, in diagonals of the terrain
+RAY_DISTANCES = np.geomspace(1e-3, 4.0, 128)  # at which a ray may meet the ground, in diagonals of the terrain
 _loaders: dict[int, "TileLoader"] = {}  # of running imports, by the session_uid of their terrains
 
 
@@ -39,7 +39,7 @@ class TileLoader:
     """
 
     def __init__(self, settings: ImportSettings, store: str) -> None:
-        """Hold the settings of the quick import and the absolute path of its store."""
+        """Prepare for an incomplete store. settings: of the quick import. store: absolute path."""
         self._settings, self._store = settings, Path(store)
         self.child: ImportJob | None = None
         self._has_failed = False

@@ -142,7 +142,7 @@ def test_masks_of_displacement_do_not_depend_on_the_anchor():
     """Masks are kept beside the raster, so they have to be the same for all anchors, with noise in their rules, too."""
     plain, away = from_array(hills(60, 50), 100.0, 100.0), np.array([2048.0, -1024.0])
     rules = (Rule(NOISE, low=0.0, edge=0.3),), (Rule(SLOPE, low=0.3, edge=0.2),)
-    layers = Layer("Grass"), *(Layer(name, rule, noise_size=300.0, ragged=1.0) for name, rule in zip("ab", rules, strict=True))
+    layers = Layer("Grass"), *(Layer(f"{n}", rule, noise_size=300.0, ragged=1.0) for n, rule in enumerate(rules))
     ground = LayeredDetail(None, layers, ((1, Detail(4.0, 60.0, 0.5, 7)), (2, Detail(2.0, 30.0))))
     before, after = (displaced(field, ground, 1.0, 0.0, 1) for field in (plain, anchored(plain, *away)))
     for one, other in zip(before.detail.layers, after.detail.layers, strict=True):

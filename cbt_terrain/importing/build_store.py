@@ -42,6 +42,7 @@ from .tile_import import (
     do_part,
     is_tiled,
     open_work,
+    sample_bytes_of,
 )
 from .tile_tasks import TileSource
 
@@ -118,14 +119,13 @@ def import_raster(
         raster.warnings += notes
         if land is not None and notes:
             raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
+        source, doubt = TileSource(raster, settings, place, land), DOUBT.format(settings.name)
         if part is not None:
             check_tiled(raster, lattice, settings.name)
-            return do_part(
-                part, path, folder, TileSource(raster, settings, place), lattice, digest, DOUBT.format(settings.name)
-            )
+            return do_part(part, path, folder, source, lattice, digest, doubt)
         reader, crew = HeightReader(raster, settings), crew or Crew()
         by_tile = land is not None or is_tiled(raster, lattice)
-        with open_work(path, folder, lattice, digest, by_tile, doubt=DOUBT.format(settings.name)) as (draft, work):
+        with open_work(path, folder, lattice, digest, by_tile, doubt, sample_bytes_of(source)) as (draft, work):
             begin = 0.0
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
@@ -139,7 +139,6 @@ def import_raster(
                 on_progress(begin + (1.0 - begin) * share, message)
 
             if by_tile:
-                source = TileSource(raster, settings, place, land)
                 field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
             else:
                 field = _build(reader, place, draft, lattice, tell)

@@ -22,6 +22,7 @@ def open_draft(
     doubt: str = "",
     is_begun: bool = False,
     by_tile: bool = False,
+    sample_bytes: int = 4,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
 
@@ -35,11 +36,12 @@ def open_draft(
         is_begun: whether the folder is there, with all arrays.
         by_tile: whether the store is made by tile: this takes less room, and a block that fails leaves what can be
             completed later, unless the disk is the reason.
+        sample_bytes: bytes of a sample of a store that is made by tile.
     """
     draft = None
     try:
         if not is_begun:
-            needed = work_bytes(lattice) if by_tile else store_bytes(lattice, layers)
+            needed = work_bytes(lattice, sample_bytes) if by_tile else store_bytes(lattice, layers)
             _check_room(path, lattice, needed, elsewhere + doubt)
         draft = store.Draft(path, folder, is_begun)
         yield draft
@@ -51,9 +53,10 @@ def open_draft(
             draft.discard_unless_published(with_work=not by_tile)
 
 
-def work_bytes(lattice: Lattice) -> int:
-    """Return the bytes that a store takes on the disk while it is made by tile."""
-    return 5 * lattice.width * lattice.height + lattice.node_count * 9 // 8 + 4 * lattice.range_count
+def work_bytes(lattice: Lattice, sample_bytes: int) -> int:
+    """Return the bytes that a store takes on the disk while it is made by tile, with marks of missing samples."""
+    samples = (sample_bytes + 1) * lattice.width * lattice.height
+    return samples + lattice.node_count * 9 // 8 + 4 * lattice.range_count
 
 
 def store_bytes(lattice: Lattice, layers: int) -> int:

@@ -85,7 +85,7 @@ class Crew:
 
 @contextmanager
 def open_work(
-    path: Path, folder: str, lattice: Lattice, digest: str, by_tile: bool, doubt: str
+    path: Path, folder: str, lattice: Lattice, digest: str, by_tile: bool, doubt: str, sample_bytes: int = 4
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
 
@@ -95,7 +95,10 @@ def open_work(
     work = _continued(path, folder, digest) if by_tile else None
     if by_tile and path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
-    with open_draft(path, folder, lattice, doubt=doubt, is_begun=work is not None, by_tile=by_tile) as draft:
+    begun = work is not None
+    with open_draft(
+        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=sample_bytes
+    ) as draft:
         yield draft, work
 
 
@@ -128,7 +131,7 @@ def do_part(
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, lattice, digest, True, doubt) as (draft, work):
+        with open_work(path, folder, lattice, digest, True, doubt, sample_bytes_of(source)) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = _started(work, draft, source, lattice, digest)
@@ -203,10 +206,21 @@ def build_by_tile(
     return _completed(work, draft, limits, source_max(reader), on_progress, source.coarse)
 
 
+def sample_bytes_of(source: TileSource) -> int:
+    """Return the bytes of a sample as it will probably be stored."""
+    return 4 if _steps_of(source) is None else 2
+
+
+def _steps_of(source: TileSource) -> codes.Steps | None:
+    """Return the conversion of 16-bit samples to heights; None for heights that are stored as floats."""
+    if source.coarse is not None:
+        return None
+    return codes.steps_of(np.dtype(source.raster.stored), *scaling_of(source.raster, source.settings))
+
+
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
     """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles."""
-    raster, settings, _, coarse = source
-    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings)) if coarse is None else None
+    settings, coarse, steps = source.settings, source.coarse, _steps_of(source)
     bits = TILE_BITS if coarse is None else refining.BITS
     work = TileWork(draft.folder, TileGrid(lattice, bits), steps, settings.holes, digest)
     folder = store_folder.named_folder(draft.path)

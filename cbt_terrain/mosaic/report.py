@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import shown
 from ..field.build import from_array
+from ..field.codes import steps_of
 from ..field.lattice import fit
 from ..formats.archives import MAX_UNPACKED_BYTES, is_archive
 from ..importing.drafts import store_bytes, work_bytes
@@ -140,7 +141,9 @@ def _expected_bytes(composite: Composite) -> int:
         for tile in composite.tiles
         if is_archive(Path(tile.path))
     )
-    return (work_bytes(lattice) if is_large else store_bytes(lattice, 0)) + min(unpacked, MAX_UNPACKED_BYTES)
+    steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
+    needed = work_bytes(lattice, 4 if steps is None else 2) if is_large else store_bytes(lattice, 0)
+    return needed + min(unpacked, MAX_UNPACKED_BYTES)
 
 
 def _expected_seconds(composite: Composite) -> float:

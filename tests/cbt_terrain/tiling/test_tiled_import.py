@@ -4,6 +4,8 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import cleaning
+from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
+from adaptive_terrain.cbt_terrain.importing import drafts
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -94,3 +96,16 @@ def test_a_mosaic_by_tile_has_the_bytes_of_one_piece(tmp_path, tiled, more):  # 
         tiled(cut)
         run_mosaic_import(settings, tmp_path / store)
     assert_same(tmp_path / "tiled", tmp_path / "whole")
+
+
+def test_room_is_needed_for_the_bytes_that_samples_take(tmp_path, tiled, monkeypatch):  # noqa: F811
+    """16-bit samples take two bytes, and a mark of missing ones; before, all counted as floats."""
+    tiled(5)
+    store, needed = tmp_path / "store", []
+    monkeypatch.setattr(drafts, "_check_room", lambda _path, _lattice, count, _elsewhere: needed.append(count))
+    for kind in ("int16", "float32"):
+        heights = np.round(MOUNTAINS).astype(kind)
+        run_import(ImportSettings(str(write_raster(tmp_path / f"{kind}.tif", heights))), store)
+    arrays = sum((named_folder(store) / f"{name}.npy").stat().st_size for name in ("samples", "error", "ranges"))
+    whole, floats = needed
+    assert floats - whole == 2 * MOUNTAINS.size and floats > arrays

@@ -25,7 +25,7 @@ from ..field.lands import LANDS
 from ..field.store_folder import FIRST
 from ..formats.sources import open_source
 from ..rasters.raster import ImportSettings, Raster
-from ..run import child, launch, stopping
+from ..run import child, launch, memory, stopping
 from ..sandbox.guard import VARIABLES, guard_import
 from ..sandbox.store_job import FREE_MEMORY
 from ..tiling.tile_work import READ, TileWork, work_in
@@ -203,6 +203,7 @@ def serve_tasks(
                 if found is not None and task.step != READ:  # its caches are no longer needed
                     found.raster.close()
                     found = None
+                    memory.give_back()
                 if found is None and task.step == READ:
                     raster = open_raster(settings, folder)
                     raster = raster if coarse is None else refined(raster, settings, coarse)

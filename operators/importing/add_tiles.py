@@ -12,6 +12,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session.polls import cancelled_by_errors, remember_object, remembered_object
 from ..terrain.properties import FILE
+from .import_terrain import ImportOperator
 
 FILTER = ";".join(f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES))
 
@@ -71,24 +72,47 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
             return self._add(context.object.adaptive_terrain)
 
     def _add(self, settings):
-        """Add the chosen files to a terrain's settings and import all; remove them again if that fails."""
-        before = len(settings.more_sources)
+        """Import the terrain's files and the chosen ones as one; they are in its settings from the start on."""
         known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
-        for path in self.chosen():
-            if path and absolute_path(path) not in known:
-                known.add(absolute_path(path))
-                settings.more_sources.add().path = path
-        if len(settings.more_sources) == before:
+        new = {
+            absolute_path(path): path for path in reversed(self.chosen()) if path and absolute_path(path) not in known
+        }
+        if not new:
             self.report({"ERROR"}, "No new file is chosen: choose height maps that the terrain does not have")
             return {"CANCELLED"}
+        tiles = [{"name": path} for path in reversed(new.values())]
         try:  # beside the window if there is one
-            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+            bpy.ops.adaptive_terrain.import_tiles(
+                "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", tiles=tiles
+            )
         except RuntimeError as error:  # reported by the nested operator
-            while len(settings.more_sources) > before:
-                settings.more_sources.remove(before)
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
             return {"CANCELLED"}
         return {"FINISHED"}
+
+
+class ImportTiles(ImportOperator, bpy.types.Operator):
+    """Add files to those of the terrain and import all as one"""
+
+    bl_idname = "adaptive_terrain.import_tiles"
+    bl_options = {"INTERNAL", "UNDO"}
+
+    tiles: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
+
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Add the tiles to the terrain's settings and import; remove them again if that fails or is cancelled."""
+        added = [tile.name for tile in self.tiles]
+        for path in added:
+            context.object.adaptive_terrain.more_sources.add().path = path
+        try:
+            return (yield from ImportOperator.steps(self, context, job))
+        except BaseException:
+            if (terrain := job.terrain()) is not None:
+                sources = terrain.adaptive_terrain.more_sources
+                for number in reversed(range(len(sources))):
+                    if sources[number].path in added:
+                        sources.remove(number)
+            raise
 
 
 def name_of(paths: list[str]) -> str:

@@ -45,7 +45,7 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         column.prop(self, "highest")
 
     def execute(self, context):
-        """Add a terrain object for the file and start its import; remove the object again if that fails."""
+        """Add a terrain object for the file and start its import; remove the object again if it cannot start."""
         paths = self.chosen()
         if not paths[0]:
             self.report({"ERROR"}, "No file is chosen: choose a height map")

@@ -3,14 +3,14 @@
 
 from . import menus, pack_store, store_paths
 from .add_terrain import AddTerrain
-from .add_tiles import AddTiles
+from .add_tiles import AddTiles, ImportTiles
 from .import_terrain import ImportAdded, ImportTerrain
 from .join_terrains import JoinTerrains
 from .menus import AddTerrainFromFile
 from .pack_store import OfferPack, PackStore
 
 CLASSES = (
-    *(ImportTerrain, ImportAdded, AddTerrain, AddTiles, JoinTerrains, AddTerrainFromFile),
+    *(ImportTerrain, ImportAdded, AddTerrain, AddTiles, ImportTiles, JoinTerrains, AddTerrainFromFile),
     *([menus.HeightMapDropped] if hasattr(menus, "HeightMapDropped") else []),
     *(PackStore, OfferPack),
 )

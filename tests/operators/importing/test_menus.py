@@ -9,23 +9,24 @@ import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.importing.source_list import INDEX_SUFFIXES
 from adaptive_terrain.cbt_terrain.rasters.source_formats import FORMATS
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain
-from adaptive_terrain.operators.importing.add_tiles import AddTiles
+from adaptive_terrain.operators.importing.add_tiles import AddTiles, ImportTiles
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, info_lines
 from adaptive_terrain.operators.session.polls import remember_object
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
 from drawn_panels import DrawnLayout
-from modal_runs import RunningOperator
+from modal_runs import RunningOperator, running, to_the_end
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
 pytestmark = pytest.mark.usefixtures("imports_here")
 # A row of a list, an internal step, or the answer to a click.
 NOT_IN_MENU = re.compile(
-    "cancel_(job|waiting)|import_added|land_(add|duplicate|move|preset|preset_add|remove|rule_add)|layer_.*|offer_pack|pick_ground|"
+    "cancel_(job|waiting)|import_(added|tiles)|land_(add|duplicate|move|preset|preset_add|remove|rule_add)|layer_.*|offer_pack|pick_ground|"
     "shape_finish|show_(effect|message)"
 )
 
@@ -151,6 +152,27 @@ def test_tiles_are_added_to_a_terrain(scene, tmp_path):
     assert len(settings.more_sources) == 2 and imported_of(settings).raster == (60, 20)
     settings.source = "ISLAND"
     assert not bpy.ops.adaptive_terrain.add_tiles.poll()
+
+
+@pytest.mark.parametrize("end", ["fails", "is cancelled"])
+def test_tiles_are_removed_if_their_later_import_stops(scene, tmp_path, end):
+    """The import runs beside the window and stops after its first step."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    files = write_tiles(tmp_path / "tiles")
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
+    terrain = bpy.context.object
+    settings = terrain.adaptive_terrain
+    settings.more_sources.add().path = str(files[1])
+    store = settings.store
+    bad = tmp_path / "bad.tif"
+    bad.write_bytes(b"no height map")
+    operator = running(ImportTiles, terrain, tiles=[SimpleNamespace(name=str(bad if end == "fails" else files[2]))])
+    assert operator.began == {"RUNNING_MODAL"} and len(settings.more_sources) == 2
+    if end == "is cancelled":
+        jobs.find(jobs.IMPORT, terrain).stop()
+    assert to_the_end(operator) == {"CANCELLED"}
+    assert [item.path for item in settings.more_sources] == [str(files[1])]
+    assert settings.store == store and imported_of(settings).raster == (20, 20)
 
 
 def test_a_dialog_adds_tiles_to_the_terrain_of_its_button(scene, tmp_path):

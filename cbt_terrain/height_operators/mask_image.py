@@ -1,39 +1,58 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mask images: a sandboxed child process reads them and writes them as arrays."""
 
-import os
+import re
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
-from ..field.store_arrays import map_array, write_array
+from ..field.store_arrays import PAGE_BYTES, map_array, write_array
 from ..formats.sources import check_file, open_source
 from ..rasters.coded_heights import PLAIN
 from ..rasters.raster import ImportSettings
-from ..run import child, owned_files
+from ..rasters.sidecars import sidecars
+from ..run import child
+from ..run.named_file import open_regular
 from ..sandbox.guard import guard
 from ..sandbox.store_job import ask, serve
-from .tile_cache import compute_digest
+from .stack import file_identity
+from .tile_cache import compute_digest, read_cached
 
 MODULE = "cbt_terrain.height_operators.mask_image"
 MAX_SAMPLES = 1 << 28
+VERSION = 1  # of the conversion: arrays of another version are not reused
 
 
 def load_image(file: str, folder: Path) -> np.ndarray:
     """Return any file that can be imported as float32 [rows, columns], 0 to 1, row 0 south. Raises TerrainError.
 
-    Integers are divided by the largest of their type; missing pixels are 0. folder: caches the array.
+    Integers are divided by the largest of their type; missing pixels are 0. folder: keeps the array in a file named for
+    the content of the image and its sidecars. Later calls map that file instead of reading the image.
     """
-    check_file(Path(file), "mask")
-    found = os.stat(file)
-    key = compute_digest("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
-    request = {"file": file, "folder": str(folder.absolute()), "key": key}
-    cached = folder / f"{key}.npy"
-    shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
-    owned_files.touch(cached)
-    return map_array(cached, shape, np.float32)
+    path = Path(file)
+    check_file(path, "mask")
+    parts = (path, *sidecars(path))
+    key = compute_digest("mask", VERSION, *((part.name, file_identity(str(part))) for part in parts))
+    array_file = folder / f"{key}.npy"
+    shape = _shape_in(array_file)
+    image = None if shape is None else read_cached(array_file, shape)
+    if image is None:
+        request = {"file": file, "folder": str(folder.absolute()), "key": key}
+        shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
+        image = map_array(array_file, shape, np.float32)
+    return image
+
+
+def _shape_in(array_file: Path) -> tuple[int, int] | None:
+    """Return the rows and columns in the header of a .npy file; None if the file is missing or damaged."""
+    try:
+        with open_regular(array_file) as handle:
+            found = re.search(rb"'shape': \((\d{1,9}), (\d{1,9})\)", handle.read(PAGE_BYTES))
+    except OSError:
+        return None
+    return None if found is None else (int(found[1]), int(found[2]))
 
 
 def child_main() -> None:
@@ -43,8 +62,8 @@ def child_main() -> None:
 
 def _read(request: dict, *_: object) -> list[int]:
     """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns."""
-    path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
-    guard([path], cached.parent)
+    path, array_file = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
+    guard([path], array_file.parent)
     child.end_with_parent()
     raster = open_source(ImportSettings(str(path), encoding=PLAIN))
     try:
@@ -62,5 +81,5 @@ def _read(request: dict, *_: object) -> list[int]:
         georeference.in_file_order(image)[:] = np.clip(np.nan_to_num(rows), 0.0, 1.0)
     finally:
         raster.close()
-    write_array(cached, image)
+    write_array(array_file, image)
     return list(image.shape)

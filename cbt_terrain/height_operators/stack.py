@@ -108,7 +108,7 @@ class Stack:
         content = []
         for entry in self.active:
             mask = entry.mask
-            mark = None if mask is None else (replace(mask, image=""), _image_identity(mask.image), *mask.versions)
+            mark = None if mask is None else (replace(mask, image=""), file_identity(mask.image), *mask.versions)
             values = sorted(entry.values.items())
             content.append((key_name(entry.effect), entry.declaration.version, values, entry.seed, mark))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
@@ -144,10 +144,10 @@ def check_by_products(stack: Stack, source: Iterable[str]) -> None:
         available |= {layer.name for layer in entry.declaration.layers}
 
 
-def _image_identity(image: str) -> tuple:
-    """Return a tuple that changes with the content of an image file, for the stack's key.
+def file_identity(image: str) -> tuple:
+    """Return a tuple that changes with the content of a file, for keys.
 
-    It is () without an image, and the name alone if the file cannot be read.
+    It is () without a file, and the name alone if the file cannot be read.
     """
     if not image:
         return ()
@@ -253,7 +253,7 @@ def _parse_entry(where: str, content: object, folder: Path | None) -> Entry:
     mask = entry.get("mask")
     return Entry(
         effect=_read_typed(where, entry, "effect", str, "", "a text"),
-        parameters={name: _read_number(where, {name: value}, name, None) for name, value in parameters.items()},
+        parameters={name: _read_number(where, {name: value}, name, default=None) for name, value in parameters.items()},
         seed=_read_typed(where, entry, "seed", int, 0, "a whole number"),
         on=_read_typed(where, entry, "on", bool, True, "true or false"),
         name=_read_typed(where, entry, "name", str, "", "a text"),

@@ -49,7 +49,7 @@ class TileCache:
         """
         file = None if self.folder is None else self.folder / f"{key}.npy"
         self._used.add(f"{key}.npy")
-        found = _read_cached(file, shape) if file is not None else None
+        found = read_cached(file, shape) if file is not None else None
         if found is not None:
             self.kept[effect] += 1
             return found
@@ -90,7 +90,7 @@ def compute_digest(*parts: object) -> str:
     return digest.hexdigest()
 
 
-def _read_cached(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
+def read_cached(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     """Return a cached array, mapped, or None if it is missing, damaged or not finite."""
     try:
         verify_array(file, shape, np.float32)

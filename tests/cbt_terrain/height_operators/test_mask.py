@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Masks by images and by rules over the ground."""
 
+import os
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.height_operators import mask_image
 from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask, compute_mask
 from adaptive_terrain.cbt_terrain.height_operators.mask_image import load_image
 from adaptive_terrain.cbt_terrain.height_operators.tiles import Level
@@ -117,6 +120,37 @@ def test_any_importable_file_is_a_mask(tmp_path, name):
     found = load_image(str(tmp_path / name), tmp_path / "kept")
     assert found.shape == (5, 7) and abs(found - part[::-1]).max() <= (0.501 / 255 if name == "m.png" else 1e-5)
     assert load_image(str(tmp_path / name), tmp_path / "kept").tobytes() == found.tobytes()
+
+
+def test_an_unchanged_mask_image_is_converted_once(tmp_path, monkeypatch):
+    file, folder = tmp_path / "m.png", tmp_path / "kept"
+    folder.mkdir()
+    converted, child_answer = [], mask_image.ask
+    monkeypatch.setattr(mask_image, "ask", lambda *given: (converted.append(given), child_answer(*given))[1])
+
+    def check(value: int, conversions: int) -> None:
+        """Assert the image's only value and the number of conversions so far."""
+        found = load_image(str(file), folder)
+        assert found.shape == (6, 9) and (found == np.float32(value) / np.float32(255)).all()
+        assert len(converted) == conversions
+
+    write_raster(file, np.full((6, 9), 51, np.uint8))
+    check(51, 1)
+    check(51, 1)
+    write_raster(file, np.full((6, 9), 102, np.uint8))
+    os.utime(file, ns=(1, 1))
+    check(102, 2)
+    (tmp_path / "m.pgw").write_text("1\n0\n0\n-1\n0\n0\n")  # a sidecar may turn the image
+    check(102, 3)
+    check(102, 3)
+    for array in folder.glob("*.npy"):
+        with array.open("r+b") as handle:
+            handle.seek(-300, os.SEEK_END)
+            handle.write(b"\x7f" * 8)
+    check(102, 4)
+    for array in folder.glob("*.npy"):
+        array.write_bytes(b"")
+    check(102, 5)
 
 
 def test_a_truncated_png_is_refused(tmp_path):

@@ -22,6 +22,7 @@ from .water import DEPTH, DISCHARGE, SPEED, WATER
 MAX_SAMPLES = 1025  # along a side of the raster that the surface is built from
 NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
 MIN_DEPTH = 0.05  # metres
+OVER_FLAT_SEA = 0.1  # metres: deep enough to show
 # Largest difference in metres between the heights of one lake.
 SAME = 1e-3
 # m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
@@ -32,10 +33,15 @@ MIN_SEA, INLAND = 0.01, 0.05
 
 
 def default_sea(field: HeightField) -> float:
-    """Return a level of the sea that shows water: 0 m at a coast, inland that of a lake on the lowest ground."""
+    """Return a level of the sea in metres that shows water.
+
+    It is 0 m at a coast, OVER_FLAT_SEA if most ground there is at exactly 0, as where a file stores the sea so, and
+    inland that of a lake on the lowest ground.
+    """
     heights = field.heights() if field.valid is None else field.heights()[field.valid != 0]
-    if np.mean(heights <= 0.0) >= MIN_SEA:
-        return 0.0
+    sea = heights[heights <= 0.0]
+    if sea.size >= MIN_SEA * heights.size:
+        return OVER_FLAT_SEA if np.mean(sea == 0.0) > 0.5 else 0.0
     return float(np.quantile(heights, INLAND))
 
 

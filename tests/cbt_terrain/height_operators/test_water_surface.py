@@ -165,3 +165,16 @@ def test_inland_the_lowest_ground_is_under_water():
     assert np.ptp(lake[:, 0]) == pytest.approx(share * (east - west), rel=0.05)
     assert np.ptp(lake[:, 1]) == pytest.approx(north - south)
     assert default_sea(from_array(np.tile(rows - 600.0, (80, 1)), step_x=STEP_X, step_y=STEP_Y)) == 0.0
+
+
+def test_a_sea_stored_as_exactly_0_gets_water():
+    """Many elevation models store the sea as 0, where water of a level of 0 m has no depth."""
+    rows = np.maximum(np.linspace(-100.0, 300.0, 81, dtype=np.float32), 0.0)
+    coast = from_array(np.tile(rows, (80, 1)), step_x=STEP_X, step_y=STEP_Y)
+    level = default_sea(coast)
+    assert 0.0 < level < 0.5
+    west, _, east, _ = coast.lattice.rectangle()
+    surface = water_of(coast, sea=level)
+    sea = surface.positions[np.abs(surface.positions[:, 2] - level) < 1e-3]
+    assert np.ptp(sea[:, 0]) == pytest.approx(0.25 * (east - west), rel=0.05)
+    assert len(water_of(coast, sea=0.0).triangles) < len(surface.triangles)

@@ -19,14 +19,15 @@ from ..attributes.attribute import Parameter
 class LandLayer:
     """A by-product, a number for each sample.
 
-    `name`: name of the attribute, map or file. `per_metre`: it is a depth, which adds up over a stack; otherwise a
-    state, which is replaced. `signed`: a depth that may be negative.
+    `name`: name of the attribute, map or file. `adds_up`: the numbers of several operators of a stack are added,
+    as depths of sediment are, and a mask scales them; otherwise those of the last operator hold. `signed`: a depth that
+    may be negative.
     """
 
     name: str
     unit: str
     about: str
-    per_metre: bool = True
+    adds_up: bool = True
     signed: bool = False
 
 

@@ -146,7 +146,7 @@ class LevelWork:
         result = apply_mask(entry.declaration, unpacked(entry.declaration, change), mask)
         for layer in entry.declaration.layers:
             array = zero_holes(missing, result.layers[layer.name])
-            if layer.per_metre and layer.name in land.layers:
+            if layer.adds_up and layer.name in land.layers:
                 array = land.layers[layer.name] + array
                 if not layer.signed:  # rounding, after an operator that removes all of a depth
                     array = np.maximum(array, np.float32(0.0), out=array)

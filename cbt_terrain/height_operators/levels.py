@@ -73,14 +73,14 @@ def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: 
 
 
 def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> Change:
-    """Multiply heights and depths of a change by a mask, unless the operator applies masks itself.
+    """Multiply heights and by-products that add up by a mask, unless the operator applies masks itself.
 
     mask: weights 0 to 1, float32 [rows, columns]; None changes nothing.
     """
     if mask is None or effect.masks:
         return change
-    depths = {layer.name for layer in effect.layers if layer.per_metre}
-    layers = {name: layer * mask if name in depths else layer for name, layer in change.layers.items()}
+    scaled = {layer.name for layer in effect.layers if layer.adds_up}
+    layers = {name: layer * mask if name in scaled else layer for name, layer in change.layers.items()}
     return Change(change.heights * mask, layers, change.state)
 
 

@@ -203,7 +203,7 @@ def _after(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> 
     start, effect = time.perf_counter(), entry.declaration
     change = apply_mask(effect, effect.apply(ground, entry.values, None), ground.mask)
     heights = zero_holes(ground.missing, change.heights)
-    layers = merge_layers(ground.layers, change.layers, {layer.name for layer in effect.layers if layer.per_metre})
+    layers = merge_layers(ground.layers, change.layers, {layer.name for layer in effect.layers if layer.adds_up})
     after = replace(ground, heights=ground.heights + heights, mask=None, layers=layers)
     return _Applied(after, before.change + heights, key, (time.perf_counter() - start) * 1e3)
 

@@ -252,7 +252,7 @@ RIVERS = HeightOperator(
     layers=(
         LandLayer("sediment", "m", "Depth of the material that rivers have deposited"),
         LandLayer("wear", "m", "Depth of rock that rivers have removed"),
-        LandLayer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
+        LandLayer("flow", "m2", "Land that drains through a place, along single paths", adds_up=False),
     ),
     state=(LAKE, LOAD),
     reads=("uplift",),

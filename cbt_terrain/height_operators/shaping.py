@@ -62,7 +62,7 @@ class Shaping:
     @property
     def depths(self) -> set[str]:
         """Names of the layers that are depths in metres, whose values add up."""
-        return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.per_metre}
+        return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.adds_up}
 
     def progress(self, cost: float, level: Level, entry: Entry) -> Callable[[float], None]:
         """Return a function that an operator calls with its finished fraction; cost: nanoseconds of its work."""

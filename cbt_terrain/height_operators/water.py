@@ -19,10 +19,10 @@ from .height_operator import Change, Evaluate, HeightOperator, LandLayer, Operat
 
 YEAR = 365.2425 * 86400.0  # seconds
 
-DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
-SPEED = LandLayer("water_speed", "m/s", "Speed of the water", per_metre=False)
+DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", adds_up=False)
+SPEED = LandLayer("water_speed", "m/s", "Speed of the water", adds_up=False)
 DISCHARGE = LandLayer(
-    "discharge", "m^3/s", "Water that passes a point; in a lake, the water that leaves it", per_metre=False
+    "discharge", "m^3/s", "Water that passes a point; in a lake, the water that leaves it", adds_up=False
 )
 
 

@@ -65,7 +65,7 @@ HILL = HeightOperator(
         Parameter("east", 1000.0, 0, 1e6, "m", ""),
         Parameter("north", 1000.0, 0, 1e6, "m", ""),
     ),
-    layers=(LandLayer("fresh", "m", ""), LandLayer("mark", "m", "", per_metre=False)),
+    layers=(LandLayer("fresh", "m", ""), LandLayer("mark", "m", "", adds_up=False)),
     cost_ns=10,
 )
 LEVEL = HeightOperator(

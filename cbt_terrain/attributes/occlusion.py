@@ -4,15 +4,32 @@
 from collections.abc import Mapping
 
 import numpy as np
+import warp as wp
 
 from ...kernels.effects import light as light_kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import sweep as sweep_kernels
+from ...kernels.effects.light import sky_seen
+from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
-from .sky import seen_from
+from .light import AZIMUTHS, azimuths
+from .occluder import launch_at_points, occluder_of
 
 # A slope below any other: near ground counts below the horizontal, too.
 ANY = -1e300
+
+
+def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
+    """Return the visible fraction of the sky at points, weighted by the cosine, float32 [n], by rays from each point.
+
+    The sweeps of sky.py are faster, but know no distance of the ground that hides. Ground farther than `far` metres
+    does not hide; all below the slope `lowest` is hidden.
+    """
+    out = np.zeros(len(places), np.float32)
+    directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
+    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
+    launch_at_points(sky_seen, places, inputs, out, cost=2000.0)
+    return out
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -21,7 +38,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     wanted: {"ambient_occlusion": {"radius": metres}}. read: unused. Returns {"ambient_occlusion": float32 [n]}.
     """
     radius = float(wanted["ambient_occlusion"]["radius"])
-    return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
+    return {"ambient_occlusion": visible_sky(places, far=radius, lowest=ANY)}
 
 
 def example(evaluate: Evaluate) -> None:

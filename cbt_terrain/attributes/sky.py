@@ -14,31 +14,14 @@ import warp as wp
 from ...kernels.effects import light as light_kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import sweep as sweep_kernels
-from ...kernels.effects.light import sky_seen
 from ...kernels.effects.sweep import layer_at_points, sky_between
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
-from .light import AZIMUTHS, azimuths
-from .occluder import every_crossing, launch_at_points, occluder_of
+from .light import azimuths
+from .occluder import every_crossing, launch_at_points
 from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
-# Beyond the raster there is ground, so that the sky begins at the horizontal.
-HORIZONTAL = 0.0
-WITHOUT_END = 1e300
-
 FULL, PREVIEW = "FULL", "PREVIEW"
-
-
-def seen_from(places: SamplePoints, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
-    """Return the visible fraction of the sky, cosine-weighted, float32 [n].
-
-    Ground farther than `far` metres does not hide it; all below the slope `lowest` is hidden.
-    """
-    out = np.zeros(len(places), np.float32)
-    directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
-    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
-    launch_at_points(sky_seen, places, inputs, out, cost=2000.0)
-    return out
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

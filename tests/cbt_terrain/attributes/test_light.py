@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.attributes import light, sky, sky_layer
+from adaptive_terrain.cbt_terrain.attributes import light, occlusion, sky, sky_layer
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
@@ -35,10 +35,15 @@ def grid(field, values) -> np.ndarray:
     return values.reshape(field.lattice.height, field.lattice.width)
 
 
+def sky_by_rays(places) -> np.ndarray:
+    """Return the visible fraction of the sky above the horizontal, by rays without end."""
+    return occlusion.visible_sky(places, far=1e300, lowest=0.0)
+
+
 def both_skies(field, scale=1.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the sky by rays and by the sweep, [rows, columns] each."""
     places = every_sample(field, scale)
-    return grid(field, sky.seen_from(places)), grid(field, made("sky", places))
+    return grid(field, sky_by_rays(places)), grid(field, made("sky", places))
 
 
 def test_azimuths_are_even_and_so_are_the_first_of_them():
@@ -206,7 +211,7 @@ def test_threads_change_no_bit():
     for threads in (1, 2, 5):
         fresh = field.with_raster()
         places = every_sample(fresh, threads=threads)
-        values = [made("sky", places), made("sky", places, quality=sky.PREVIEW), sky.seen_from(places)]
+        values = [made("sky", places), made("sky", places, quality=sky.PREVIEW), sky_by_rays(places)]
         found.append([*values, made("sun", places, suns=suns), made("ambient_occlusion", places)])
     for others in found[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(found[0], others, strict=True))
@@ -220,7 +225,7 @@ def test_four_passes_of_four_azimuths_are_one_of_sixteen():
     for first in range(0, 16, 4):
         numbers = [wp.float64(1e300), wp.float64(0.0), directions, first, first + 4]
         launch.spread(sky_seen, len(places), [occluder_of(places), *numbers, where, flat(out, wp.float32)], step="test")
-    assert np.array_equal(out, sky.seen_from(places))
+    assert np.array_equal(out, sky_by_rays(places))
 
 
 def test_an_interrupted_sweep_continues_with_the_same_bits(monkeypatch):
@@ -257,7 +262,7 @@ def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one(monkeypatch):
     assert sky_layer.layer_level(field) == 1 and not sky_layer.is_known(field, 1.0)
     assert [sky_layer.advance(field, 1.0, 2) for _ in range(16)] == [False] * 15 + [True]
     assert sky_layer.is_known(field, 1.0)
-    found, truth = made("sky", places), sky.seen_from(places)
+    found, truth = made("sky", places), sky_by_rays(places)
     assert np.sqrt(((found - truth) ** 2).mean()) < 0.1
     coarse = from_array(level_of(field.raster, 1), 2 * field.lattice.step_x)
     assert np.array_equal(field.cache.results["sky", 1.0]["sky"], sky_layer_of(coarse))

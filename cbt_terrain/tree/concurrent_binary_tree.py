@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The concurrent binary tree (Dupuy 2020).
 
-It is a bitfield with a bit for the first cell of each leaf, and a sum reduction above it. kernels/tree/bitfield.py
-describes how the bits are stored.
+It is a bitfield with a bit for the first deepest cell of each leaf, and a sum reduction above it.
+kernels/tree/bitfield.py describes how the bits are stored.
 
 The tree knows nothing of triangles and cameras.
 """
@@ -27,12 +27,12 @@ DECODE_COST = 5.0  # of a leaf, in lookups: see `launch.spread`
 
 
 class LeafPart(NamedTuple):
-    """Consecutive leaves by the codes that hold their depths, up to a cell where the next part begins."""
+    """Consecutive leaves by the codes that hold their depths, up to a deepest cell where the next part begins."""
 
     codes: wp.array  # uint16
     first: int  # entry of the first leaf
     count: int  # type: ignore[assignment]  # hides tuple.count
-    end: int  # the cell behind the last one
+    end: int  # the deepest cell behind the last one
     same: wp.array | None = None  # SameLeaves: nodes whose leaves are those that the tree has already, ascending
     first_same: int = 0
     num_same: int = 0
@@ -49,8 +49,9 @@ class ConcurrentBinaryTree:
     | write all | `set_leaves`, `reset` | O(leaves), and a comparison with the words that there were |
     | list all | `leaves`, `depths`, `cells`, `to_bytes` | O(leaves * depth) |
 
-    Node 1 is the root, node n has the children 2n and 2n + 1. A *cell* is a deepest node, numbered from 0. Leaves are
-    numbered in the order of their cells, which is the order of a depth-first walk. Kernels read and edit `bits`.
+    Node 1 is the root, node n has the children 2n and 2n + 1. A *deepest cell* is a node of depth `max_depth`;
+    they are numbered along the curve, from 0. Leaves are numbered in the order of their cells, which is the order of a
+    depth-first walk. Kernels read and edit `bits`.
 
     Queries and edits run on `threads` threads; the tree does not depend on how many, or in which order they write.
     Memory grows by doubling: 28 bytes for each word that a page has room for.
@@ -97,7 +98,10 @@ class ConcurrentBinaryTree:
         return ids
 
     def find(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number (int32) and heap id (uint64) of the leaf that covers each cell, 0 .. cell_count - 1."""
+        """Return the number (int32) and heap id (uint64) of the leaf that covers each deepest cell.
+
+        cells: numbers of deepest cells, 0 .. cell_count - 1.
+        """
         cells = np.ascontiguousarray(cells, np.uint64)
         numbers, ids = np.empty(len(cells), np.int32), np.empty(len(cells), np.uint64)
         arrays = shared(cells, wp.uint64), shared(numbers, wp.int32), shared(ids, wp.uint64)
@@ -110,7 +114,7 @@ class ConcurrentBinaryTree:
         return self.find(self.cells_of(heap_ids))[1] == heap_ids
 
     def cells_of(self, heap_ids: np.ndarray) -> np.ndarray:
-        """Return the first cell of nodes: uint64."""
+        """Return the first deepest cell of nodes: uint64."""
         return (heap_ids << (self.max_depth - depths_of(heap_ids)).astype(np.uint64)) - np.uint64(self.cell_count)
 
     # Edit: O(depth) a node
@@ -147,8 +151,8 @@ class ConcurrentBinaryTree:
     def set_leaves(self, parts: list[LeafPart], shift: int = 0, levels: int | None = None) -> bool:
         """Replace the leaves by those of the parts, and return whether the tree has changed; a thread writes each part.
 
-        shift, levels: a leaf has 2^(levels - depth) cells, and its depth is in the bits `shift` .. `shift` + 5 of its
-        code. Nodes whose leaves are the same, as the parts state, are skipped.
+        shift, levels: a leaf has 2^(levels - depth) deepest cells, and its depth is in the bits `shift` .. `shift` + 5
+        of its code. Nodes whose leaves are the same, as the parts state, are skipped.
         """
         parts, start = [part for part in parts if part.count], 0
         while len(self._runs) < len(parts):
@@ -201,7 +205,7 @@ class ConcurrentBinaryTree:
         return depths_of(self.leaves())
 
     def cells(self) -> np.ndarray:
-        """Return the first cell of each leaf: uint64."""
+        """Return the first deepest cell of each leaf: uint64."""
         return self.cells_of(self.leaves())
 
     def to_bytes(self) -> bytes:

@@ -44,7 +44,7 @@ def depths_from_bytes(data: bytes) -> tuple[int, np.ndarray]:
 def _form_a_tree(depths: np.ndarray, max_depth: int) -> bool:
     """Return whether leaves of these depths in order fill the tree.
 
-    A leaf of 2**j cells begins at a multiple of 2**j, and the last leaf ends at the end of the tree.
+    A leaf of 2**j deepest cells begins at a multiple of 2**j, and the last leaf ends at the end of the tree.
     """
     counts = np.bincount(depths, minlength=1).tolist()
     if len(counts) > max_depth + 1 or sum(int(n) << max_depth - d for d, n in enumerate(counts)) != 1 << max_depth:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bitfield of a concurrent binary tree, stored by use, and the sum reduction above it (Dupuy 2020, section 3).
 
-The paper's bitfield has a bit for each deepest node, a *cell*; a leaf sets the bit of its first cell. At depth 40 that
-is 128 GiB. Here the bits are the leaves of a tree of 64-bit words with a fan-out of 64: a word of level L stands for
+The paper's bitfield has a bit for each *deepest cell*, a node of the deepest level; they are numbered along the curve,
+from 0. A leaf sets the bit of its first cell. At depth 40 that is 128 GiB. Here the bits are the leaves of a tree of
+64-bit words with a fan-out of 64: a word of level L stands for
 64^(L + 1) cells, each of its bits for a part of 64^L cells, and a bit is set if a leaf begins in its part. A leaf of
 2^j cells always sets the first bit of its part on level j // 6, so a word whose first bit alone is set says no more
 than the bit above it, and is not stored: every stored word has two bits or more, and there are fewer words than leaves.
@@ -53,7 +54,7 @@ class TreeLeaf:
     """A leaf as decoding finds it."""
 
     number: wp.int32
-    cell: wp.uint64  # its first
+    cell: wp.uint64  # its first deepest cell
     depth: wp.int32
 
 
@@ -68,13 +69,13 @@ class SameLeaves:
 
 @wp.func
 def cells_of_bit(level: wp.int32) -> wp.uint64:
-    """Return the number of cells that one bit of a word of this level covers."""
+    """Return the number of deepest cells that one bit of a word of this level covers."""
     return ONE << wp.uint64(WORD_BITS * level)
 
 
 @wp.func
 def bit_of(cell: wp.uint64, level: wp.int32) -> wp.int32:
-    """Return which bit (0 .. 63) of its word of a level covers a cell."""
+    """Return which bit (0 .. 63) of its word of a level covers a deepest cell."""
     return wp.int32((cell >> wp.uint64(WORD_BITS * level)) & wp.uint64(63))
 
 
@@ -146,7 +147,7 @@ def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.in
 def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
     """Return the leaf that begins at a bit of a word; it ends at the word's next set bit.
 
-    slot, level: the word's slot and level. cell: the leaf's first cell. number: the leaf's number.
+    slot, level: the word's slot and level. cell: the leaf's first deepest cell. number: the leaf's number.
     """
     next_bit = wp.min(lowest_bit(t.words[slot] & ~bits_below(bit + 1)), 1 << wp.min(t.max_depth - WORD_BITS * level, 6))
     leaf = TreeLeaf()
@@ -180,7 +181,7 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
 
 @wp.func
 def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
-    """Return the leaf that contains a cell.
+    """Return the leaf that contains a deepest cell.
 
     The search descends to the last set bit at or before the cell, in O(depth).
     """

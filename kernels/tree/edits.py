@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Edits of single nodes.
 
-Setting the bit of the first cell of its second child splits a node, and clearing it merges the node (Dupuy 2020,
-section 3.3).
+Setting the bit of the first deepest cell of its second child splits a node, and clearing it merges the node (Dupuy
+2020, section 3.3).
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from .bitfield import ONE, REPEATS, ROOT, Bitfield, bit_of, cells_of_bit, mark_c
 
 @wp.func
 def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
-    """Return the first cell of the second child of node `heap_id`; its bit is set if the node is split."""
+    """Return the first deepest cell of the second child of node `heap_id`; its bit is set if the node is split."""
     shift = wp.uint64(t.max_depth - 1 - highest_bit(heap_id))
     return ((wp.uint64(2) * heap_id + ONE) << shift) - (ONE << wp.uint64(t.max_depth))
 

@@ -21,7 +21,10 @@ def find_leaves(
     numbers: wp.array(dtype=wp.int32),
     ids: wp.array(dtype=wp.uint64),
 ):
-    """Write number and heap id of the leaf that contains cells[k] to numbers[k] and ids[k], for k = offset + tid."""
+    """Write number and heap id of the leaf that contains deepest cell cells[k] to numbers[k] and ids[k].
+
+    k = offset + tid. A deepest cell is a node of the deepest level, by its number along the curve, from 0.
+    """
     k = offset + wp.tid()
     leaf = leaf_at(t, cells[k])
     numbers[k] = leaf.number

@@ -33,8 +33,8 @@ class LeafRun:
     first: wp.int64  # entry of the first
     count: wp.int64
     shift: wp.int32
-    levels: wp.int32  # a node of depth d has 2^(levels - d) cells
-    start: wp.uint64  # cells start .. end - 1 are those of the run
+    levels: wp.int32  # a node of depth d has 2^(levels - d) deepest cells
+    start: wp.uint64  # deepest cells start .. end - 1 are those of the run
     end: wp.uint64
     same: wp.array(dtype=SameLeaves)  # nodes whose leaves are those that the tree has, ascending
     first_same: wp.int64
@@ -43,7 +43,7 @@ class LeafRun:
 
 @wp.func
 def bits_of_node(run: LeafRun, k: wp.int64) -> wp.int32:
-    """Return log2 of the number of cells of leaf k of a run."""
+    """Return log2 of the number of deepest cells of leaf k of a run."""
     return run.levels - ((wp.int32(item_at(run.codes, run.first + k)) >> run.shift) & 63)
 
 

@@ -20,7 +20,7 @@ from ...kernels.accuracy import outline as kernels
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import length
-from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore_progress
+from .mesh import Errors, MeasuredMesh, Progress, errors_of
 from .screen import Sight, pixel_blocks
 
 MARGIN = 16
@@ -52,15 +52,13 @@ class _Rays:
         return cover
 
 
-def silhouette(
-    sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore_progress
-) -> Errors | None:
+def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress) -> Errors | None:
     """Return errors of the reference's outline in the frame, pixels; None where it has none.
 
     positions: float32 [V, 3], the mesh's.
     """
     threads = mesh.ground.threads
-    flips = _flips(sight.covered(), sight, 0)
+    flips = _flips(sight.covered(), sight, margin=0)
     if not sum(len(places) for places in flips):
         return None
     flips = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)

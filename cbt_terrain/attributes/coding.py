@@ -32,7 +32,7 @@ class Coding:
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 
-def coding_of(effect: AttributeDeclaration, form: str = PNG) -> Coding:
+def coding_of(effect: AttributeDeclaration, form: str) -> Coding:
     """Return the coding of an attribute.
 
     Attributes without a unit and colours have 8 bits, measures 16 bits, and half floats in EXR.

@@ -22,7 +22,7 @@ from ..view.view import ORTHOGRAPHIC, View
 STEPS_PER_LEVEL = 8
 
 
-def fixed_level(field: HeightField, metres: float = 0.0) -> float:
+def fixed_level(field: HeightField, metres: float) -> float:
     """Return the level with samples `metres` apart in the terrain's space, 0 for those of the raster.
 
     Raises TerrainError for an invalid distance.

@@ -47,7 +47,7 @@ def border_sides(domain: Domain) -> list[Side]:
     ]
 
 
-def in_holes(surface: Surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:
+def in_holes(surface: Surface, field: HeightField, domain: Domain, threads: int) -> np.ndarray:
     """Return whether the centroid of each triangle is in a hole, bool [T]. domain: the placed field."""
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)

@@ -28,8 +28,8 @@ def limit_at_step(step: int) -> float:
 
 
 @cache
-def _limits(finer_by: int = 0) -> wp.array:
-    """Return the limits of all steps, or of steps that are a number of steps finer."""
+def _limits(finer_by: int) -> wp.array:
+    """Return the limits of all steps, taken `finer_by` steps finer."""
     return shared(np.array([limit_at_step(step - finer_by) for step in range(MAX_STEP + 2)]), wp.float64)
 
 

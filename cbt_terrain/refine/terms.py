@@ -65,7 +65,7 @@ def left_of(error_m: float, source: float) -> float:
     return error_m - source if source <= 0.5 * error_m else 0.8 * error_m
 
 
-def weighed_as(error_m: float, source: float, mean: float = 1.0) -> float:
+def weighed_as(error_m: float, source: float, mean: float) -> float:
     """Return the weighed metres (`metres2_of` in kernels/refine/diamond.py) to request so that `error_m` holds.
 
     mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.

@@ -47,7 +47,11 @@ class NotOursError(TerrainError):
 
 
 class OpenFolder(NamedTuple):
-    """An open folder. `descriptor`: None on Windows, where `at` returns paths of entries."""
+    """An open folder.
+
+    `descriptor`: enough to reach entries of the folder, but not to list them (O_PATH); None on Windows, where `at`
+    returns paths of entries.
+    """
 
     path: Path
     descriptor: int | None
@@ -69,6 +73,7 @@ class OpenFolder(NamedTuple):
         """Return the names in the folder, sorted. Raises OSError."""
         if self.descriptor is None:
             return sorted(os.listdir(self.path))
+        # `descriptor` cannot list the folder.
         listing = os.open(".", os.O_RDONLY | _FOLDER, dir_fd=self.descriptor)
         try:
             return sorted(os.listdir(listing))
@@ -76,9 +81,9 @@ class OpenFolder(NamedTuple):
             os.close(listing)
 
     @contextmanager
-    def open_inner(self, name: str, make: bool = False) -> Iterator["OpenFolder"]:
-        """Open a real folder in this one for the block. make: create it if it is missing. Raises as `open_folder`."""
-        inner = _open_below(self, name, make)
+    def open_inner(self, name: str) -> Iterator["OpenFolder"]:
+        """Open a real folder in this one for the block. Raises as `open_folder`."""
+        inner = _open_below(self, name, make=False)
         try:
             yield inner
         finally:

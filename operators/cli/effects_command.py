@@ -45,11 +45,12 @@ def _measure_attribute(name: str, field, surface):
     return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)
 
 
-def list_readers(blend: Path, camera: str | None = None) -> list[str]:
+def list_readers(blend: Path, camera: str | None) -> list[str]:
     """Return lines of text for each terrain of a .blend file: which attributes are read, by whom, or why they are
     skipped.
 
-    The terrains are refined as a render of the scene's current frame needs them.
+    The terrains are refined as a render of the scene's current frame needs them. camera: name of the camera, None for
+    the scene's.
     """
     from ..export.frame_sources import SceneFrames
     from ..session import session

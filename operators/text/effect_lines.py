@@ -59,7 +59,7 @@ def readers_text(status, say: Callable[..., str] = str.format) -> str:
     return f"{status.note}. {read}" if status.note else read
 
 
-def cost_text(status, say: Callable[..., str] = str.format) -> str:
+def cost_text(status, say: Callable[..., str]) -> str:
     """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`; "-" without one.
 
     say: formats a template with values, in a panel also translated.

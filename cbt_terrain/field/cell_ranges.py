@@ -16,10 +16,10 @@ FINEST_BITS = 2  # the finest ranges are those of 4 x 4 cells
 def rectangle_ranges(
     field: HeightField, columns: Sequence[tuple[float, float]], rows: Sequence[tuple[float, float]]
 ) -> np.ndarray:
-    """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2] metres.
+    """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2].
 
-    A range encloses the ground of its rectangle, without the detail, and no more than that within a sixteenth of the
-    smallest rectangle's side around it, apart from rounding.
+    In metres before vertical scaling. A range encloses the ground of its rectangle, without the detail, and no more
+    than that within a sixteenth of the smallest rectangle's side around it, apart from rounding.
 
     Args:
         columns: west and east side of each column, in samples from the raster's western border.

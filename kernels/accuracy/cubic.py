@@ -26,9 +26,9 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 @wp.func
 def height_along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
-    """Return the height, metres, of the Hermite cubic along row j of the samples, `s` cells (0 .. 1) east of column i.
+    """Return the height of the Hermite cubic along row j of the samples, `s` cells (0 .. 1) east of column i.
 
-    Samples beyond the border are extrapolated linearly.
+    Metres before vertical scaling. Samples beyond the border are extrapolated linearly.
     """
     at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
     p1 = wp.float64(sample_at(samples, at))
@@ -44,7 +44,7 @@ def height_along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
 
 @wp.func
 def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Return the height of the bicubic surface in cell (i, j), metres.
+    """Return the height of the bicubic surface in cell (i, j), metres before vertical scaling.
 
     s, t: position in the cell from its south-west corner, 0 .. 1.
     """
@@ -61,7 +61,7 @@ def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
 
 @wp.func
 def height_bounds(samples: Samples, i: wp.int32, j: wp.int32):
-    """Return a lower and an upper bound, metres, of the bicubic surface in cell (i, j).
+    """Return a lower and an upper bound of the bicubic surface in cell (i, j), metres before vertical scaling.
 
     The surface is a weighted mean of the 4 x 4 samples around. Its negative weights add up to 1/8 at most in one
     direction, hence to 9/32 in two, so it leaves the samples' range by at most 9/32 of the range.

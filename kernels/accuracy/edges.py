@@ -4,7 +4,7 @@
 Over one cell the reference is a saddle, so its difference from a plane has extrema only on the border of the part of
 the cell that a triangle covers. Along cell borders both are straight; along a triangle's edge the difference is a
 parabola in each cell. For a bicubic reference the difference is a polynomial of degree six there, and with detail it is
-no polynomial: both are evaluated at PLACES points of each stretch.
+no polynomial: both are evaluated at PLACES points of each stretch. Heights are metres after vertical scaling.
 """
 
 import warp as wp
@@ -131,7 +131,10 @@ def num_points(ground: Reference) -> wp.int32:
 
 @wp.func
 def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
-    """Return point q (1 .. `num_points`, the last at the end) of a stretch of edge k, as cells east and north."""
+    """Return point q (1 .. `num_points`, the last at the end) of a stretch of edge k, as cells east and north.
+
+    On a bilinear reference there are two: where the difference turns, and the end.
+    """
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
         along = s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))

@@ -7,7 +7,8 @@ with minima, as a ray may also run below). In one cell, ray less bilinear surfac
 crossing is exact. Against a bicubic surface, or one with detail, the ray is evaluated at PLACES + 1 points in the cell,
 and a change of sides between two of them is bisected: a ray that dips into the surface and out again between two points
 is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between
-two cells is a crossing, so that no ray slips through. All arithmetic is float64.
+two cells is a crossing, so that no ray slips through. All arithmetic is float64. Heights are metres after
+vertical scaling.
 """
 
 import warp as wp

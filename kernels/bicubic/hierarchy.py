@@ -2,7 +2,7 @@
 """The error hierarchy of the bicubic surface, depth by depth, in windows of the raster: see field/bicubic.py.
 
 A window has arrays for itself, with layouts (`Depth`) by diamonds of the window. `corner` is the window's first
-diamond of a depth in the whole raster.
+diamond of a depth in the whole raster. Errors are metres before vertical scaling.
 """
 
 import warp as wp

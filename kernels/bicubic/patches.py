@@ -4,7 +4,7 @@
 A patch and its derivatives are weighted means of their control values, so the largest control value bounds them.
 Control values are differences of samples, in each direction of four samples p0 .. p3 in a row; the patch is between p1
 and p2. field/bicubic.py uses these bounds. Beyond the border h(-1) = 2 h(0) - h(1). Exact differences of float32
-samples stay exact: a planar map has a curvature of exactly zero.
+samples stay exact: a planar map has a curvature of exactly zero. Heights are metres before vertical scaling.
 """
 
 import warp as wp

@@ -3,7 +3,8 @@
 
 In each direction it is the cubic convolution of Keys (1981), "Cubic convolution interpolation for digital image
 processing", with a = -1/2: at a sample its slope is the central difference. Beyond the border heights are extrapolated,
-h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there.
+h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there. Heights are metres before vertical
+scaling.
 """
 
 import warp as wp

@@ -21,7 +21,7 @@ class Pyramid:
     """The prefiltered heights of a terrain and their position; memory is shared with the height field."""
 
     samples: Samples  # level 0
-    coarser: wp.array(dtype=wp.float32)  # metres, the coarser levels concatenated
+    coarser: wp.array(dtype=wp.float32)  # metres before vertical scaling, the coarser levels concatenated
     first: wp.array(dtype=wp.int64)  # [levels]: index of the first sample of each level there; unused for level 0
     columns: wp.array(dtype=wp.int32)  # [levels]: samples in a row
     rows: wp.array(dtype=wp.int32)
@@ -49,7 +49,7 @@ def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64
 
 @wp.func
 def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return sample x of row y of a level, metres; beyond the ends of the row it is extrapolated.
+    """Return sample x of row y of a level, metres before vertical scaling; beyond the row's ends it is extrapolated.
 
     The extrapolation is 2 last - mirrored, which continues slopes.
     """
@@ -64,7 +64,10 @@ def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp
 
 @wp.func
 def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return sample (x, y) of a level, metres. Beyond the border it is 2 last - mirrored, which continues slopes."""
+    """Return sample (x, y) of a level, metres before vertical scaling.
+
+    Beyond the border it is 2 last - mirrored, which continues slopes.
+    """
     edge = wp.clamp(y, 0, ground.rows[level] - 1)
     h = row_height(ground, level, x, edge)
     if y != edge:
@@ -74,9 +77,9 @@ def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) 
 
 @wp.func
 def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inner: wp.bool) -> wp.float64:
-    """Return four times the [1 2 1] / 4 mean of heights along x at sample (x, y) of a level, metres.
+    """Return four times the [1 2 1] / 4 mean along x at sample (x, y) of a level.
 
-    inner: no sample is beyond the border, so that the fast reads are safe.
+    In metres before vertical scaling. inner: no sample is beyond the border, so that the fast reads are safe.
     """
     west = wp.float64(0.0)
     here = wp.float64(0.0)
@@ -167,7 +170,10 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
     return q;
 """)
 def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet:
-    """Return the jet at (u, v), 0 .. 1, of the cell of sample (x + 1, y + 1) of a level, derivatives per cell."""
+    """Return the jet at (u, v), 0 .. 1, of the cell of sample (x + 1, y + 1) of a level.
+
+    Metres before vertical scaling, derivatives per cell.
+    """
     ...
 
 
@@ -179,9 +185,9 @@ def inverse_power(level: wp.int32) -> wp.float64:
 
 @wp.func
 def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
-    """Return height and derivatives of one level at (x, y) cells of that level.
+    """Return the jet of one level at (x, y) cells of that level from its first sample.
 
-    Derivatives are per metre, before vertical scaling.
+    Metres before vertical scaling, derivatives per metre.
     """
     i = wp.min(wp.int32(x), item_at(ground.columns, level) - 2)
     j = wp.min(wp.int32(y), item_at(ground.rows, level) - 2)

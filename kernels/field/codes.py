@@ -8,7 +8,10 @@ from ..unchecked import item_at, prefetch, put
 
 @wp.struct
 class Samples:
-    """The raster's heights in rows, metres: floats, or if `coded` numbers, each (number + first) * scale + offset."""
+    """The raster's heights in rows, metres before vertical scaling.
+
+    They are floats, or if `coded` numbers, each (number + first) * scale + offset.
+    """
 
     floats: wp.array(dtype=wp.float32)  # this array or `numbers` is unused, with one entry
     numbers: wp.array(dtype=wp.uint16)
@@ -22,7 +25,7 @@ class Samples:
 
 @wp.func
 def sample_at(s: Samples, i: wp.int64) -> wp.float32:
-    """Return sample `i`, metres. All kernels of a frame read samples with this function."""
+    """Return sample `i`, metres before vertical scaling. All kernels of a frame read samples with this function."""
     h = wp.float32(0.0)
     if s.coded == 0:
         h = item_at(s.floats, i)
@@ -39,13 +42,16 @@ def sample_index(s: Samples, i: wp.int32, j: wp.int32) -> wp.int64:
 
 @wp.func
 def height_at(s: Samples, i: wp.int64) -> wp.float64:
-    """Return sample i, metres, as float64."""
+    """Return sample i, metres before vertical scaling, as float64."""
     return wp.float64(sample_at(s, i))
 
 
 @wp.func
 def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
-    """Return the heights, metres, at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
+    """Return the heights at the corners of cell (i, j): south-west, south-east, north-west, north-east.
+
+    In metres before vertical scaling.
+    """
     south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
     north = south + wp.int64(s.columns)
     one = wp.int64(1)

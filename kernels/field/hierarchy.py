@@ -3,7 +3,8 @@
 
 Heights are read as floats, row 0 south. Errors are one array in the order of `cbt_terrain/field/lattice.py`; a kernel
 processes one depth of it. All arithmetic on heights is float64, so planes through float32 samples at power-of-two
-distances are exact, and a flat or planar map has an error of exactly zero.
+distances are exact, and a flat or planar map has an error of exactly zero. Heights and errors are metres
+before vertical scaling.
 """
 
 import warp as wp

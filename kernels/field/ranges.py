@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the ranges of heights: two uint16 that enclose every diamond of cells of 4 x 4 samples and more.
 
-A height is `base + q * step`; the lower number is rounded down and the upper one up, so the range encloses. `ranges`
-are flat: lower and upper of a diamond are adjacent, diamonds in the order of `cbt_terrain/field/lattice.py`.
+A height, in metres before vertical scaling, is `base + q * step`; the lower number is rounded down and the upper one
+up, so the range encloses. `ranges` are flat: lower and upper of a diamond are adjacent, diamonds in the order of
+`cbt_terrain/field/lattice.py`.
 """
 
 import warp as wp
@@ -83,7 +84,7 @@ def patches_around(
     """Compute the ranges of the finest diamonds in row `offset + tid` from the cells within REACH of each.
 
     For a bicubic surface, whose cells have ranges. A row is two samples apart from the next; diamonds are where x + y
-    is odd. columns, rows: cells of the raster.
+    is odd. columns, rows: cells of the raster. cells, finest: layouts of both in `ranges`.
     """
     y = offset + wp.tid()
     for x in range(1 - (y & 1), finest.columns + 1, 2):

@@ -2,7 +2,7 @@
 """The error of a triangle that is larger than a window of the raster, over that window.
 
 The plane of the triangle is evaluated with the same operations as in `hierarchy.py`, so the largest result of all
-windows is the result for the whole raster, bit by bit.
+windows is the result for the whole raster, bit by bit. Heights and errors are metres before vertical scaling.
 """
 
 import warp as wp

@@ -25,7 +25,10 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 @wp.kernel
 def measure(offset: int, m: FitMesh):
-    """Measure the distance of triangle `offset + tid` from the surface in float64, metres; reset its pushes."""
+    """Measure the distance of triangle `offset + tid` from the surface in float64; reset its pushes.
+
+    The distance is metres after vertical scaling.
+    """
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
     m.seen[t] = corner_heights(m, t)
@@ -35,7 +38,7 @@ def measure(offset: int, m: FitMesh):
 
 @wp.func
 def corner_heights(m: FitMesh, t: wp.int32) -> wp.vec3f:
-    """Return the heights of the left, apex and right corner of triangle t, metres."""
+    """Return the heights of the left, apex and right corner of triangle t, metres after vertical scaling."""
     return wp.vec3f(m.z[m.corner_verts[3 * t]], m.z[m.corner_verts[3 * t + 1]], m.z[m.corner_verts[3 * t + 2]])
 
 

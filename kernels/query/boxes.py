@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lowest and highest heights of a box."""
+"""Lowest and highest heights of a box, metres after vertical scaling."""
 
 import warp as wp
 

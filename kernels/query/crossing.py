@@ -4,7 +4,8 @@
 Ray less bilinear surface is a parabola along the ray, whose root is solved for. Of a bicubic surface, and of one with
 detail, the ray goes on by steps that Taylor's formula allows: with the second derivative bounded by 2 G along the ray,
 height e and its slope e', nothing is met before e + e' d - G d^2 = 0 (as in Kalra and Barr 1989, "Guaranteed ray
-intersections with implicit surfaces"). Near a crossing these are Newton's steps. All arithmetic is float64.
+intersections with implicit surfaces"). Near a crossing these are Newton's steps. All arithmetic is float64. Heights are
+metres after vertical scaling.
 """
 
 import warp as wp

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights and normals at points of the plan."""
+"""Heights and normals at points of the plan, after vertical scaling."""
 
 import warp as wp
 

@@ -22,8 +22,8 @@ def in_sight(
 ):
     """Write whether the eye sees a point `target` metres above sample first + offset + tid.
 
-    It does if no ground rises above the line between them. eye: metres. radius2: squared horizontal distance beyond
-    which nothing is seen. slack: metres that ground must rise above the line to hide.
+    It does if no ground rises above the line between them. eye: metres, after vertical scaling. radius2: squared
+    horizontal distance beyond which nothing is seen. slack: metres that ground must rise above the line to hide.
     """
     n = first + offset + wp.tid()
     row = n / surface.samples.columns
@@ -49,5 +49,6 @@ def in_sight(
         far = wp.length(sight)
         if far > wp.float64(0.0):
             ray = ray_of(surface, p, sight / far)
+            # The ray begins above the surface, and the first block that is tried is one cell.
             found = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
     seen[n] = found

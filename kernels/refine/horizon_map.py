@@ -245,10 +245,10 @@ def reach2_of(view: LocalView) -> wp.float64:
 def ground_near(
     domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, margin_units: wp.int32
 ):
-    """Return an upper bound of the ground's height, metres, in a square with the eye in its middle.
+    """Return an upper bound of the ground's height in a square with the eye in its middle.
 
-    x, y: the eye, lattice units. reach: half of the square's side; the result is infinite if the square crosses the
-    raster's border. margin_units: lattice units to add on each side.
+    In metres after vertical scaling. x, y: the eye, lattice units. reach: half of the square's side; the result is
+    infinite if the square crosses the raster's border. margin_units: lattice units to add on each side.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
@@ -321,7 +321,7 @@ def fill_horizon(
     x = (view.eye[0] - domain.west) / domain.unit_x
     y = (view.eye[1] - domain.south) / domain.unit_y
     floor = wp.float64(wp.inf)
-    begun = wp.int32(0)
+    begun = wp.int32(0)  # 1: the floor is known; 2: the bin has left the raster, behind which nothing hides
     high = ground_near(domain, blocks, x, y, start / wp.min(domain.unit_x, domain.unit_y), margin_units)
     if high < wp.float64(wp.inf):
         begun = 1

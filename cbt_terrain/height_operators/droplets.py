@@ -27,10 +27,10 @@ MAX_PER_SAMPLE, COARSEST_STEP = 4.0, 0.25
 TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 
 
-def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
-    if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
-        change = _smooth(coarse.heights, ground.missing)
+    if coarser is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
+        change = _smooth(coarser.heights, ground.missing)
     elif min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
         change = np.zeros(ground.heights.shape, np.float32)
     else:
@@ -78,9 +78,10 @@ def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.nda
 
 
 def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.DropletRain:
-    """Return the drops' parameters for kernels; a step of a drop is as long as the smaller spacing of samples.
+    """Return the droplets' parameters for kernels, without arrays; a step is as long as the smaller spacing of samples.
 
-    Drops start in tiles of `rows` x `columns` samples; none reaches half a tile, so that distant tiles run in parallel.
+    values: `droplets` is their number per square kilometre. They start in tiles of `rows` x `columns` samples; none
+    reaches half a tile, so that distant tiles run in parallel.
     """
     rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape

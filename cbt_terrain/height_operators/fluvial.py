@@ -37,7 +37,7 @@ MIN_CREEP, CREEP_YEARS = 0.06, 5e3
 # Metres of sediment that bury the ground's curvature.
 BURIED = 1.0
 # More explicit steps than this cost more than an implicit one, whose work items are blocks of columns.
-MAX_PASSES, BLOCK = 16, 64
+MAX_ROUNDS, BLOCK = 16, 64
 # Passes of settling under water in a step, for each distance in samples. Streams deposit along single random paths,
 # which would show as worms.
 SETTLING, APART = 12, (4, 2, 1)
@@ -193,22 +193,22 @@ def diffuse(
     preserved: float32 [n], part of the change in metres that explicit steps leave out.
     """
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
-    passes = int(np.ceil((ew + ns) / CREEP))
+    rounds = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, values.copy()
     soil, run = creep_kernels.Soil(), partial(launch.spread, step="rivers", threads=bed.threads)
     soil.grid = grid_of(rows, columns, bed.step_x, bed.step_y)
     soil.base, soil.weight = flat(still, wp.uint8), flat(weight, wp.float32)
-    if passes > MAX_PASSES:
+    if rounds > MAX_ROUNDS:
         soil.ew, soil.ns = ew, ns
         soil.scratch, soil.change, soil.h = (flat(a, wp.float32) for a in (other, np.empty_like(values), values))
         blocks = -(-columns // BLOCK)
         run(creep_kernels.creep_along_columns, blocks, [BLOCK, soil], cost=BLOCK * rows / 8)
         run(creep_kernels.creep_along_rows, rows, [soil], cost=columns)
         return values
-    soil.ew, soil.ns = ew / max(passes, 1), ns / max(passes, 1)
-    preserved = np.zeros_like(values) if preserved is None else preserved / np.float32(max(passes, 1))
+    soil.ew, soil.ns = ew / max(rounds, 1), ns / max(rounds, 1)
+    preserved = np.zeros_like(values) if preserved is None else preserved / np.float32(max(rounds, 1))
     soil.preserved = flat(preserved, wp.float32)
-    for _ in range(passes):
+    for _ in range(rounds):
         soil.old, soil.h = flat(values, wp.float32), flat(other, wp.float32)
         run(creep_kernels.creep, rows - 2, [soil], cost=columns / 16)
         values, other = other, values

@@ -149,9 +149,10 @@ def _transfer_slides(
 def _slide_snow(
     ground: OperatorGround, values: Mapping[str, float], clinging: np.ndarray, loose: np.ndarray, sweeps: int
 ) -> np.ndarray:
-    """Return the loose snow after it has slid to rest, float32 [rows, columns] m.
+    """Return the loose snow after `sweeps` sweeps of slides, float32 [rows, columns] m.
 
-    Overwrites `loose`. clinging: depth that never slides. sweeps: number of passes over all samples.
+    Overwrites `loose`. clinging: metres that never slide. sweeps: at least 2; each has two halves, slabs of two rows
+    that begin at even and at odd rows.
     """
     slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     slides.height, slides.width = rows, columns
@@ -161,13 +162,14 @@ def _slide_snow(
     slides.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
-        # The order of slabs alternates, else those of one parity would give more than the others.
+        # The order of slabs alternates, else those of one parity would give more than the others. The first half also
+        # settles pairs along the rows.
         for along, parity in ((1, odd), (0, 1 - odd)):
             first = -((parity + ground.first[0]) % 2)
             inputs = [first, along, (odd + ground.first[1]) % 2, slides]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
-            # Moving snow is in rows of one parity after each pass; the mean of four passes hides that comb.
+            # Moving snow is in rows of one parity after each half; the mean of four halves hides that comb.
             if k >= sweeps - 2:
                 rest += np.float32(0.25) * loose
         ground.progress(0.5 + 0.5 * (k + 1) / sweeps)

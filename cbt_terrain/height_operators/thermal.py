@@ -31,15 +31,15 @@ SHARE, MAX_FRACTION, WEATHER = 0.5, 0.25, 0.05
 HALO = 1.6
 
 
-def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
     shape = ground.heights.shape
     breakable, loose = _breakable_depth(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
-    left, scree = _start_level(ground, coarse, breakable, loose)
+    left, scree = _start_level(ground, coarser, breakable, loose)
     base = np.ascontiguousarray(ground.heights - loose - breakable)
     if ground.missing is not None:
         base[ground.missing] = np.nan
-    times = AT_FIRST if coarse is None else 1
+    times = AT_FIRST if coarser is None else 1
     scree = settle_scree(base, breakable, left, scree, ground, values, times)
     wear, deposited = breakable - left, scree - loose
     return Change(deposited - wear, {"scree": deposited, "wear": wear})
@@ -110,7 +110,8 @@ def settle_scree(
 def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
     """Run sweep `number` and yield after each half. recorded: cache of launch.py for sweeps over the same slope.
 
-    The order of slabs alternates, else those of one parity would erode more than the others.
+    The order of slabs alternates, else those of one parity would erode more than the others. The first half also
+    settles pairs along the rows.
     """
     spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
     spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)

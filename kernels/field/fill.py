@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels that find for each missing sample the nearest valid one, by exact Euclidean distance in samples.
 
-Two passes after Felzenszwalb and Huttenlocher (2012), "Distance transforms of sampled functions": the nearest valid row
+Two sweeps after Felzenszwalb and Huttenlocher (2012), "Distance transforms of sampled functions": the nearest valid row
 in each column, then in each row the lower envelope of the parabolas of these distances. They work on a few rows of the
 raster, and know of all others only the nearest valid row of each column below and above.
 """

@@ -3,7 +3,8 @@
 
 Points are measured in raster cells from the south-west corner. Which triangle owns a point is decided in integers:
 2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
-triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64.
+triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64. Heights are
+metres after vertical scaling.
 
 The code that makes bounds and fits (criterion.py, hierarchy.py, fitting/) is not used here, though fitting/facet.py
 finds the same maximum: a fault in one of the two shows in the other.
@@ -201,11 +202,11 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 
 @wp.func
 def covers(
-    f: MeasuredFacet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
+    f: MeasuredFacet, per_unit: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
 ) -> wp.bool:
     """Return whether the triangle owns the point (x, y): it contains the point, or moved off a shared edge it would.
 
-    x, y: units that are `finer` times finer than lattice units. shift_x, shift_y: 1 or -1, the direction in which a
+    x, y: units of which a lattice unit has `per_unit`. shift_x, shift_y: 1 or -1, the direction in which a
     point on an edge is moved, so that it has one owner.
     """
     inside = f.area2 > wp.int64(0)
@@ -214,7 +215,7 @@ def covers(
             n = (k + 1) % 3
             dx = f.x[n] - f.x[k]
             dy = f.y[n] - f.y[k]
-            side = dx * (y - f.y[k] * finer) - dy * (x - f.x[k] * finer)
+            side = dx * (y - f.y[k] * per_unit) - dy * (x - f.x[k] * per_unit)
             inside = left_of(side, dx, dy, shift_x, shift_y)
     return inside
 

@@ -33,14 +33,14 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
             m.awake[t] = m.round + 1
             mark(m, t)
             if over >= min_share * _max_excess_around(m, t):
-                finer = m.level[t] - 2 * d.levels - 1
+                below = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
-                error = _grid_error(m, t, finer, cell)
+                error = _grid_error(m, t, below, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
                 if m.level[t] < max_depth and (too_coarse or _is_on_surface(m, t, error)):
                     splits += 1
-                    if finer >= 0:
-                        raise_cells(d, cell[0], cell[1], (finer + 1) >> 1, m.codes, m.climbing)
+                    if below >= 0:
+                        raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.codes, m.climbing)
                         later += 1
                     elif size[0] + 2 * m.level[t] + 2 < m.room:
                         size = split(m, t, size)
@@ -67,9 +67,10 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
 
 @wp.func
 def _spread_excess(m: FitMesh, count: int):
-    """Write to each vertex the largest excess, metres over the bound, of the `count` listed triangles around it.
+    """Write to each vertex the largest excess over the bound of the `count` listed triangles around it.
 
-    It is stored in the vertex' sum of pushes, which is not needed then.
+    In metres after vertical scaling, for `_max_excess_around`. It is stored in the vertex' sum of pushes, which is 0
+    and not needed then.
     """
     for k in range(count):
         t = m.active[k]
@@ -107,15 +108,16 @@ def _middle(m: FitMesh, t: int):
 
 
 @wp.func
-def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
+def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     """Return the stored error of triangle t with its vertices on the surface, metres before scaling.
 
-    finer: levels below the raster's cells, negative above them. cell: the triangle's cell.
+    below: bisections below the raster's cells, negative above them; in a
+    cell the error divides by four with each two bisections. cell: the triangle's cell.
     """
-    if finer < 0:
+    if below < 0:
         middle = _middle(m, t)
         return error_at(m.domain, middle[0], middle[1], m.level[t])
-    return cell_error(m.domain, cell[0], cell[1]) / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
+    return cell_error(m.domain, cell[0], cell[1]) / wp.float32(wp.int64(1) << wp.int64(below + (below & 1)))
 
 
 @wp.func

@@ -6,13 +6,17 @@ other. A droplet reaches less than half a tile beyond its own, so tiles of one c
 depend on threads.
 
 `ground` is float32 [rows * columns] metres, NaN where it must not change; `change` is float64 and added to it, which
-conserves mass. The load that leaves at the border is `carried`, m3. Positions are in samples of the whole level, so
-that a tile has the same bits.
+conserves mass. The load that leaves at the border of the samples is `carried`, m3. Positions are in samples of the
+whole level, so that a tile has the same bits.
 """
 
 import warp as wp
 
 from ..field.noise import scramble
+
+# Samples by which the brush is wider than `brush_x`, `brush_y`: on the way, and for the rest of a load, which a droplet
+# drops in one place.
+ON_THE_WAY, AT_THE_END = wp.constant(0), wp.constant(1)
 
 
 @wp.struct
@@ -59,7 +63,10 @@ def height_at(rain: DropletRain, i: wp.int32) -> wp.float64:
 
 @wp.func
 def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
-    """Return the slopes to the east and north, and the height, of the bilinear surface at (x, y) samples."""
+    """Return slopes to the east and north (m/m) and the height (m) of the bilinear surface at (x, y).
+
+    x, y: samples of the whole level.
+    """
     one = wp.float64(1.0)
     i = wp.int32(x)
     j = wp.int32(y)
@@ -77,9 +84,10 @@ def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec
 
 @wp.func
 def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
-    """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y), `more` samples wider.
+    """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y).
 
-    The weight falls from 1 in the middle to 0 at the brush's radius; samples that must not change get nothing.
+    x, y: samples of the whole level. more: samples by which the brush is wider than `brush_x`, `brush_y`. The weight
+    falls from 1 in the middle to 0 at the brush's radius; samples that must not change get nothing.
     """
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
@@ -112,10 +120,10 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
 
 @wp.func
 def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Run a droplet from (x, y) to its end; return the m3 that it carries over the border.
+    """Run a droplet from (x, y) to its end; return the m3 that it carries over the border of these samples.
 
     Each step goes downhill with inertia; the droplet deposits where it climbs or has more than its capacity, else it
-    erodes. At its end it deposits the rest.
+    erodes. At its end it deposits the rest. x, y: samples of the whole level.
     """
     none = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -164,7 +172,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                         near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
                         volume = -wp.min((capacity - load) * rain.load, fall * cell) * wp.float64(rain.mask[near])
                     load -= volume
-                    deposit(rain, x, y, volume, 0)
+                    deposit(rain, x, y, volume, ON_THE_WAY)
                     water *= one - rain.dry
                     x = u
                     y = v
@@ -172,7 +180,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                 else:
                     step = rain.steps
     if load > none:
-        deposit(rain, x, y, load, 1)
+        deposit(rain, x, y, load, AT_THE_END)
     return carried
 
 

@@ -18,6 +18,8 @@ import warp as wp
 
 # Weight of either neighbour in a flux on open, level water.
 SMOOTHING = 0.05
+# Directions of fluxes for `push_row`.
+TO_EAST, TO_NORTH = wp.constant(0), wp.constant(1)
 
 
 @wp.struct
@@ -72,7 +74,7 @@ _PUSH = """
 
 @wp.func_native(_PUSH)
 def push_row(s: FloodStep, y: int, to_north: int):
-    """Compute the fluxes, m2/s, from the samples of row y to the next ones in the east (to_north 0) or north (1)."""
+    """Compute the fluxes, m2/s, from the samples of row y to the next ones: TO_EAST or TO_NORTH."""
     ...
 
 
@@ -80,9 +82,9 @@ def push_row(s: FloodStep, y: int, to_north: int):
 def update_fluxes(offset: int, s: FloodStep):
     """Compute the fluxes from row `offset + tid` to the east and north after the step, from those before it."""
     y = offset + wp.tid()
-    push_row(s, y, 0)
+    push_row(s, y, TO_EAST)
     if y + 1 < s.height:
-        push_row(s, y, 1)
+        push_row(s, y, TO_NORTH)
 
 
 _LIMIT = """

@@ -217,10 +217,11 @@ def vary_rock(
     seed: wp.uint32,
     erodibility: wp.array(dtype=wp.float32),
 ):
-    """Multiply the erodibility of row `offset + tid` by about exp(2 strength * noise), a function of the position.
+    """Multiply the erodibility of row `offset + tid` by a function of the position, so that rivers are not alike.
 
-    The noise has `octaves` of equal amplitude, the first with waves of `longest` metres. first: row and column of
-    sample [0, 0] in the whole level. steps: metres between samples to the east and north.
+    The factor (1 + t) / (1 - t), 1/9 to 9, is about exp(2 t), and has the same bits on every machine; t is
+    `strength` times the noise. The noise has `octaves` of equal amplitude, the first with waves of `longest` metres.
+    first: row and column of sample [0, 0] in the whole level. steps: metres between samples to the east and north.
     """
     y = offset + wp.tid()
     for x in range(grid.width):

@@ -40,7 +40,7 @@ def per_cell(cells: wp.int32) -> wp.float64:
 
 @wp.func
 def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
-    """Return the height (metres) and its slopes (metres a cell, east and north) at sample (i, j).
+    """Return the height and its slopes (per cell, east and north) at sample (i, j), metres before vertical scaling.
 
     Slopes are central differences, one-sided at the border.
     """
@@ -57,10 +57,10 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
 
 @wp.func
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Return the height (metres) and its slopes (metres a cell) in cell (i, j), bilinear between its samples' values.
+    """Return the height and its slopes (per cell) in cell (i, j), bilinear between those of its samples.
 
-    s, t: position in the cell, 0 .. 1. Slopes at samples are central differences, one-sided at the border. Each of the
-    twelve samples that it needs is read once.
+    Metres before vertical scaling. s, t: position in the cell, 0 .. 1. Slopes at samples are central differences,
+    one-sided at the border. Each of the twelve samples that it needs is read once.
     """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)
@@ -93,10 +93,10 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
 
 @wp.func
 def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
-    """Return the unit normal of the scaled surface with height and slopes g (metres, metres a cell)."""
-    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    nx = -g[1] * (domain.height_scale / (domain.unit_x * units))
-    ny = -g[2] * (domain.height_scale / (domain.unit_y * units))
+    """Return the unit normal of the scaled surface with height and slopes g (metres before scaling, and per cell)."""
+    units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    nx = -g[1] * (domain.height_scale / (domain.unit_x * units_a_cell))
+    ny = -g[2] * (domain.height_scale / (domain.unit_y * units_a_cell))
     nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
     return wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz))
 
@@ -108,10 +108,10 @@ def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i
     g: height (metres before scaling) and slopes (metres a cell) there. float64 is cast to float32 last. A value that is
     not finite sets `not_finite`.
     """
-    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    part = wp.float64(1.0) / units  # exact: a power of two
-    slope_x = domain.height_scale / (domain.unit_x * units)
-    slope_y = domain.height_scale / (domain.unit_y * units)
+    units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    part = wp.float64(1.0) / units_a_cell  # exact: a power of two
+    slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
+    slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
     per_width = part / wp.float64(domain.samples.columns - 1)
     per_height = part / wp.float64(domain.samples.rows - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x

@@ -25,12 +25,15 @@ from .weld_state import (
     check_level,
 )
 
+# Columns of `Weld.before`: edges of a side that earlier slices have made.
+RIGHT_SIDE, UPPER_SIDE = wp.constant(2), wp.constant(3)
+
 
 @wp.func
 def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
     """Return whether slice `slot`, not an earlier one, made edge number `passed` of a side of square `owner`.
 
-    before: which side, 2 right or 3 above.
+    before: the side, RIGHT_SIDE or UPPER_SIDE.
     """
     first = w.squares[slot]
     return owner > first or (owner == first and passed >= w.before[4 * slot + before])
@@ -71,7 +74,7 @@ def begin_left_side(
         owner = square - 1
         at = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
         w.state[e + LEFT] = 1
-        if is_in_slice(w, slot, owner, at - w.side_base[owner], 2):
+        if is_in_slice(w, slot, owner, at - w.side_base[owner], RIGHT_SIDE):
             corner = w.corners[2 * owner + 1]
             entry = w.side[at][0]
             end = w.side[at][1]
@@ -106,14 +109,14 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
         n = w.state[e + LEFT]
         w.state[e + LEFT] = n + 1
         at = w.side_base[square] - 1 - n
-        is_here = is_in_slice(w, slot, square - 1, at - w.side_base[square - 1], 2)
+        is_here = is_in_slice(w, slot, square - 1, at - w.side_base[square - 1], RIGHT_SIDE)
     else:
         owner = square - w.columns
         n = w.state[e + BELOW]
         w.state[e + BELOW] = n + 1
         above = w.columns * w.rows + owner
         at = w.side_base[above + 1] - 1 - n
-        is_here = is_in_slice(w, slot, owner, at - w.side_base[above], 3)
+        is_here = is_in_slice(w, slot, owner, at - w.side_base[above], UPPER_SIDE)
     shared_edge = wp.vec2i(0, 0)
     if is_here:
         shared_edge = w.side[at]

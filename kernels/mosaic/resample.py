@@ -52,18 +52,20 @@ def split_position(u: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def steepest(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
-    """Return the largest step between neighbours along one axis in the 4 x 4 samples around a cell; NaN is ignored.
+def max_difference(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
+    """Return the largest difference between neighbours along one axis in the 4 x 4 samples around a cell.
 
-    at: index of the cell's first sample. along, across: steps of the index along that axis and the other one.
+    So much, in units of `values`, a value in the cell changes at most if its position is wrong by one sample along that
+    axis. NaN is ignored. at: index of the cell's sample with the lowest column and row. along, across: steps of the
+    index along the axis and along the other one.
     """
     largest = wp.float64(0.0)
     for j in range(-1, 3):
         for i in range(-1, 2):
             k = at + j * across + i * along
-            step = wp.abs(values[k + along] - values[k])
-            if step > largest:
-                largest = step
+            difference = wp.abs(values[k + along] - values[k])
+            if difference > largest:
+                largest = difference
     return largest
 
 
@@ -103,7 +105,7 @@ def resample_rows(
         width, height: shape of `values`.
         left, top: column and row of the lattice of its first sample.
         out, out_ranks: results. A value's rank is the lowest of those of the samples that it is interpolated from.
-        moved: per sample, the largest difference that errors of the position make.
+        moved: per sample, the largest difference that errors of the position make, in units of `values`.
     """
     y = offset + wp.tid()
     row = (first_row + y) / spacing
@@ -141,7 +143,7 @@ def resample_rows(
         z = between(between(values[k], values[k + right], f), between(values[k + down], values[k + down + right], f), g)
         error = wp.float64(0.0)
         if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):
-            error = error_u * steepest(values, k, 1, width) + error_v * steepest(values, k, width, 1)
+            error = error_u * max_difference(values, k, 1, width) + error_v * max_difference(values, k, width, 1)
         out[n] = z
         out_ranks[n] = rank
         moved[n] = error

@@ -54,13 +54,13 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     drawn = [_Drawn(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
-    apart = [picture.shade(0, 0, width, height, 1 / SMALL, False) for picture in (drawn[0], drawn[-1])]
+    apart = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
     x, y = _max_square(np.abs(apart[0] - apart[1]).sum(axis=2), side)
     place = SMALL * x, SMALL * y, SMALL * side, SMALL * side
     found = []
     for error, picture in zip(errors_px, drawn, strict=True):
         x, y, wide, high = (SAMPLES * pixels for pixels in place)
-        colours = picture.shade(x, y, wide, high, SAMPLES, True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
+        colours = picture.shade(x, y, wide, high, SAMPLES, lines=True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
         pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
         found.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
     return found

@@ -60,7 +60,7 @@ def displaced(
     """
     if not isinstance(ground, LayeredDetail):
         return with_detail(field, ground)
-    plain = with_detail(field, None)
+    plain = with_detail(field, detail=None)
     numbers = tuple(number for number, _ in ground.details)
     masks = _masks(plain, ground.layers, numbers, (float(vertical_scale), float(vertical_offset)), threads)
     everywhere = [DisplacementLayer(ground.everywhere)] if ground.everywhere else []

@@ -155,12 +155,12 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
         inputs = [emit, d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
         spread(routing.find_passes, height - 1, inputs, cost=width / 8)
 
-    launch_search(0, np.empty(1, np.float32), np.empty(1, np.int32))
+    launch_search(emit=0, key=np.empty(1, np.float32), edge=np.empty(1, np.int32))
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     count = int(start[-1])
     key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
-    launch_search(1, key, edge)
+    launch_search(emit=1, key=key, edge=edge)
     launch.sort_pairs(key, edge, count, step="routing")
     up = np.arange(pits + 2, dtype=np.int32)
     launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(up, wp.int32)], step="routing")

@@ -63,6 +63,10 @@ class HeightTiles:
     pattern: str = PATTERN
 
 
+# Lowest and highest value of no values, which `_Layer.widen` extends.
+NO_RANGE = math.inf, -math.inf
+
+
 @dataclass
 class _Layer:
     """One raster in tiles: its numbers in the file are (value - offset) / scale, and `max_error` is counted."""
@@ -72,8 +76,8 @@ class _Layer:
     suffix: str
     source: AttributeRequest | None = None
     channel: int = 0
-    low: float = math.inf
-    high: float = -math.inf
+    low: float = NO_RANGE[0]
+    high: float = NO_RANGE[1]
     max_error: float = 0.0
 
     @property
@@ -121,7 +125,7 @@ class _Samples:
 
         `flipped`: row 0 is the south.
         """
-        self.field, self.layers = with_detail(field, None), layers
+        self.field, self.layers = with_detail(field, detail=None), layers
         self.filled = self.field.with_raster(valid=None)
         self.axes, self.threads = axes, launch.default_threads()
         west, south, _, north = field.lattice.rectangle()
@@ -219,9 +223,11 @@ def export_height_tiles(
 
 
 def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
-    """Return a layer for each number of each attribute; of splat layers, only those that exist, with their names.
+    """Return a layer for each number of each attribute, without a range where it has no known span.
 
-    A name that a file system would confuse with another gets a number: the layer Scree beside the by-product scree.
+    A splat attribute holds the weights of `width` layers of the ground, the last one of fewer: they get layers with
+    their names. A name that a file system would confuse with another gets a number: the layer Scree beside the
+    by-product scree.
     """
     layers, used = [], {HOLES}
     for request in masks:
@@ -232,7 +238,7 @@ def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
             splats = {**attribute.defaults(), **dict(request.parameters)}["layers"]
             assert isinstance(splats, tuple)
             names = [layer.name for layer in splats[first : first + attribute.width]]
-        low, high = attribute.span or (math.inf, -math.inf)
+        low, high = attribute.span or NO_RANGE
         for channel, name in enumerate(names):
             name = "".join("_" if letter in NO_FILE_NAME else letter for letter in name)
             numbered = (f"{name}_{k}" for k in itertools.count(2))

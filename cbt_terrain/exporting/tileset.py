@@ -94,7 +94,7 @@ def export_tileset(
         for number, level in enumerate(levels):
             for _ in _write_level(path, number, level, levels[0].bound, tiles):
                 on_progress(0.5 + 0.5 * sum(int(count) for _, count in tiles.values()) / total)
-        root = _tile_json(path.stem, levels, tiles, 0, 0, 0)
+        root = _tile_json(path.stem, levels, tiles, number=0, x=0, y=0)
         if root is None:
             raise TerrainError("Nothing is left of the terrain", fix="check its holes")
         with written_beside(path) as partial:
@@ -192,8 +192,8 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
 
     Yield after each tile.
 
-    tiles: gets the box of each tile (its lowest and highest corner) and its number of triangles, by level, x and y.
-    root_bound: error of level 0, metres.
+    path: file of the tileset, beside which the tiles are written. tiles: gets the box of each tile (its lowest and
+    highest corner) and its number of triangles, by level, x and y. root_bound: error of level 0, metres.
     """
     centroids = level.mesh.positions[level.mesh.triangles].astype(np.float64).mean(1)
     x, y = (np.searchsorted(level.lines[axis], centroids[:, axis]) for axis in (0, 1))

@@ -156,7 +156,7 @@ class Fitter:
         if self.field.valid is not None:
             worst = buffers.numpy("fit_worst")[: update.triangles]
             worst[borders.in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
-        mesh = self._bounded_mesh(update.surface, buffers, error_m, 0)
+        mesh = self._bounded_mesh(update.surface, buffers, error_m, rounds=0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)

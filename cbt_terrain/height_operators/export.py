@@ -226,7 +226,7 @@ class RasterFormat:
         return self.dtype.kind == "u"
 
 
-_TIFF = RasterFormat(np.dtype("<f4"), _open_raw, _convert_to_tiffs, True, _write_tiffs)
+_TIFF = RasterFormat(np.dtype("<f4"), _open_raw, _convert_to_tiffs, keeps_missing=True, export=_write_tiffs)
 FORMATS = {
     ".tif": _TIFF,
     ".tiff": _TIFF,

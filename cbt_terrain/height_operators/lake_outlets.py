@@ -48,9 +48,9 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         np.minimum.at(free, halfway, np.maximum(*(heights[end] for end in ends)))
 
     for _ in range(LENGTH):
-        lower(0, (y, x))
+        lower(half=0, after=(y, x))
         below = neighbour(y, x, to[y, x])
-        lower(1, below)
+        lower(half=1, after=below)
         breach(below)
         y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)
     cut = np.zeros(bed.shape, bool)

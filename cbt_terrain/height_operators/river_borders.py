@@ -113,7 +113,7 @@ class _Ring:
 
 def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     """Set inflow, closed border samples and outlet levels of a tile's bed from the coarser level."""
-    if all(ground.rims):
+    if all(ground.rims):  # no side is a cut
         return
     seen = _coarse_samples(bed, ground, coarser)
     cell_weight, load = np.ones(bed.shape), np.zeros(bed.shape)
@@ -168,7 +168,7 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
     flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD]))
     by_surface, by_floor = ways
     to = np.where(wet, by_floor, by_surface).astype(int)
-    at, cut = _around(to.shape, ground.rims, 0)
+    at, cut = _around(to.shape, ground.rims, inset=0)
     for j, i in zip(*(n[cut & ~fixed[at]] for n in at), strict=True):
         to[j, i] = _way_back(j, i, surface, flow)
     return _Coarse(odd, surface, flow, load, wet, inside, to)
@@ -223,7 +223,7 @@ def _ring(seen: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
 
     into: whether the coarser level's water flows into the tile, bool.
     """
-    at, cut = _around(seen.to.shape, ground.rims, 1)
+    at, cut = _around(seen.to.shape, ground.rims, inset=1)
     return _Ring(at, cut, (into & ~seen.wet)[at] & cut, seen.flow[at])
 
 
@@ -282,7 +282,7 @@ def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None
 
 def _along(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples along the cut where water may leave and the nearest index in the ring of each, int64."""
-    at, cut = _around(bed.shape, ground.rims, 0)
+    at, cut = _around(bed.shape, ground.rims, inset=0)
     halves = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
     near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
     indices = np.zeros(seen.to.shape, np.int64)

@@ -172,7 +172,7 @@ def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_off
     """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3]."""
     west, south, _, _ = field.lattice.rectangle()
     sides = TILE * level.step_x, TILE * level.step_y
-    tiling = Tiling(level.tiles[1], level.tiles[0], west, south, *sides, 0.0)
+    tiling = Tiling(level.tiles[1], level.tiles[0], west, south, *sides, margin=0.0)
     return sizing.boxes(tiling, field, vertical_scale, vertical_offset).reshape(*level.tiles, 2, 3)
 
 

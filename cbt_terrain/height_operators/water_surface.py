@@ -138,7 +138,8 @@ def _extend_to_shore(
     """Extend water to the dry samples next to it.
 
     Return its signed depth, negative at these, and the height of its surface, float64 [rows, columns] m, and the wet
-    samples with the shallow borders of lakes, bool.
+    samples with the shallow borders of lakes, bool. heights, depth: metres. wet: bool, samples under water. min_depth:
+    metres.
     """
     ground = heights.astype(np.float64)
     surface = ground + depth

@@ -141,7 +141,7 @@ class InsetBlend:
     def _fractions(self, level: int, lower: int, piece: GridPiece) -> np.ndarray | None:
         """Return how far samples are on their way through the ring, 0 at seams to 1 inside; None for 1 everywhere."""
         ring = self.rings[lower]
-        cells = self._seams(level, ring, piece, 1)
+        cells = self._seams(level, ring, piece, rings=1)
         seams, ends = cells >> lower & 1 != 0, cells >> len(self.rings) & 1 != 0
         if not seams.any():
             return None

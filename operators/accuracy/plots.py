@@ -66,13 +66,19 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
         Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
         Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
         Curve("fitted, measured", GREEN, points(fitted, measured)),
-        Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), "", False),
-        Curve("less depth, measured", GOLD, points([r for r in rows if r.setting.max_depth], measured), "", False),
-        Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
+        Curve("meshlets, measured", BLUE, points([r for r in rows if r.setting.meshlet], measured), joined=False),
+        Curve("less depth, measured", GOLD, points([r for r in rows if r.setting.max_depth], measured), joined=False),
+        Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], joined=False, marker=RING),
     ]
     if current in rows:
         found.append(
-            Curve(f"current, {setting_label(current.setting)}", INK, points([current], measured), "", False, CROSS)
+            Curve(
+                f"current, {setting_label(current.setting)}",
+                INK,
+                points([current], measured),
+                joined=False,
+                marker=CROSS,
+            )
         )
     return found
 

@@ -41,7 +41,7 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     """
     threads = launch.default_threads()
     if cleanup.below is not None:
-        surface, _ = cut(surface, [above_line(2, cleanup.below)], threads=threads)
+        surface, _ = cut(surface, [above_line(axis=2, at=cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
         for side in inside(cleanup.boundary, surface):
             surface, _ = cut(surface, [side], threads=threads)

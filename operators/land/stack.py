@@ -43,7 +43,7 @@ def _to_engine(entry, terrain, depsgraph, masks: Path) -> Entry:
     if operator_of(entry.effect) is None:
         raise unknown_operator(entry.effect)
     mask = _mask_of(entry, terrain, depsgraph, masks)
-    return Entry(entry.effect, _changed_parameters(entry), entry.seed, True, mask, entry.name)
+    return Entry(entry.effect, _changed_parameters(entry), entry.seed, on=True, mask=mask, name=entry.name)
 
 
 def _changed_parameters(entry) -> dict[str, float]:

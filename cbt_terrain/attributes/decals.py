@@ -148,7 +148,10 @@ def cover(colors: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> 
 
 
 def tilt(normals: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
-    """Add the slopes of decals that are normal maps to those of the ground: `normals`, float32 [n, 3]."""
+    """Add the slopes of decals that are normal maps to those of the ground, in place: `normals`, float32 [n, 3].
+
+    The first two values of such a decal are the slopes along the two sides of its image.
+    """
     for decal in decals:
         if decal.picture.tilts:
             which, values = decal.sample(places)

@@ -58,7 +58,7 @@ def reproject(
         )
     source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
     crs = _target_system(path, dataset, source, settings.project) if settings.project else source.crs
-    transform, width, height = _grid(path, dataset, source, crs)
+    transform, width, height = _target_grid(path, dataset, source, crs)
     options = {}
     if settings.no_data is not None:
         value = settings.no_data
@@ -143,8 +143,11 @@ def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
-def _grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> tuple:
-    """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle."""
+def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> tuple:
+    """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle.
+
+    Raises TerrainError.
+    """
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
     columns, rows = sides.T

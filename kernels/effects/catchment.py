@@ -44,7 +44,7 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
         if d.to[i] != ROOT:
             total = wp.float64(0.0)
             for k in range(9):
-                if k != 4:
+                if k != 4:  # the sample itself
                     total += flow_weight(d, i, k)
             if total > wp.float64(0.0):
                 per = d.area[i] / total

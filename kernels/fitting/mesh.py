@@ -30,14 +30,14 @@ class FitMesh:
     corner_verts: wp.array(dtype=wp.int32)  # [3 T]
     beside: wp.array(dtype=wp.int32)  # [3 T] the triangle across the edge from a corner to the next, -1 at the border
     level: wp.array(dtype=wp.int32)  # [T]
-    worst: wp.array(dtype=wp.float64)  # [T] metres, largest distance, or NOT_MEASURED
-    seen: wp.array(dtype=wp.vec3f)  # [T] heights of the corners when that was measured
+    worst: wp.array(dtype=wp.float64)  # [T] largest distance, metres after vertical scaling, or NOT_MEASURED
+    seen: wp.array(dtype=wp.vec3f)  # [T] `z` of the corners when that was measured
     pushes: wp.array(dtype=wp.vec2f)  # [3 T] of each triangle on its corners, and their weights
     active: wp.array(dtype=wp.int32)  # [T] the listed triangles
     marks: wp.array(dtype=wp.uint32)  # [T / 32] bits: triangles to be listed
     awake: wp.array(dtype=wp.int32)  # [T] the last round that measured it, or found it beyond the bound
     point: wp.array(dtype=wp.vec2i)  # [V] lattice units
-    z: wp.array(dtype=wp.float32)  # [V] metres
+    z: wp.array(dtype=wp.float32)  # [V] height, metres after vertical scaling
     state: wp.array(dtype=wp.uint8)  # [V]
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
     push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
@@ -126,7 +126,7 @@ def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
         if marks != wp.uint32(0):
             m.marks[word] = wp.uint32(0)
             for k in range(32):
-                m.active[count] = 32 * word + k
+                m.active[count] = 32 * word + k  # counted only if it is marked
                 count += wp.int32((marks >> wp.uint32(k)) & wp.uint32(1))
     return count
 
@@ -217,6 +217,6 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
                 bisect_triangle(m, b, new + 1, v, a, new)
                 triangles += 1
             else:
-                bisect_triangle(m, a, new, v, -1, -1)
+                bisect_triangle(m, a, new, v, -1, -1)  # at the border there is no triangle across
             mark_around(m, v)
     return wp.vec2i(triangles, vertices)

@@ -37,7 +37,7 @@ def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.
 
 @wp.func
 def fetch_point(domain: Domain, p: wp.vec2i):
-    """Prefetch the samples around lattice point p, and the stored error and range of its diamond."""
+    """Prefetch the samples around lattice point p, and error and range of its diamond where they are stored."""
     fetch_samples(domain, p)
     depth = depth_of(domain.unit_bits, p)
     if depth > 0 and depth < 2 * domain.levels - 1:

@@ -120,8 +120,9 @@ def evaluate_point(
 
     at, depth: lattice point and depth of its diamond. is_vertex: it is vertex `vertex` itself, not an end that it
     depends on; record and relief are then written for the next frame. last: the vertex's number in the last frame, -1
-    for none; the record of such a vertex is read, and its surface is zero. clear_below: the frustums contain the
-    diamonds of deeper points.
+    for none; the record of such a vertex is read, and its surface is zero. clear_below: depth; the frustums contain the
+    diamonds of all deeper points. Points up to depth `ramp.bisections` have no diamond that judges them: their W is 1
+    and their pixel 0.
     """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
@@ -141,7 +142,7 @@ def evaluate_point(
         if was_there and known.is_settled == 0:
             relief = morphing.last_relief[last]
         else:
-            relief, metres2 = relief_of(domain, judged)
+            relief, metres2 = relief_of(domain, judged)  # new, or settled in the last frame, which stored none
             known.metres2 = metres2
         in_frame = wp.where(is_vertex and depth > clear_below, 1, 0)
         ratio2, finest2 = ratio2_of(domain, morphing.criterion, judged, relief, known.metres2, in_frame)
@@ -250,8 +251,8 @@ def morphed_point(
     """Return a vertex at the lattice point p in this frame, and the surface there (zero for one of the last frame).
 
     Its ends must be known first, and theirs before; points that wait for them are on a stack, since kernels cannot
-    recurse. last: its number in the last frame, -1: none. clear_below: the frustums contain the diamonds of deeper
-    points.
+    recurse. last: its number in the last frame, -1: none. clear_below: depth; the frustums contain the diamonds of all
+    deeper points.
     """
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait

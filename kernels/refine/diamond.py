@@ -73,7 +73,7 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp.int64:
     """Return the index of a diamond's height range.
 
-    finer: bisections above the finest diamonds that have stored ranges.
+    finer: bisections above the finest diamonds that have stored ranges, so a larger number is a coarser diamond.
     """
     group = finer >> 2
     shift = domain.unit_bits - domain.levels + 1 + 2 * group
@@ -98,7 +98,7 @@ def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 def intersect_range(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
     """Return the intersection of range r (codes) with the stored range of the diamond split at (x, y).
 
-    A diamond outside the domain leaves r unchanged. finer: bisections above the finest stored diamonds.
+    A diamond outside the domain leaves r unchanged. finer: see `range_entry`.
     """
     if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         index = range_entry(domain, x, y, finer)

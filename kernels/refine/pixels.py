@@ -265,7 +265,7 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Compute the squared finest footprints of heights and of edges, metres, of all views on a diamond.
 
     They are infinite beyond the raster's border. The first view is read from the struct, not from the array: most
-    terrains have only one.
+    terrains have only one. in_frame: 1 if all frustums are known to contain the diamond's box.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)

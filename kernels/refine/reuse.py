@@ -205,7 +205,10 @@ def open_subtree(
 
 @wp.func
 def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
-    """Limit the open subtree's margins to footprints at which the measured diamond m gets the same verdict."""
+    """Limit the open subtree's margins to footprints at which the measured diamond m gets the same verdict.
+
+    A leaf stays one until footprints fall, a split diamond until they rise; one that metres split has no limit.
+    """
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         away = rise_to_turn(limits, m)

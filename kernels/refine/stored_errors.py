@@ -219,7 +219,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
     if leaf_depth <= domain.border_depth:
         reach = reach_of(domain.unit_bits, depth)
         if x + reach > domain.east or y + reach > domain.north:
-            table_entry = 0
+            table_entry = 0  # all of it
     missed = domain.detail[table_entry][0]
     for k in range(domain.masked):
         weight = wp.float32(max_of_mask(domain, k, x, y, depth))

@@ -88,7 +88,7 @@ def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
 
     This is linear programming with one frustum plane at a time. For any multiplier >= 0, the minimum over the box of
     depth - multiplier * (distance from the plane) is a lower bound (weak duality). The bound is largest if the
-    multiplier cancels a coordinate.
+    multiplier cancels a coordinate. The result is -infinity if no multiplier does.
     """
     found = wp.float64(-wp.inf)
     for p in range(view.plane_count):

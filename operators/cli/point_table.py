@@ -24,7 +24,7 @@ EXPECTED = "the names of columns, x and y (or easting and northing, lon and lat)
 
 
 class PointTable(NamedTuple):
-    """Column names, rows of text as they are in the file, and coordinates, float64 [n, 2]."""
+    """Column names, rows of text as they are in the file but with decimal points, and coordinates, float64 [n, 2]."""
 
     names: list[str]
     rows: list[list[str]]

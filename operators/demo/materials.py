@@ -105,7 +105,7 @@ def put_grain(material: bpy.types.Material) -> None:
 
 
 def put_haze(material: bpy.types.Material, sun) -> None:
-    """Add aerial perspective to any material."""
+    """Add aerial perspective to any material. sun: object of the sun's light."""
     n = LandNodes(material.node_tree)
     output = next(node for node in n.tree.nodes if node.type == "OUTPUT_MATERIAL")
     [link] = output.inputs["Surface"].links

@@ -48,7 +48,7 @@ class LandList(bpy.types.UIList):
 def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
     """Return the time that entries took, "Reused" if all their tiles were known before.
 
-    ms: milliseconds of LandState.
+    ms: milliseconds by the number of the entry, as in LandState. numbers: those of the entries.
     """
     found = [ms[number] for number in numbers if number in ms]
     if found and all(one is None for one in found):

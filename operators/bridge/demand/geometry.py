@@ -32,9 +32,10 @@ def is_enabled(modifier, render: bool) -> bool:
 
 
 def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Sources:
-    """Add the attributes that one modifier reads to `found`, and return its sources.
+    """Add the attributes that one modifier reads to `found`, and return the data that it uses.
 
-    words: the modifier's name for the user. viewers: viewer nodes count as outputs.
+    words: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
+    outputs.
     """
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Sources()
@@ -83,9 +84,10 @@ def read_particles(found: Demand, system, words: str) -> None:
 
 
 def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Sources:
-    """Add the attributes that a geometry-nodes modifier reads, and return its sources.
+    """Add the attributes that a geometry-nodes modifier reads, and return the data that it uses.
 
-    words: the modifier's name for the user. viewers: viewer nodes count as outputs.
+    words: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
+    outputs.
     """
     values, attributes = _inputs(modifier)
     for label, name in attributes:

@@ -57,9 +57,9 @@ class _Window:
     off: np.ndarray
     curvatures: np.ndarray
 
-    def corner(self, finer: int) -> wp.vec2i:
-        """Return the first diamond of the window in the raster, `finer` bisections above the cells."""
-        return wp.vec2i(*(first >> finer // 2 for first, _ in self.box))
+    def corner(self, bisections: int) -> wp.vec2i:
+        """Return the first diamond of the window in the raster, `bisections` above the cells."""
+        return wp.vec2i(*(first >> bisections // 2 for first, _ in self.box))
 
 
 def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
@@ -105,9 +105,9 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
                     threads,
                 )
         del window  # before the next one takes its memory
-    for finer in range(TILE_DEPTHS + 1, lattice.cell_depth):
-        below, above = _above(lattice, finer - 1, first), _above(lattice, finer, first)
-        _add_errors(field, finer, below, above, wp.vec2i(0, 0), off, errors, threads)
+    for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
+        below, above = _above(lattice, bisections - 1, first), _above(lattice, bisections, first)
+        _add_errors(field, bisections, below, above, wp.vec2i(0, 0), off, errors, threads)
     raise_to({g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, 0)
     table = codes.tables(exponents)
     for group, part in _whole_groups(lattice, parts):
@@ -141,9 +141,9 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
             break
     inputs = [cells, curvatures, flat(window.errors, wp.float32)]
     launch_step(kernels.cover_sides, items(cells), inputs, threads)
-    for finer in range(1, len(window.depths)):
-        below, above = window.depths[finer - 1 : finer + 1]
-        _add_errors(field, finer, below, above, window.corner(finer), window.off, window.errors, threads)
+    for bisections in range(1, len(window.depths)):
+        below, above = window.depths[bisections - 1 : bisections + 1]
+        _add_errors(field, bisections, below, above, window.corner(bisections), window.off, window.errors, threads)
     return window
 
 
@@ -155,8 +155,8 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
     )
     box = across, up
     depths, base = [], 0
-    for finer in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
-        whole, side, depth = stored_at(lattice, lattice.cell_depth - finer), finer // 2, Depth()
+    for bisections in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
+        whole, side, depth = stored_at(lattice, lattice.cell_depth - bisections), bisections // 2, Depth()
         # A diamond beyond the border that the raster has, but none beyond another side of the window.
         counts = [-(-(end - first) >> side) + 1 for first, end in box]
         depth.columns = min(counts[0], whole.columns - (box[0][0] >> side))
@@ -190,9 +190,9 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
     """
     found = {lattice.groups + 1: float(window.curvatures.max())}
     ends = [depth.base for depth in window.depths[1:]] + [len(window.errors)]
-    for finer, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
-        if finer < TILE_DEPTHS:
-            group = lattice.group(lattice.cell_depth - finer)
+    for bisections, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
+        if bisections < TILE_DEPTHS:
+            group = lattice.group(lattice.cell_depth - bisections)
             found[group] = max(found.get(group, 0.0), float(window.errors[depth.base : end].max()))
     return found
 
@@ -200,10 +200,10 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
 def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:
     """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1."""
     after = [flat(table, wp.float32)]
-    for finer in range(min(TILE_DEPTHS, len(window.depths))):
-        depth = lattice.cell_depth - finer
+    for bisections in range(min(TILE_DEPTHS, len(window.depths))):
+        depth = lattice.cell_depth - bisections
         whole, more = stored_at(lattice, depth), [*after, lattice.group(depth), flat(out, wp.uint8)]
-        _rows(kernels.encode_rows, lattice, window, tile, finer, whole, [window.errors], more, threads)
+        _rows(kernels.encode_rows, lattice, window, tile, bisections, whole, [window.errors], more, threads)
     curvatures = stored_at(lattice, lattice.cell_depth)
     curvatures.base = lattice.node_count
     more = [*after, lattice.groups + 1, flat(out, wp.uint8)]
@@ -215,31 +215,31 @@ def _rows(
     lattice: Lattice,
     window: _Window,
     tile: Box,
-    finer: int,
+    bisections: int,
     whole: Depth,
     values: list[np.ndarray],
     more: list,
     threads: int,
 ) -> None:
-    """Launch a kernel over the rows of a tile's diamonds `finer` bisections above the cells.
+    """Launch a kernel over the rows of a tile's diamonds `bisections` above the cells.
 
     The diamonds on a tile's western and southern side belong to it. The last tiles have those at the border and beyond.
     """
-    side, part = finer // 2, window.depths[finer]
+    side, part = bisections // 2, window.depths[bisections]
     ends = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
     first = [(low - begin) >> side for (low, _), (begin, _) in zip(tile, window.box, strict=True)]
     counts = [
         (count + part.sides if high == cells else (high - begin) >> side) - start
         for (_, high), (begin, _), (cells, count), start in zip(tile, window.box, ends, first, strict=True)
     ]
-    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(finer)]
+    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections)]
     inputs += [*(flat(array, wp.float32) for array in values), *more]
     launch_step(kernel, counts[1], inputs, threads, 2.0 * counts[0])
 
 
 def _add_errors(
     field: HeightField,
-    finer: int,
+    bisections: int,
     below: Depth,
     above: Depth,
     corner: wp.vec2i,
@@ -247,16 +247,19 @@ def _add_errors(
     errors: np.ndarray,
     threads: int,
 ) -> None:
-    """Compute `off` and `errors` of the depth `finer` bisections above the cells from those below it."""
-    depth = field.lattice.cell_depth - finer
+    """Compute `off` and `errors` of the depth `bisections` above the cells from those below it."""
+    depth = field.lattice.cell_depth - bisections
     inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]
     inputs += [field.lattice.group(depth), flat(field.error, wp.uint8), flat(off, wp.float32), flat(errors, wp.float32)]
     launch_step(kernels.add_errors, items(above), inputs, threads)
 
 
-def _above(lattice: Lattice, finer: int, first: int) -> Depth:
-    """Return the layout of a depth in arrays that begin with entry `first` of the error hierarchy."""
-    depth = stored_at(lattice, lattice.cell_depth - finer)
+def _above(lattice: Lattice, bisections: int, first: int) -> Depth:
+    """Return the layout of a depth in arrays that begin with entry `first` of the error hierarchy.
+
+    bisections: number of bisections above the cells.
+    """
+    depth = stored_at(lattice, lattice.cell_depth - bisections)
     depth.base -= first
     return depth
 

@@ -41,23 +41,25 @@ def stored_at(lattice: Lattice, depth: int) -> Depth:
 
 def ranges_at(lattice: Lattice, depth: int) -> Depth:
     """Return the layout of the ranges of one depth (1 .. range_depth, and cell_depth)."""
-    finer = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
-    return _layout_of(lattice.extent(depth), *lattice.range_layout(), finer)
+    bisections = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
+    return _layout_of(lattice.extent(depth), *lattice.range_layout(), bisections)
 
 
-def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
-    """Return the layout of diamonds `finer` bisections above the raster's cells; 0: of the cells themselves.
+def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, bisections: int) -> Depth:
+    """Return the layout of a depth, `bisections` above the cells of the stored lattice; 0: of the cells themselves.
 
-    extent: columns and rows of the depth. base: first entries, pages: pages in a row, of each group and of the cells.
+    That lattice is the raster's for errors, and every other sample's for ranges. extent: columns and rows of the depth.
+    base, pages: first entry and pages a row of each group (four depths that share an image, kernels/field/layout.py),
+    and of the raster's cells.
     """
-    group = (finer - 1) // 4 if finer else len(pages) - 1
+    group = (bisections - 1) // 4 if bisections else len(pages) - 1
     layout = Depth()
-    (layout.columns, layout.rows), layout.sides = extent, int(finer % 2)
+    (layout.columns, layout.rows), layout.sides = extent, int(bisections % 2)
     layout.base, layout.pages, layout.first, layout.step = int(base[group]), int(pages[group]), 0, 1
-    if finer:
+    if bisections:
         # Vertices from a corner to the middle of a side: one, or two in the coarser half of the group.
-        half = 1 << (finer - 1) // 2 % 2
-        layout.first, layout.step = (0, half) if finer % 2 else (half, 2 * half)
+        half = 1 << (bisections - 1) // 2 % 2
+        layout.first, layout.step = (0, half) if bisections % 2 else (half, 2 * half)
     return layout
 
 

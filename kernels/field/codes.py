@@ -121,7 +121,8 @@ def encode_errors(
 ):
     """Encode block `offset + tid` of `block` errors of `first` .. `end`: the first code not below the error.
 
-    errors: metres, one group of depths. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
+    errors: metres, one group of depths. table: errors of the codes, metres, of all groups. Zeros are not written:
+    `codes` are zero, and holes of a sparse file stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):

@@ -23,8 +23,8 @@ def nearest_in_columns(
 ):
     """Write the row of the nearest valid sample in the same column, -1 if the column has none.
 
-    The thread works on block `offset + tid` of `block` columns. missing: 1 at missing samples of `height` rows from row
-    `first` on. below, above: nearest valid rows outside these rows, -1 for none.
+    The thread works on block `offset + tid` of `block` columns. missing: 1 at missing samples of `height` rows of
+    `width`, from row `first` on. below, above: nearest valid rows outside these rows, -1 for none.
     """
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, width)

@@ -13,11 +13,12 @@ from .raising import raise_cells
 def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
     """Split triangles beyond the bound that interpolation would split too; move the vertices of others to the surface.
 
-    min_share: split only triangles whose excess is at least this part of the largest among the triangles that they
-    touch, since one split may help them all. `m.active` becomes the list for the next sweep. Triangles above the
-    raster's cells are split in place, those in cells only in `m.codes`, for the next walk. `found` [7] receives the
-    numbers of listed triangles, of triangles and of vertices (which it holds before), of splits, of vertices that are
-    new on the surface, of splits that wait for the next walk, and of triangles too coarse at the deepest level.
+    count: listed triangles. max_depth: level whose triangles are not split. min_share: split only triangles whose
+    excess is at least this part of the largest among the triangles that they touch, since one split may help them all.
+    `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place, those in
+    cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles, of triangles and
+    of vertices (which it holds before), of splits, of vertices that are new on the surface, of splits that wait for the
+    next walk, and of triangles too coarse at the deepest level.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])

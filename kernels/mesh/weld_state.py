@@ -105,7 +105,7 @@ def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
 def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
     """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it.
 
-    e: the slice's entry in `state`.
+    e: the slice's entry in `state`. value: which one of its kind, see the kinds above.
     """
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
@@ -128,7 +128,7 @@ def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.in
 def check_level(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
     """Mark the slice as torn if the two leaves of an edge give it different levels: errors are not nested then.
 
-    e: the slice's entry in `state`.
+    e: the slice's entry in `state`. level, other: the edge's level as each of them has it.
     """
     if level != other:
         w.state[e + TORN] = 1

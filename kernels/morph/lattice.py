@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Split vertices as points of the lattice: how deep their diamond is, and which edge they split.
 
-All of it follows from the trailing zeros of a point's coordinates, in every root square alike.
+All of it follows from the trailing zeros of a point's coordinates, in every root square alike, whose side is
+2^unit_bits lattice units.
 """
 
 import warp as wp

@@ -205,7 +205,8 @@ def interval_below(
     """Return the interval below a split diamond, which decides many of its descendants without measuring them.
 
     It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice; a count those of its
-    finest and coarsest step. m: the measured diamond, at `depth`.
+    finest and coarsest step. m: the measured diamond, at `depth`. max_depth: at this depth all triangles are leaves.
+    in_frame: 1 if all frustums are known to contain the diamond's box.
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer

@@ -225,7 +225,8 @@ def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
 def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32):
     """Compute the squared finest footprints of heights and of edges, metres, of a view on a box.
 
-    They are coarser off screen and on hidden ground. in_frame: 1 if the frustum is known to contain the box.
+    They are coarser off screen and on hidden ground. slopes: the map of horizons. in_frame: 1 if the frustum is known
+    to contain the box.
     """
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
@@ -314,8 +315,8 @@ def ratio2_at(
 ) -> wp.float64:
     """Return the largest squared ratio of a diamond at `depth` to the criteria.
 
-    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error.
-    climb2: height difference along its edges, metres.
+    unit_bits: a root square has 2^unit_bits lattice units a side. Floats are squared. pixel2, edge2: footprints of
+    heights and of edges, metres. metres2: weighed error. climb2: height difference along its edges, metres.
     """
     found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:
@@ -337,8 +338,8 @@ def too_coarse_at(
 ):
     """Return whether a diamond exceeds the criterion times `limit`.
 
-    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error.
-    long2, legs2: longest edge and twice the area.
+    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error. long2,
+    legs2: longest edge and twice the area.
     """
     coarse = metres2 > limit * pixel2 * criterion.error_px2 or metres2 > limit * criterion.metres2
     px2 = limit * edge2

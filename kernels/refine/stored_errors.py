@@ -92,7 +92,10 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
-    """Return the group of depths in which the error of a diamond is stored. depth: above the raster's cells."""
+    """Return the group of depths in which the error of a diamond is stored. depth: above the raster's cells.
+
+    levels: a root square has 2^levels cells a side.
+    """
     return (levels - 1 - ((depth - 1) >> 1)) >> 1
 
 
@@ -112,7 +115,7 @@ def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the half-width, lattice units, of a diamond's box around its split vertex.
 
     Let s be half a side of the cell, or half the edge. Offsets to the vertices below add up to 3 s from a cell's centre
-    and 2 s from an edge's middle.
+    and 2 s from an edge's middle. unit_bits: a root square has 2^unit_bits lattice units a side.
     """
     s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
     return 2 * s + (depth & 1) * s

@@ -57,7 +57,11 @@ def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, 
 
 
 def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
-    """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres."""
+    """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres.
+
+    boxes: lowest and highest corners in the terrain's space, float64 [tiles, 2, 3] metres. placement: matrix from there
+    to the world. The distance does not matter in an orthographic view.
+    """
     to_camera = product(view.world_to_camera, placement)
     linear = to_camera[:3, :3]
     stretch = lengths(linear)

@@ -125,7 +125,7 @@ def mask_weight(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.floa
 def detail_height(layers: PackedLayers, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return the sum of all displacement layers, metres before vertical scaling, at (x, y) metres from the anchor."""
     total = wp.float64(0.0)
-    x += layers.anchor_x
+    x += layers.anchor_x  # from the middle
     y += layers.anchor_y
     for k in range(layers.count):
         layer = layers.layer[k]

@@ -107,18 +107,18 @@ def locate(first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMes
     The points of a triangle are found by squares of the Morton curve that cover its bounding box.
     """
     one = wp.int64(1)
-    finer = wp.int64(POINT_BITS)
+    point_bits = wp.int64(POINT_BITS)
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         if f.area2 > wp.int64(0):
-            extent = wp.max(f.east - f.west, f.north - f.south) << finer
+            extent = wp.max(f.east - f.west, f.north - f.south) << point_bits
             side_bits = wp.int64(0)
             while (one << side_bits) < extent:
                 side_bits += one
-            x = (f.west << finer) >> side_bits
-            y0 = (f.south << finer) >> side_bits
-            last_x = ((f.east << finer) - one) >> side_bits
-            last_y = ((f.north << finer) - one) >> side_bits
+            x = (f.west << point_bits) >> side_bits
+            y0 = (f.south << point_bits) >> side_bits
+            last_x = ((f.east << point_bits) - one) >> side_bits
+            last_y = ((f.north << point_bits) - one) >> side_bits
             while x <= last_x:
                 y = y0
                 while y <= last_y:

@@ -112,8 +112,8 @@ def _middle(m: FitMesh, t: int):
 def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     """Return the stored error of triangle t with its vertices on the surface, metres before scaling.
 
-    below: bisections below the raster's cells, negative above them; in a
-    cell the error divides by four with each two bisections. cell: the triangle's cell.
+    below: bisections below the raster's cells, negative above them; in a cell the error divides by four with each two
+    bisections. cell: the triangle's cell.
     """
     if below < 0:
         middle = _middle(m, t)

@@ -80,7 +80,7 @@ def measure_square(
     corner: Morton key of the square's first point. side_bits: its side is 2^side_bits units.
     """
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
-    finer = wp.int64(1) << wp.int64(POINT_BITS)
+    points_a_unit = wp.int64(1) << wp.int64(POINT_BITS)
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
     end_x = wp.int64(ground.samples.columns - 1) << bits
     end_y = wp.int64(ground.samples.rows - 1) << bits
@@ -92,7 +92,7 @@ def measure_square(
         p = points.order[at]
         x = points.x[p]
         y = points.y[p]
-        if covers(f, finer, x, y, shift_of(x, end_x), shift_of(y, end_y)):
+        if covers(f, points_a_unit, x, y, shift_of(x, end_x), shift_of(y, end_y)):
             u = wp.float64(x) * per_unit
             v = wp.float64(y) * per_unit
             points.owner[p] = t

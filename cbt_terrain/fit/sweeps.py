@@ -66,7 +66,10 @@ class Sweeps:
         self.m.room = triangles - 32  # a list is written in blocks
 
     def link(self, surface: Surface) -> None:
-        """Find the neighbours of the triangles across their edges, before anything is split or moved."""
+        """Find the neighbours of the triangles across their edges, and a triangle of each vertex.
+
+        Call it before anything is split or moved.
+        """
         edges = len(surface.edges)
         side = self.buffers.get("fit_side", edges, wp.int32)
         self.buffers.numpy("fit_side")[:edges] = -1

@@ -320,13 +320,17 @@ def _read_number(where: str, content: dict, name: str, default: float | None) ->
 
 
 def stack_content(stack: Stack) -> dict:
-    """Return the JSON content that `stack_from` reads, without values that equal their defaults."""
+    """Return the JSON content that `stack_from` reads."""
     heights = {} if stack.heights is None else {"heights": list(stack.heights)}
     return {"version": VERSION, **heights, "entries": [_entry_content(entry) for entry in stack.entries]}
 
 
 def _entry_content(entry: Entry) -> dict:
-    """Return an entry as JSON content; values that equal their defaults are left out."""
+    """Return an entry as JSON content.
+
+    Left out are `on` if it is on, an empty name, a missing mask or image, and limits of rules that equal their
+    defaults.
+    """
     content = {"effect": entry.effect, "parameters": dict(entry.parameters), "seed": entry.seed}
     content |= {} if entry.on else {"on": False}
     content |= {"name": entry.name} if entry.name else {}

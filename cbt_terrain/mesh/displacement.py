@@ -69,15 +69,19 @@ def displace(
 
 
 def reuse_points(history: FrameHistory) -> list[int]:
-    """Bind the runs of points that the walk copied from the last frame; return the number of each slice's list."""
+    """Bind the runs of points that the walk copied from the last frame to the arguments of the next `displace`.
+
+    Return the number of each slice's list of runs.
+    """
     leaves, before = history.next.leaves, history.last.leaves
     assert leaves is not None and before is not None, "points are reused from a frame to the next"
-    _copy(history, history.next.reused_points, before.base, np.cumsum([0, *before.counts[:-1, 1]]))
+    vertices = before.counts[:, 1]
+    _copy(history, history.next.reused_points, before.base, np.cumsum([0, *vertices[:-1]]))
     return leaves.slots.tolist()
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
-    """Bind the runs of the `points` inside each leaf that both frames have.
+    """Bind the runs of the `points` inside each leaf that both frames have to the arguments of the next `displace`.
 
     now: the vertices of the next frame. Return the numbers of the list of all other points and of the list of these.
     """
@@ -96,7 +100,7 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
 
 
 def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
-    """Bind runs of points that are copied from the last frame, with that frame's positions, normals and uv.
+    """Bind runs of points to copy, with the last frame's positions, normals and uv, to the arguments of `displace`.
 
     base: int64 [slices], first entry of each slice's points in that frame. first: int64 [slices], number of its first
     vertex.

@@ -23,10 +23,6 @@ _NUMPY = {
 }
 
 
-# Shapes of Warp's arrays are int32.
-MAX_ITEMS = 2**31 - 1
-
-
 def shared(array: np.ndarray, dtype: Any) -> wp.array:
     """Return a Warp array over the memory of a numpy array of the same layout.
 

@@ -181,8 +181,8 @@ def toward_zero(value: wp.float64) -> wp.float32:
 def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
     """Return whether a point is to the left of a directed edge (dx, dy). side: their cross product, 0 on the line.
 
-    A point on the line is moved a hair away from it: east or west by `shift_x`, and far less north or south by
-    `shift_y`. So every point belongs to exactly one triangle.
+    A point on the line is moved a hair away from it: in x by the sign `shift_x`, and far less in y by the sign
+    `shift_y` (1 or -1). So every point belongs to exactly one triangle.
     """
     inside = side > wp.int64(0)
     if side == wp.int64(0):

@@ -48,7 +48,8 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
 
     number: 3 .. 0 the quadrants of the cell, in this order so that quadrant 0 is on top of the stack; -1 and -2 its
     south and west side; -3 and -4 its north and east side, which count only on the terrain's border. `triangles` of the
-    result is 0 if the diamond is not counted here.
+    result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant that begins before the
+    slice and ends in it has 2: the caller counts it only if its `code` is in the slice, too.
     """
     half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
     p = CellDiamond()
@@ -64,7 +65,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
         p.x += wp.where((number & 1) == 1, p.half, -p.half)
         p.y += wp.where((number & 2) == 2, p.half, -p.half)
         p.depth += 1
-        if cell.depth > 0:
+        if cell.depth > 0:  # otherwise it is that of `square_cell`, which begins where its quadrant does
             p.code += wp.uint64(number) * size
         if p.code + size <= w.first_cell or p.code >= w.end_cell:
             p.triangles = 0

@@ -8,49 +8,49 @@ from .pyramid import Pyramid, filtered_height
 
 
 @wp.func
-def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Interpolate a level of a pyramid at (x, y) cells from its first sample; metres before vertical scaling."""
-    columns = ground.columns[level]
+def bilinear(pyramid: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Interpolate a level of a pyramid at (x, y) cells from its first sample; in the unit of the pyramid's values."""
+    columns = pyramid.columns[level]
     i = wp.min(wp.int32(x), columns - 2)
-    j = wp.min(wp.int32(y), ground.rows[level] - 2)
+    j = wp.min(wp.int32(y), pyramid.rows[level] - 2)
     u = x - wp.float64(i)
     v = y - wp.float64(j)
     at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
     above = at + wp.int64(columns)
-    a = filtered_height(ground, level, at)
-    b = filtered_height(ground, level, at + wp.int64(1))
-    c = filtered_height(ground, level, above)
-    d = filtered_height(ground, level, above + wp.int64(1))
+    a = filtered_height(pyramid, level, at)
+    b = filtered_height(pyramid, level, at + wp.int64(1))
+    c = filtered_height(pyramid, level, above)
+    d = filtered_height(pyramid, level, above + wp.int64(1))
     low = a + (b - a) * u
     return low + (c + (d - c) * u - low) * v
 
 
 @wp.func
-def value_at(ground: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
+def value_at(pyramid: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
     """Return a pyramid's value at a point (metres), interpolated between its samples and between its levels.
 
     level: level of the raster, also fractional: log2 of the samples that a pixel covers. coarser_by: level of the
     raster that is level 0 of this pyramid.
     """
-    last_x = wp.float64(ground.columns[0] - 1)
-    last_y = wp.float64(ground.rows[0] - 1)
-    x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)
-    y = wp.clamp((wp.float64(p[1]) - ground.south) / ground.step_y, wp.float64(0.0), last_y)
-    scale = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(ground.levels - 1))
+    last_x = wp.float64(pyramid.columns[0] - 1)
+    last_y = wp.float64(pyramid.rows[0] - 1)
+    x = wp.clamp((wp.float64(p[0]) - pyramid.west) / pyramid.step_x, wp.float64(0.0), last_x)
+    y = wp.clamp((wp.float64(p[1]) - pyramid.south) / pyramid.step_y, wp.float64(0.0), last_y)
+    scale = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(pyramid.levels - 1))
     below = wp.int32(scale)
     fraction = wp.float64(scale) - wp.float64(below)
     per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
-    value = bilinear(ground, below, x * per, y * per)
+    value = bilinear(pyramid, below, x * per, y * per)
     if fraction > wp.float64(0.0):
         per *= wp.float64(0.5)
-        value += (bilinear(ground, below + 1, x * per, y * per) - value) * fraction
+        value += (bilinear(pyramid, below + 1, x * per, y * per) - value) * fraction
     return value
 
 
 @wp.kernel
 def flow_at(
     offset: int,
-    ground: Pyramid,
+    pyramid: Pyramid,
     coarser_by: wp.float32,
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
@@ -58,27 +58,27 @@ def flow_at(
 ):
     """Write to out[offset + tid] the drainage area at a point, m2.
 
-    ground: pyramid of the area's natural logarithm. coarser_by: levels that its first level is coarser than the raster.
+    pyramid: of the area's natural logarithm. coarser_by: levels that its first level is coarser than the raster.
     levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
-    out[v] = wp.float32(exponential(value_at(ground, coarser_by, positions[v], levels[v])))
+    out[v] = wp.float32(exponential(value_at(pyramid, coarser_by, positions[v], levels[v])))
 
 
 @wp.kernel
 def layer_at(
     offset: int,
-    ground: Pyramid,
+    pyramid: Pyramid,
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
     """Write to out[offset + tid] a layer's value at a point.
 
-    ground: pyramid of the layer's values. levels: log2 of the samples that a pixel covers at each point.
+    pyramid: of the layer's values. levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
-    out[v] = wp.float32(value_at(ground, wp.float32(0.0), positions[v], levels[v]))
+    out[v] = wp.float32(value_at(pyramid, wp.float32(0.0), positions[v], levels[v]))
 
 
 @wp.kernel

@@ -18,10 +18,13 @@ Jet = wp.types.vector(length=6, dtype=wp.float64)
 
 @wp.struct
 class Pyramid:
-    """The prefiltered heights of a terrain and their position; memory is shared with the height field."""
+    """The prefiltered heights of a terrain, areas or values of a layer, and their position.
+
+    Heights share their memory with the height field.
+    """
 
     samples: Samples  # level 0
-    coarser: wp.array(dtype=wp.float32)  # metres before vertical scaling, the coarser levels concatenated
+    coarser: wp.array(dtype=wp.float32)  # the coarser levels, concatenated; heights in metres before vertical scaling
     first: wp.array(dtype=wp.int64)  # [levels]: index of the first sample of each level there; unused for level 0
     columns: wp.array(dtype=wp.int32)  # [levels]: samples in a row
     rows: wp.array(dtype=wp.int32)

@@ -24,7 +24,8 @@ def place_vertices(
 ):
     """Write the lattice position of vertex `offset + tid`, and restore height and state from the mesh before.
 
-    positions: metres, of which heights are replaced. heights, states: by `vertex_index`, from `store_heights`.
+    positions: metres, of which heights are replaced. heights (metres after vertical scaling), states: by
+    `vertex_index`, from `store_heights`.
     """
     v = offset + wp.tid()
     d = m.domain

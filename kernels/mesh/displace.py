@@ -9,7 +9,7 @@ from ..field.domain import Domain
 from ..refine.runs import Runs
 from ..unchecked import copy_items, item_at, put
 
-AHEAD = wp.constant(32)
+AHEAD = wp.constant(32)  # vertices, from the one whose samples are prefetched to the one in use
 HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32 is infinite
 
 

@@ -23,7 +23,7 @@ from .lattice import depth_of
 from .residual import forget_all, has_settled, morphed_point, settled_above
 from .state import Memory, Morphing, fetch_records
 
-RECORDS_AHEAD = wp.constant(wp.int64(8))
+RECORDS_AHEAD = wp.constant(wp.int64(8))  # vertices, from the one whose record is prefetched to the one in use
 
 
 @wp.func
@@ -69,6 +69,8 @@ def displace_morphing(
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
         copy_run(points, at, begin, stop, vertex_base)
+        # Squared metres of error above which points of the run have settled, and the depth below which all frustums
+        # contain their diamonds.
         settled = wp.float64(wp.inf)
         run_clear_below = NOT_CLEAR
         if stop > begin:

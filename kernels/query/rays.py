@@ -137,7 +137,7 @@ def first_hit(
     slack: wp.float64,
     bits: wp.int32,
 ) -> wp.float64:
-    """Return the first t in 0 .. end where the ray meets the surface, infinite where it does not.
+    """Return the first t in 0 .. end (metres along the ray) where it meets the surface, infinite where it does not.
 
     known: the ray's side at the start and behind a hole: 1 above, -1 below, 0 unknown. slack: metres that the ray has
     to be beyond the surface. bits: the first block that is tried has 2^bits cells a side.

@@ -33,8 +33,8 @@ class Limits:
     per_error2: wp.float64  # squared footprint per squared metre of error at which a diamond is split
     per_edge2: wp.float64
     per_area2: wp.float64
-    edge2: wp.float64  # squared edges, and twice the areas, per squared footprint
-    area2: wp.float64
+    edge2: wp.float64  # limit of squared edges, per squared footprint
+    area2: wp.float64  # limit of twice the area, per squared footprint
 
 
 @wp.struct
@@ -175,18 +175,19 @@ def first_within(
 ) -> wp.int32:
     """Find the first depth below `depth`, at most `end`, at which edges and areas require no split.
 
-    Bisection turns the legs into the longest edge; the new legs are half the old longest edge. climb2: squared height
-    difference along an edge, metres. pixel2: squared pixel footprint, metres.
+    Bisection turns the legs into the longest edge; the new legs are half the old longest edge. Twice the area of a
+    triangle is the square of its legs, so that its limit is one of squared legs. climb2: squared height difference
+    along an edge, metres. pixel2: squared pixel footprint, metres.
     """
-    edge2 = limits.edge2 * pixel2 - climb2
-    area2 = limits.area2 * pixel2 - climb2
+    max_long2 = limits.edge2 * pixel2 - climb2
+    max_legs2 = limits.area2 * pixel2 - climb2
     found = depth + 1
-    edge = m.legs2
-    area = wp.float64(0.25) * m.long2
-    while found < end and (edge > edge2 or area > area2):
-        legs = wp.float64(0.25) * edge
-        edge = area
-        area = legs
+    long2 = m.legs2
+    legs2 = wp.float64(0.25) * m.long2
+    while found < end and (long2 > max_long2 or legs2 > max_legs2):
+        next_legs2 = wp.float64(0.25) * long2
+        long2 = legs2
+        legs2 = next_legs2
         found += 1
     return found
 

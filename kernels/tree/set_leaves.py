@@ -183,7 +183,9 @@ def close_word(
 def set_leaves(t: Bitfield, run: LeafRun):
     """Make the leaves of a run those of the tree: along the curve, down and up between the levels of words.
 
-    A word's bits are gathered in a register, and its leaves are counted by their numbers.
+    A word's bits are gathered in a register, and its leaves are counted by their numbers. The kernel ends early where
+    the pool has no page left, as the tree's state then says: clear the tree, and repeat with a larger pool. Words that
+    runs share are only listed as changed, and are summed afterwards.
     """
     slots = SlotPath()  # of the words that are open, by level
     bits = BitPath()

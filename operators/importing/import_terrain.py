@@ -204,11 +204,6 @@ class ImportOperator(JobOperator):
         """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
         report, folder = result
         before, anchor = _size_of(obj), anchor_of(obj)
-        if self.baked not in ("", folder):
-            self.report(
-                {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
-            )
-            self.baked = ""
         follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
@@ -226,6 +221,11 @@ class ImportOperator(JobOperator):
         if after and not (before and 1 / RESIZED < after / before < RESIZED):
             self._bring_into_view(context, obj)
         self._report_and_update(obj, report)
+        if self.baked not in ("", folder):
+            self.report(
+                {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
+            )
+            self.baked = ""
 
     def _bring_into_view(self, context, obj):
         """Frame the terrain in the viewports, and report the changes in words."""
@@ -239,13 +239,16 @@ class ImportOperator(JobOperator):
             self.report({"INFO"}, frame_terrain.to_sentence(done))
 
     def _report_and_update(self, obj, report: dict) -> None:
-        """Report warnings and figures of an import, and update the mesh or let the live update do it."""
-        notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
-        for warning in [*report["warnings"], *notes]:
-            self.report({"WARNING"}, warning)
+        """Report figures and warnings of an import, and update the mesh or let the live update do it.
+
+        Warnings are last, because the status bar shows only the last message of an operator.
+        """
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
+        notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
+        for warning in [*report["warnings"], *notes]:
+            self.report({"WARNING"}, warning)
         try:
             live.show_soon(obj)
         except TerrainError as error:

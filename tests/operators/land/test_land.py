@@ -270,9 +270,9 @@ def test_an_import_after_a_bake_says_which_land_it_leaves(terrain):
     bpy.ops.adaptive_terrain.bake_land()
     baked = terrain.adaptive_terrain.store
     texts = imported_anew(terrain)
-    assert terrain.adaptive_terrain.store != baked and [text for text in texts if "baked" in text] == [
-        f"The terrain has its imported heights again; its baked land stays in {baked}"
-    ]
+    message = f"The terrain has its imported heights again; its baked land stays in {baked}"
+    assert terrain.adaptive_terrain.store != baked and [text for text in texts if "baked" in text] == [message]
+    assert texts[-1] == message, "the status bar shows the last message only"
     assert not any("baked" in text for text in imported_anew(terrain))
 
 

@@ -3,9 +3,9 @@
 
 Blender forbids scripts to write while panels are drawn, by one flag for all threads. Each call of a Python class saves
 the flag and restores it. If a render engine is called on the render's thread while a panel is drawn, the two restore it
-in the wrong order: the flag then stays set after the render, and whatever a timer or a handler writes fails until
-Blender is restarted. The update function of a property may always write, so what meets the flag runs inside one.
-Blender redraws the window after each such call.
+in the wrong order: the flag then stays set after the render. Until Blender is restarted, a timer or a handler can call
+no operator and set no property of an object, while meshes can be written. The update function of a property may always
+write, so what meets the flag runs inside one. Blender redraws the window after each such call.
 """
 
 import threading

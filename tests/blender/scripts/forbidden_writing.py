@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import parts, run, take_steps, terrain, until  # noqa: E402
+from window_steps import module, parts, run, take_steps, terrain, until  # noqa: E402
 
 result = {"version": bpy.app.version_string, "writes": [], "rendered": []}
 state = {"drawing": False, "rendering": False, "ended": False}
@@ -68,6 +68,8 @@ def steps():
     state["drawing"] = False
     yield from until(lambda: not bpy.app.is_job_running("RENDER"))
     yield from notes_whether_timers_write(2)
+    bpy.app.timers.register(module("bridge.writing").allow_writing(try_to_write))
+    yield from until(lambda: len(result["writes"]) == 3)
     result["before"] = triangles()
     parts()[1].spaces.active.region_3d.view_distance *= 0.25
     end = time.monotonic() + 60.0

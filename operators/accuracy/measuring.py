@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measurements on a thread beside the window, one at a time because they take times."""
 
-import bpy
-
 from ...cbt_terrain.errors import TerrainError
 from .. import jobs
 from ..job_operator import JobOperator
@@ -12,11 +10,6 @@ def error_while_rendering() -> TerrainError:
     """Return the error for a measurement during a render."""
     fix = "measure again when it has finished"
     return TerrainError("Blender is rendering, which would disturb the measured times", fix=fix)
-
-
-def is_rendering() -> bool:
-    """Return whether Blender renders."""
-    return bpy.app.is_job_running("RENDER")
 
 
 def stop_measurement() -> None:
@@ -37,7 +30,7 @@ class MeasuringOperator(JobOperator):
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Prepare the measurement, wait for kernels, and measure on a thread; return its result."""
-        if is_rendering():
+        if jobs.is_rendering():
             raise error_while_rendering()
         measure = self.prepare(context)
         try:
@@ -48,7 +41,7 @@ class MeasuringOperator(JobOperator):
 
     def modal(self, context, event):
         """Continue the job, but stop it with an error once a render starts."""
-        if is_rendering() and not self.job.stopped:
+        if jobs.is_rendering() and not self.job.stopped:
             self.job.stop(str(error_while_rendering()))
         return JobOperator.modal(self, context, event)
 

@@ -16,7 +16,7 @@ import bpy
 
 NAME = "adaptive_terrain_write"  # of the property of the window manager
 NO_ENTRY = "adaptive_terrain_no_entry"  # a custom property that no scene has
-DRAWING_S = 1.0  # at most, for which a render's thread waits until no panel is drawn
+DRAWING_S = 0.2  # at most, for which a render's thread waits until no panel is drawn
 _run = None  # called by the property's update function
 
 

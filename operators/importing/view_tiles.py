@@ -16,6 +16,7 @@ from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.refining import SeenLand, is_fine_enough, loaded_at, loaded_tiles, missing_tiles
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.view.linear import inverse, product
+from .. import jobs
 from ..bridge import camera as cameras
 from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import absolute_path
@@ -71,7 +72,7 @@ class TileLoader:
                 return False
             self.child, self._has_failed = None, progress.error is not None  # the import reports the cause
             return not self._has_failed
-        if obj is None or self._has_failed or bpy.app.is_job_running("RENDER"):
+        if obj is None or self._has_failed or jobs.is_rendering():
             return False
         shown = session.record_of(obj).live_key
         if shown != self._shown:

@@ -73,7 +73,7 @@ def _turn() -> float:
     global _dirty, _job
     if warmup.preparing():
         return IDLE_S
-    if bpy.app.is_job_running("RENDER"):
+    if jobs.is_rendering():
         return RENDERING_S
     if _job is not None:
         if not _job.future.done():

@@ -188,8 +188,8 @@ def window(monkeypatch, scene):
     """Give the live timer a window manager with one window on the scene."""
     shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
     context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
-    types, app, data = bpy.types, SimpleNamespace(is_job_running=lambda kind: False), bpy.data
-    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=types, app=app, data=data))
+    named = {"types": bpy.types, "app": bpy.app, "data": bpy.data}
+    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, **named))
     bpy.context.view_layer.update()
     return shown
 

@@ -18,9 +18,9 @@ result = {"version": bpy.app.version_string, "ended": [], "said": []}
 
 
 render_wait, resting_land, shaped_land = (
-    module(f"land.{name}") for name in ("render_wait", "resting_land", "shaped_land")
+    module(f"operators.land.{name}") for name in ("render_wait", "resting_land", "shaped_land")
 )
-jobs, stale_renders = module("jobs"), module("session.stale_renders")
+jobs, stale_renders = module("operators.jobs"), module("operators.session.stale_renders")
 resting_land.REST_S = 1e9  # nothing else shapes land
 
 

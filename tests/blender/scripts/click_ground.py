@@ -4,7 +4,6 @@
 Run with --enable-event-simulate.
 """
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -12,13 +11,12 @@ import bpy
 from bpy_extras import view3d_utils
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import click, only_open, parts, picture, run, show_tab, take_steps, until  # noqa: E402
+from window_steps import click, module, only_open, parts, picture, run, show_tab, take_steps, until  # noqa: E402
 
-PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_on_ground"}
 result = {"version": bpy.app.version_string}
-panels = importlib.import_module(f"{PACKAGE}.operators.ui.panels")
-warmup = importlib.import_module(f"{PACKAGE}.cbt_terrain.run.warmup")
+panels = module("operators.ui.panels")
+warmup = module("cbt_terrain.run.warmup")
 
 
 def steps():

@@ -4,7 +4,6 @@
 Run with a window and --enable-event-simulate.
 """
 
-import importlib
 import os
 import signal
 import sys
@@ -15,16 +14,11 @@ import bpy
 import mathutils
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import WAIT_S, only_open, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
+from window_steps import WAIT_S, module, only_open, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
 
 SIDE = 32_000.0  # metres: of the island itself
 SAMPLES = 601  # along each side: 3 x 3 tiles
-PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string}
-
-
-def module(name: str):
-    return importlib.import_module(f"{PACKAGE}.{name}")
 
 
 session, shaped_land, jobs = (module(f"operators.{name}") for name in ("session.session", "land.shaped_land", "jobs"))

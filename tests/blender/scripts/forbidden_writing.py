@@ -68,7 +68,7 @@ def steps():
     state["drawing"] = False
     yield from until(lambda: not bpy.app.is_job_running("RENDER"))
     yield from notes_whether_timers_write(2)
-    bpy.app.timers.register(module("bridge.writing").allow_writing(try_to_write))
+    bpy.app.timers.register(module("operators.bridge.writing").allow_writing(try_to_write))
     yield from until(lambda: len(result["writes"]) == 3)
     result["before"] = triangles()
     parts()[1].spaces.active.region_3d.view_distance *= 0.25

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render a map by script and from the file dialog, and write a report: FOLDER."""
 
-import importlib
 import sys
 from pathlib import Path
 
 import bpy
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, run, take_steps, terrain, until  # noqa: E402
+from window_steps import folder, module, run, take_steps, terrain, until  # noqa: E402
 
-PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
-jobs = importlib.import_module(f"{PACKAGE}.operators.jobs")
+jobs = module("operators.jobs")
 result = {"version": bpy.app.version_string, "texts": []}
 operator = bpy.ops.adaptive_terrain.render_map
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drop a file into the viewport of a factory scene, set up the scene, select the camera: FOLDER, with dem.png."""
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -9,10 +8,9 @@ import bpy
 from mathutils import Quaternion
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, parts, picture, run, take_steps, terrain, until  # noqa: E402
+from window_steps import folder, module, parts, picture, run, take_steps, terrain, until  # noqa: E402
 
-PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
-is_default_view = importlib.import_module(f"{PACKAGE}.operators.scene.defaults").is_default_view
+is_default_view = module("operators.scene.defaults").is_default_view
 result = {}
 
 

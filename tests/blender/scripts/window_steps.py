@@ -70,9 +70,9 @@ def only_open(panels, names: set[str]) -> None:
 
 
 def module(name: str):
-    """Import a module of the extension's operators."""
+    """Import a module of the extension, such as "operators.jobs"."""
     package = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
-    return importlib.import_module(f"{package}.operators.{name}")
+    return importlib.import_module(f"{package}.{name}")
 
 
 def show_tab():
@@ -104,7 +104,7 @@ def take_steps(steps, report: dict, first_interval: float = 0.5, persistent: boo
     persistent: whether the steps go on after another file is opened.
     """
 
-    @module("bridge.writing").allow_writing
+    @module("operators.bridge.writing").allow_writing
     def turn():
         try:
             return next(steps)

@@ -176,7 +176,7 @@ def test_one_measurement_at_a_time_whatever_the_terrain(terrain, add_terrain, he
 def test_a_render_ends_it_with_the_reason(terrain, held, monkeypatch):
     operator = running(SweepAccuracy, terrain)
     assert held.reached.wait(60)
-    monkeypatch.setattr(measuring, "is_rendering", lambda: True)
+    monkeypatch.setattr(jobs, "is_rendering", lambda: True)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
     assert operator.report.call_args.args == ({"ERROR"}, str(measuring.error_while_rendering()))

@@ -47,7 +47,11 @@ def content_key(samples: Rows, lattice: Lattice, source_max: float, valid: Rows 
 
 def no_heights(name: str) -> TerrainError:
     """Return the error about a raster without any height."""
-    return TerrainError(f"{name} has only missing samples (no-data or not a number)", expected="at least one height")
+    return TerrainError(
+        f"{name} has only missing samples (no-data or not a number)",
+        expected="at least one height",
+        fix="choose another file or band, or another no-data value if a real height was taken for missing",
+    )
 
 
 def no_ground(name: str) -> TerrainError:

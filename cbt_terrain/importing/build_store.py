@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import codes, store, store_folder
 from ..field.build import build
-from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
+from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference, to_crs
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
@@ -274,12 +274,23 @@ def describe(path: str | os.PathLike) -> dict:
     return {
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
+        **_border(field),
         **content["report"],
         "origin": content["origin"],
         "largest_error_m": float(field.table[group][errors.max()]),
         "bytes_per_sample": round(num_bytes / field.samples.size, 2),
         "key": field.raster.digest,
     }
+
+
+def _border(field: HeightField) -> dict:
+    """Return the coordinates of the outermost samples, {} if they are unknown or the raster is rotated in its system."""
+    place = field.raster.place
+    if place is None or not field.crs or place[1] or place[3]:
+        return {}
+    west, south, east, north = field.lattice.rectangle()
+    corners = to_crs(place, np.array([[west, south], [east, north]]))
+    return {"west_south_east_north": corners.ravel().tolist()}
 
 
 def place_of(settings: ImportSettings, raster: Raster) -> Georeference:

@@ -91,8 +91,9 @@ def test_case_09_a_raster_without_data_is_refused(tmp_path):
     imported(tmp_path, "island", size=65)
     key = open_store(tmp_path / "store").key
     source = write_raster(tmp_path / "a.tif", np.full((33, 33), -9999, np.int16), nodata=-9999)
-    with pytest.raises(TerrainError, match="a.tif has only missing samples"):
+    with pytest.raises(TerrainError, match="a.tif has only missing samples") as refused:
         imported(tmp_path, source)
+    assert "choose another file or band" in refused.value.fix
     with pytest.raises(TerrainError, match="only missing samples"):
         from_array(np.full((1, 1), np.nan))
     assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1

@@ -10,6 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.georeference import from_crs, to_crs
+from adaptive_terrain.cbt_terrain.importing.build_store import describe
 from adaptive_terrain.cbt_terrain.importing.placing import _reprojected
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from rasterio.transform import Affine
@@ -48,6 +49,20 @@ def test_the_place_gives_the_coordinates_of_samples(tmp_path, kind):
     back = to_crs(field.raster.place, places)
     assert np.abs(back - np.stack([x, y], axis=1)).max() < 1e-6
     assert field.raster.known_place == field.raster.place
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_info_names_the_coordinates_of_the_border(tmp_path, kind):
+    crs, transform, settings = KINDS[kind]
+    heights = hills(23, 17)
+    imported(tmp_path, write_raster(tmp_path / "a.tif", heights, crs=crs, transform=transform), **settings)
+    about = describe(tmp_path / "store")
+    if kind in ("rotated", "unnamed"):
+        assert "west_south_east_north" not in about
+        return
+    rows, columns = np.indices(heights.shape).reshape(2, -1)
+    x, y = transform @ (columns + 0.5, rows + 0.5)
+    assert about["west_south_east_north"] == pytest.approx([x.min(), y.min(), x.max(), y.max()], rel=0.0, abs=1e-6)
 
 
 def test_a_file_without_a_place_has_metres_from_its_middle(tmp_path):

@@ -284,7 +284,7 @@ def describe(path: str | os.PathLike) -> dict:
 
 
 def _border(field: HeightField) -> dict:
-    """Return the coordinates of the outermost samples, {} if they are unknown or the raster is rotated in its system."""
+    """Return the coordinates of the outermost samples, {} if they are unknown or the raster is rotated."""
     place = field.raster.place
     if place is None or not field.crs or place[1] or place[3]:
         return {}

@@ -160,7 +160,7 @@ class ConcurrentBinaryTree:
         runs = self._runs[: len(parts)]
         for run, part in zip(runs, parts, strict=True):
             bind(run, codes=part.codes, first=part.first, count=part.count, start=start, end=part.end, shift=shift)
-            bind(run, levels=self.max_depth if levels is None else levels)
+            bind(run, cell_depth=self.max_depth if levels is None else levels)
             bind(run, first_same=part.first_same, end_same=part.first_same + part.num_same)
             if part.num_same:
                 bind(run, same=part.same)

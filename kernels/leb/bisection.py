@@ -35,12 +35,15 @@ class SquareGrid:
 
     columns: wp.int32
     rows: wp.int32
-    square_bits: wp.int32
+    square_bits: wp.int32  # depth of the squares in the tree
 
 
 @wp.struct
 class LebNode:
-    """A triangle by its square and its heap id in that square; id 0: there is none."""
+    """A triangle by its square and its heap id in that square; id 0: there is none.
+
+    column, row: the square's position in the grid, from the south-west corner.
+    """
 
     column: wp.int32
     row: wp.int32
@@ -50,12 +53,12 @@ class LebNode:
 @wp.func
 def node_of(grid: SquareGrid, tree_id: wp.uint64) -> LebNode:
     """Convert a node's heap id in the tree of all squares to its square and the heap id in that."""
-    root = ONE << wp.uint64(highest_bit(tree_id) - grid.square_bits)
-    square = wp.int32(tree_id / root) - (1 << grid.square_bits)
+    first_id = ONE << wp.uint64(highest_bit(tree_id) - grid.square_bits)  # in the square, at the node's depth
+    square = wp.int32(tree_id / first_id) - (1 << grid.square_bits)
     node = LebNode()
     node.row = square / grid.columns
     node.column = square - node.row * grid.columns
-    node.heap_id = root | (tree_id & (root - ONE))
+    node.heap_id = first_id | (tree_id & (first_id - ONE))
     return node
 
 
@@ -67,9 +70,9 @@ def tree_id_of(grid: SquareGrid, node: LebNode) -> wp.uint64:
     """
     tree_id = wp.uint64(0)
     if node.heap_id != wp.uint64(0):
-        squares = wp.uint64((1 << grid.square_bits) + node.row * grid.columns + node.column)
-        root = ONE << wp.uint64(highest_bit(node.heap_id))
-        tree_id = squares * root + node.heap_id - root
+        square_id = wp.uint64((1 << grid.square_bits) + node.row * grid.columns + node.column)
+        first_id = ONE << wp.uint64(highest_bit(node.heap_id))
+        tree_id = square_id * first_id + node.heap_id - first_id
     return tree_id
 
 
@@ -102,12 +105,12 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
 
     edge: 0 left, 1 right, 2 the longest. The result is read from a table.
     """
-    at = 9 * (heap_id - 2) + 3 * edge
+    entry = 9 * (heap_id - 2) + 3 * edge
     near = LebNode()
-    near.column = node.column + FIRST_NEIGHBOURS[at]
-    near.row = node.row + FIRST_NEIGHBOURS[at + 1]
+    near.column = node.column + FIRST_NEIGHBOURS[entry]
+    near.row = node.row + FIRST_NEIGHBOURS[entry + 1]
     if near.column >= 0 and near.column < grid.columns and near.row >= 0 and near.row < grid.rows:
-        near.heap_id = wp.uint64(FIRST_NEIGHBOURS[at + 2])
+        near.heap_id = wp.uint64(FIRST_NEIGHBOURS[entry + 2])
     return near
 
 
@@ -126,7 +129,7 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     They may not be leaves; beyond the grid they have id 0. libleb names them "left", "right" and "edge".
     """
     depth = highest_bit(node.heap_id)
-    start = wp.min(depth, 2)  # from which on neighbours are mirrored
+    start = wp.min(depth, 2)  # depth from which on neighbours are mirrored
     heap_id = wp.int32(node.heap_id >> wp.uint64(depth - start))
     left = first_neighbour(grid, node, heap_id, 0)
     right = first_neighbour(grid, node, heap_id, 1)
@@ -171,16 +174,16 @@ def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
     """
     split(t, tree_id)
     node = node_of(grid, tree_id)
-    goes_on = wp.bool(True)
-    while goes_on:
+    is_going_on = wp.bool(True)
+    while is_going_on:
         other = edge_neighbour(grid, node)
-        goes_on = other.heap_id != wp.uint64(0)
-        if goes_on:
+        is_going_on = other.heap_id != wp.uint64(0)
+        if is_going_on:
             node = other
             node.heap_id = other.heap_id >> ONE
-            goes_on = node.heap_id > ONE
-            if goes_on:
-                goes_on = not split(t, tree_id_of(grid, node))
+            is_going_on = node.heap_id > ONE
+            if is_going_on:
+                is_going_on = not split(t, tree_id_of(grid, node))
             split(t, tree_id_of(grid, other))
 
 

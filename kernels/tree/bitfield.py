@@ -36,24 +36,24 @@ ALL_BITS = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 @wp.struct
 class Bitfield:
-    """Slot s of page p is entry 64 p + s of the first five arrays."""
+    """The words of a tree. Slot s of page p is entry 64 p + s of the first four arrays."""
 
     words: wp.array(dtype=wp.uint64)
     stored: wp.array(dtype=wp.uint64)  # bits of a word below which a word is stored
-    counts: wp.array(dtype=wp.int32)
+    counts: wp.array(dtype=wp.int32)  # a word's counter: its leaves less 1; or CHANGED
     pages: wp.array(dtype=wp.int32)  # page of the words below a word; 0: none
     changed: wp.array(dtype=wp.int32)  # list of the words to be summed again: level << LEVEL_SHIFT | slot
-    state: wp.array(dtype=wp.int32)
-    num_pages: wp.int32
-    max_depth: wp.int32
+    state: wp.array(dtype=wp.int32)  # entries PAGES_USED .. REPEATS
+    num_pages: wp.int32  # pages in the pool
+    max_depth: wp.int32  # depth of the deepest cells
     top: wp.int32  # level of the highest word
 
 
 @wp.struct
 class TreeLeaf:
-    """A leaf as decoding finds it."""
+    """A leaf of the tree."""
 
-    number: wp.int32
+    number: wp.int32  # along the curve, from 0
     cell: wp.uint64  # its first deepest cell
     depth: wp.int32
 
@@ -64,7 +64,7 @@ class SameLeaves:
 
     first: wp.int64  # entry of its first leaf's code
     count: wp.int32
-    depth: wp.int32  # as in the codes
+    depth: wp.int32  # of the node, counted as the depths in codes are
 
 
 @wp.func
@@ -101,15 +101,15 @@ def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
 def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
     """Return the page of the words below the word in `slot`; allocate one if it has none.
 
-    It is 0 if the pool is full, which sets `state[IS_FULL]`.
+    The result is 0 if the pool is full, which sets `state[IS_FULL]`.
     """
     page = item_at(t.pages, slot)
     if page == 0:
         page = fetch_add(t.state, PAGES_USED, 1)
         if page < t.num_pages:
-            other = compare_exchange(t.pages, slot, 0, page)
-            if other != 0:
-                page = other
+            page_of_other_thread = compare_exchange(t.pages, slot, 0, page)
+            if page_of_other_thread != 0:
+                page = page_of_other_thread
         else:
             t.state[IS_FULL] = 1
             page = 0
@@ -126,7 +126,7 @@ def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
 def select_bit(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, number: wp.int32) -> wp.int64:
     """Return the bit of a word that holds leaf `number`, and the leaf's number within it, as number << 6 | bit.
 
-    counts[first + k]: number of leaves of bit k, less 1.
+    bits: the word. number: leaf, counted in the word from 0. counts[first + k]: number of leaves of bit k, less 1.
     """
     ...
 
@@ -163,14 +163,14 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
     slot = wp.int32(ROOT)
     level = t.top
     cell = wp.uint64(0)
-    left = number
+    number_inside = number  # leaf's number in the word
     bit = wp.int32(0)
     is_inside = wp.bool(True)
     while is_inside:
         below = 64 * item_at(t.pages, slot)
-        found = select_bit(item_at(t.words, slot), t.counts, below, left)
-        bit = wp.int32(found & wp.int64(63))
-        left = wp.int32(found >> wp.int64(6))
+        packed = select_bit(item_at(t.words, slot), t.counts, below, number_inside)
+        bit = wp.int32(packed & wp.int64(63))
+        number_inside = wp.int32(packed >> wp.int64(6))
         cell = cell + (wp.uint64(bit) << wp.uint64(WORD_BITS * level))
         is_inside = ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
         if is_inside:
@@ -192,11 +192,11 @@ def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
     is_inside = wp.bool(True)
     while is_inside:
         below = 64 * item_at(t.pages, slot)
-        words = item_at(t.words, slot)
-        at = bit_of(cell, level)
-        bit = highest_bit(words & bits_below(at + 1))
-        number += count_before(words, t.counts, below, bit)
-        is_inside = bit == at and ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
+        bits = item_at(t.words, slot)
+        cell_bit = bit_of(cell, level)
+        bit = highest_bit(bits & bits_below(cell_bit + 1))
+        number += count_before(bits, t.counts, below, bit)
+        is_inside = bit == cell_bit and ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
         if is_inside:
             slot = below + bit
             level -= 1

@@ -22,27 +22,28 @@ def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
 def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
     """Split node `heap_id`; return whether it was split already, by another thread or an earlier kernel.
 
-    Threads may split one node at once, and nodes below it. Nothing is split where the pool of pages is full.
+    Threads may split one node at once, and nodes below it. If the pool of pages is full, the node is not split.
     """
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top
-    before = wp.uint64(0)
-    flag = wp.uint64(0)
+    old_bits = wp.uint64(0)
+    mask = wp.uint64(0)
     is_inside = wp.bool(True)
     while is_inside:
         bit = bit_of(cell, level)
-        flag = ONE << wp.uint64(bit)
+        mask = ONE << wp.uint64(bit)
         mark_changed(t, slot, level)
-        before = fetch_or(t.words, slot, flag | ONE)
+        old_bits = fetch_or(t.words, slot, mask | ONE)  # a leaf also begins at the first bit of a new word
         is_inside = (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0)
         if is_inside:
-            fetch_or(t.stored, slot, flag)
+            fetch_or(t.stored, slot, mask)
             page = page_below(t, slot)
             slot = 64 * page + bit
             level -= 1
             is_inside = page > 0
-    return (before & flag) != wp.uint64(0) and t.state[REPEATS] == 0
+    # A repeated kernel finds its own bits, and has to do all its work again.
+    return (old_bits & mask) != wp.uint64(0) and t.state[REPEATS] == 0
 
 
 @wp.func

@@ -36,7 +36,10 @@ def sum_word(t: Bitfield, slot: wp.int32):
 
 @wp.kernel
 def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
-    """Count the changed word `offset + tid` again if it is of this level; lower levels are done before."""
+    """Count entry `offset + tid` of the list of changed words again if it is of this level.
+
+    Lower levels are counted before, by earlier launches.
+    """
     entry = t.changed[offset + wp.tid()]
     if (entry >> LEVEL_SHIFT) == level:
         sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))

@@ -30,26 +30,26 @@ class LeafRun:
     """Consecutive leaves by their depths; `set_leaves` writes a run a thread."""
 
     codes: wp.array(dtype=wp.uint16)  # a leaf's depth is in the bits `shift` .. `shift` + 5
-    first: wp.int64  # entry of the first
-    count: wp.int64
+    first: wp.int64  # entry of the first leaf in `codes`
+    count: wp.int64  # number of leaves
     shift: wp.int32
-    levels: wp.int32  # a node of depth d has 2^(levels - d) deepest cells
+    cell_depth: wp.int32  # depth of a deepest cell: a node of depth d has 2^(cell_depth - d) of them
     start: wp.uint64  # deepest cells start .. end - 1 are those of the run
     end: wp.uint64
     same: wp.array(dtype=SameLeaves)  # nodes whose leaves are those that the tree has, ascending
-    first_same: wp.int64
+    first_same: wp.int64  # entries first_same .. end_same - 1 of `same` are in the run
     end_same: wp.int64
 
 
 @wp.func
-def bits_of_node(run: LeafRun, k: wp.int64) -> wp.int32:
+def log2_size_of(run: LeafRun, k: wp.int64) -> wp.int32:
     """Return log2 of the number of deepest cells of leaf k of a run."""
-    return run.levels - ((wp.int32(item_at(run.codes, run.first + k)) >> run.shift) & 63)
+    return run.cell_depth - ((wp.int32(item_at(run.codes, run.first + k)) >> run.shift) & 63)
 
 
 @wp.func
 def first_of_same(run: LeafRun, same: wp.int64) -> wp.int64:
-    """Return the number in the run of the first leaf of a node whose leaves are the same; its end if there is none."""
+    """Return the number in the run of the first leaf of node run.same[same]; `run.count` if there is no such node."""
     first = run.count
     if same < run.end_same:
         first = run.same[same].first - run.first
@@ -72,7 +72,7 @@ def fill_word(
     """Return the bits that leaves set in a word from `bit` on, up to its end or the first leaf of a lower level.
 
     codes, first, count: the leaves; a depth is in the bits `shift` .. `shift` + 5 of a code. A leaf of depth d sets one
-    bit and takes 2^(deepest - d) of them.
+    bit and takes 2^(deepest - d) of them. deepest: depth of a leaf that takes one bit.
     """
     ...
 
@@ -123,8 +123,8 @@ def fill_words(
 
     It ends at a leaf of another level or at the last one. Return the number of leaves << 8 | the number of words.
     codes, first, count: the leaves; a depth is in the bits `shift` .. `shift` + 5 of a code. readable: leaves that may
-    be read. deepest: depth of a leaf that takes one bit. first_slot: slot of the first of these words. words, counts,
-    pages, state: arrays of the bitfield.
+    be read, at least `count`. deepest: depth of a leaf that takes one bit of these words. first_slot: slot of the first
+    of them. words, counts, pages, state: arrays of the bitfield; state[DIFFERS] is set if a word changes.
     """
     ...
 
@@ -135,19 +135,20 @@ def close_word(
     run: LeafRun,
     slot: wp.int32,
     level: wp.int32,
-    cell: wp.uint64,
+    end: wp.uint64,
     bits: wp.uint64,
     entered: wp.uint64,
-    leaves: wp.int64,
+    num_leaves: wp.int64,
 ):
-    """Store the word in `slot`, of a level, that a run has passed, with its bits.
+    """Store `bits` as the word in `slot`, of a level, after a run has passed it.
 
-    Words below are kept only for the bits in `entered`. cell: end of the word. leaves: number in it. A word that runs
-    share is not overwritten: each run flips only its bits, and the word is counted afterwards.
+    entered: its bits below which a word is stored; the words below other bits are freed. end: the deepest cell after
+    the run's last one in the word. num_leaves: leaves of the run in the word. A word that runs share is not
+    overwritten: each run flips only its bits, and the word is counted afterwards.
     """
     shift = wp.uint64(WORD_BITS * level)
     above = wp.uint64(WORD_BITS * (level + 1))
-    base = ((cell - ONE) >> above) << above
+    base = ((end - ONE) >> above) << above
     size = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
     run_bits = ALL_BITS
     old = item_at(t.words, slot)
@@ -157,13 +158,13 @@ def close_word(
             put(t.words, slot, bits)
             put(t.stored, slot, entered)
             t.state[DIFFERS] = 1
-        put(t.counts, slot, wp.int32(leaves) - 1)
+        put(t.counts, slot, wp.int32(num_leaves) - 1)
     else:
-        part = (ONE << shift) - ONE
+        last_of_bit = (ONE << shift) - ONE  # rounds up: a bit is the run's if the bit's first cell is
         if run.start > base:
-            run_bits = ~bits_below(wp.int32((run.start - base + part) >> shift))
+            run_bits = ~bits_below(wp.int32((run.start - base + last_of_bit) >> shift))
         if run.end < base + size:
-            run_bits = run_bits & bits_below(wp.int32((run.end - base + part) >> shift))
+            run_bits = run_bits & bits_below(wp.int32((run.end - base + last_of_bit) >> shift))
         if (((old ^ bits) | (old_stored ^ entered)) & run_bits) != wp.uint64(0):
             fetch_xor(t.words, slot, (old ^ bits) & run_bits)
             fetch_xor(t.stored, slot, (old_stored ^ entered) & run_bits)
@@ -183,26 +184,26 @@ def close_word(
 def set_leaves(t: Bitfield, run: LeafRun):
     """Make the leaves of a run those of the tree: along the curve, down and up between the levels of words.
 
-    A word's bits are gathered in a register, and its leaves are counted by their numbers. The kernel ends early where
-    the pool has no page left, as the tree's state then says: clear the tree, and repeat with a larger pool. Words that
-    runs share are only listed as changed, and are summed afterwards.
+    A word's bits are gathered in a register, and its leaves are counted by their numbers. The kernel ends early if the
+    pool has no page left, which sets state[IS_FULL]: clear the tree, and repeat with a larger pool. Words that runs
+    share are only listed as changed, and are summed afterwards.
     """
     slots = SlotPath()  # of the words that are open, by level
     bits = BitPath()
     entered = BitPath()  # bits below which there are words
     before = BitPath()  # leaves of the run before the word
-    level = t.top
+    level = t.top  # of the lowest open word
     slots[level] = ROOT
-    cell = run.start
-    k = wp.int64(0)
+    cell = run.start  # first deepest cell that is not written yet
+    k = wp.int64(0)  # leaf that begins there, by its number in the run
     same = run.first_same
     next_same = first_of_same(run, same)
     while k < run.count:
-        size = bits_of_node(run, k)
+        log2_size = log2_size_of(run, k)
         if k == next_same:
-            size = run.levels - run.same[same].depth
-        filled = wp.int32(0)
-        if level > 0 and size < WORD_BITS * level and size >= WORD_BITS * (level - 1):
+            log2_size = run.cell_depth - run.same[same].depth
+        num_filled = wp.int32(0)
+        if level > 0 and log2_size < WORD_BITS * level and log2_size >= WORD_BITS * (level - 1):
             if (cell & (cells_of_bit(level) - ONE)) == wp.uint64(0) and k < next_same:
                 # Whole words of the next level.
                 page = page_below(t, slots[level])
@@ -211,22 +212,22 @@ def set_leaves(t: Bitfield, run: LeafRun):
                 bit = bit_of(cell, level)
                 slot = 64 * page + bit
                 codes = run.codes
-                at = run.first + k
+                first = run.first + k
                 count = next_same - k
-                left = run.count - k
-                deepest = run.levels - WORD_BITS * (level - 1)
-                found = fill_words(
-                    codes, at, count, left, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
+                readable = run.count - k
+                deepest = run.cell_depth - WORD_BITS * (level - 1)
+                packed = fill_words(
+                    codes, first, count, readable, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
                 )
-                filled = wp.int32(found & wp.int64(255))
-                passed = bits_below(bit + filled) & ~bits_below(bit)
-                bits[level] = bits[level] | passed
-                entered[level] = entered[level] | passed
-                k += found >> wp.int64(8)
-                cell += wp.uint64(filled) << wp.uint64(WORD_BITS * level)
-        if filled == 0:
+                num_filled = wp.int32(packed & wp.int64(255))
+                filled_bits = bits_below(bit + num_filled) & ~bits_below(bit)
+                bits[level] = bits[level] | filled_bits
+                entered[level] = entered[level] | filled_bits
+                k += packed >> wp.int64(8)
+                cell += wp.uint64(num_filled) << wp.uint64(WORD_BITS * level)
+        if num_filled == 0:
             # Down, until a leaf, or a node whose leaves are the same, is not smaller than a bit.
-            while size < WORD_BITS * level:
+            while log2_size < WORD_BITS * level:
                 bit = bit_of(cell, level)
                 bits[level] = bits[level] | (ONE << wp.uint64(bit))
                 entered[level] = entered[level] | (ONE << wp.uint64(bit))
@@ -241,20 +242,20 @@ def set_leaves(t: Bitfield, run: LeafRun):
             # Along the word.
             bit = bit_of(cell, level)
             if k == next_same:
-                stays = bits_below(bit + (1 << (size - WORD_BITS * level))) & ~bits_below(bit)
-                bits[level] = bits[level] | (item_at(t.words, slots[level]) & stays)
-                entered[level] = entered[level] | (item_at(t.stored, slots[level]) & stays)
-                cell += ONE << wp.uint64(size)
+                same_bits = bits_below(bit + (1 << (log2_size - WORD_BITS * level))) & ~bits_below(bit)
+                bits[level] = bits[level] | (item_at(t.words, slots[level]) & same_bits)
+                entered[level] = entered[level] | (item_at(t.stored, slots[level]) & same_bits)
+                cell += ONE << wp.uint64(log2_size)
                 k += wp.int64(run.same[same].count)
                 same += wp.int64(1)
                 next_same = first_of_same(run, same)
             else:
-                deepest = run.levels - WORD_BITS * level
+                deepest = run.cell_depth - WORD_BITS * level
                 word = fill_word(run.codes, run.first + k, next_same - k, run.shift, deepest, bit)
                 bits[level] = bits[level] | word
                 k += wp.int64(count_bits(word))
                 cell += wp.uint64(highest_bit(word) - bit) << wp.uint64(WORD_BITS * level)
-                cell += ONE << wp.uint64(bits_of_node(run, k - wp.int64(1)))
+                cell += ONE << wp.uint64(log2_size_of(run, k - wp.int64(1)))
         # Up, out of the words that end here.
         while level < t.top and (cell & (cells_of_bit(level + 1) - ONE)) == wp.uint64(0):
             close_word(t, run, slots[level], level, cell, bits[level], entered[level], k - wp.int64(before[level]))

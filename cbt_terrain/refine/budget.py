@@ -94,7 +94,7 @@ def count_splits(
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
     slices, spacing = len(cuts) - 1, max_splits // 64 + 1
     arrays = {
-        "limits": _limits(finer_by),
+        "limit_factors": _limits(finer_by),
         "stack": scratch.get("count_stack", slices * CELLS, Cell),
         "last_steps": scratch.get("count_last_steps", slices * steps, wp.int64),
         "from_step": scratch.get("count_from_step", slices, wp.int32),

@@ -8,6 +8,8 @@ Diamonds are judged as in the walk: by intervals, and by measuring those in doub
 The pass follows the cells of a quadtree, not the curve. A diamond of odd depth fills a cell. One of even depth is
 centred on the side between two cells and is counted in the northern or eastern one. So each is visited once, while a
 walk over triangles visits it twice. For a window of few steps the pass takes about half the time of a refinement.
+
+`w`: the slice's Count.
 """
 
 import warp as wp
@@ -51,7 +53,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
     result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant that begins before the
     slice and ends in it has 2: the caller counts it only if its `code` is in the slice, too.
     """
-    half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
+    half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)  # of the cell's side, lattice units
     p = CellDiamond()
     p.number = number
     p.x = cell.x
@@ -107,13 +109,13 @@ def judge(
     Warp copies a struct that changes in a branch, even if the branch is not taken.
     """
     error = wp.float32(0.0)
-    min_error = wp.float64(1.0)
+    min_fraction = wp.float64(1.0)  # of the stored error, that the exact one is at least
     if w.has_errors == 1:
         error = stored_error_at(domain, p.x, p.y, p.depth)
         if may_be_less(domain, p.depth):
-            min_error = SURE
+            min_fraction = SURE
     error_m = wp.float64(error) * domain.error_scale
-    verdict = predict(cell.interval, p.depth, min_error * error_m, error_m)
+    verdict = predict(cell.interval, p.depth, min_fraction * error_m, error_m)
     last = step - 1
     visits = wp.bool(False)
     measured = wp.int32(0)
@@ -123,7 +125,7 @@ def judge(
         visits = p.number >= 0
     # A diamond that is certainly split is measured for a tighter interval below it.
     if verdict == DOUBT or (visits and error_m <= cell.interval.leaf_up_to):
-        if min_error < wp.float64(1.0):
+        if min_fraction < wp.float64(1.0):
             error = error_at(domain, p.x, p.y, p.depth)
             error_m = wp.float64(error) * domain.error_scale
         m = measure_diamond(domain, criterion, p.x, p.y, p.depth, error, cell.interval.in_frame)
@@ -163,13 +165,13 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
     Whenever more than `max_splits` triangles are split at the finest step, the next step becomes the finest.
     """
     none = wp.float64(0.0)
-    criterion.limit = w.limits[w.coarsest]
+    criterion.limit = w.limit_factors[w.coarsest]
     coarse = limits_of(criterion, none)
     step = wp.int32(w.finest)
     total = wp.int64(0)  # triangles that are split at `step`
     measured = wp.int64(0)  # diamonds
     num_marks = wp.int32(0)
-    criterion.limit = w.limits[step]
+    criterion.limit = w.limit_factors[step]
     limits = limits_of(criterion, none)
     bottom = w.slot * CELLS
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
@@ -184,10 +186,10 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
             while number >= last_number:
                 p = diamond_of_cell(domain, w, cell, number)
                 if p.triangles > 0 and p.depth < w.max_depth:
-                    last, visits, new = judge(domain, criterion, limits, coarse, w, cell, p, top, step)
+                    last, visits, newly_measured = judge(domain, criterion, limits, coarse, w, cell, p, top, step)
                     if p.code >= w.first_cell:
                         total += count_last_split(w, step, last, wp.int64(p.triangles))
-                    measured += wp.int64(new)
+                    measured += wp.int64(newly_measured)
                     if measured >= wp.int64(num_marks + 1) * w.spacing and num_marks < MARKS:
                         w.marks[w.slot * MARKS + num_marks] = p.code
                         num_marks += 1
@@ -200,9 +202,9 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                         top += 1
                 number -= 1
             while total > w.max_splits and step <= w.coarsest:
-                total -= w.last_steps[w.slot * w.limits.shape[0] + step]
+                total -= w.last_steps[w.slot * w.limit_factors.shape[0] + step]
                 step += 1
-                criterion.limit = w.limits[step]
+                criterion.limit = w.limit_factors[step]
                 limits = limits_of(criterion, none)
         square += 1
     w.from_step[w.slot] = step

@@ -6,7 +6,7 @@ import warp as wp
 from ..field.domain import Domain
 from ..field.layout import tile_index
 from ..morph.lattice import half_edge
-from ..refine.stored_errors import place
+from ..refine.stored_errors import error_index
 from ..unchecked import item_at, put
 
 # Codes of errors while a mesh is fitted: PER_OCTAVE in an octave, the first one stands for MIN_ERROR times the
@@ -19,15 +19,15 @@ RAISED = wp.constant(1 + 4 * 16)
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
     """Return the entry in the array of errors of the diamond split at (x, y), or of its cell if finer than cells."""
-    at = d.cell_base
+    entry = d.cell_base
     if depth <= 2 * d.levels:
-        at = place(d, x, y, depth)
+        entry = error_index(d, x, y, depth)
     else:
         bits = d.unit_bits - d.levels
         i = wp.min(x >> bits, d.cell_columns - 1)
         j = wp.min(y >> bits, d.cell_rows - 1)
-        at = at + tile_index(i, j, d.cell_pages)
-    return at
+        entry = entry + tile_index(i, j, d.cell_pages)
+    return entry
 
 
 @wp.func
@@ -49,9 +49,9 @@ def raise_ancestors(
     while top > 0:
         top -= 1
         q = stack[top]
-        at = entry_of(d, q[0], q[1], q[2])
-        if wp.int32(item_at(codes, at)) < code:
-            put(codes, at, wp.uint8(code))
+        entry = entry_of(d, q[0], q[1], q[2])
+        if wp.int32(item_at(codes, entry)) < code:
+            put(codes, entry, wp.uint8(code))
             if q[2] > 1:
                 along = half_edge(d.unit_bits, wp.vec2i(q[0], q[1]), q[2])
                 for k in range(2):  # an apex is as far on either side of the edge
@@ -82,10 +82,11 @@ def raise_cells(
     reach = halvings + 1
     for b in range(-reach, reach + 1):
         for a in range(-reach, reach + 1):
-            left = reach - wp.abs(a) - wp.abs(b)
+            steps_left = reach - wp.abs(a) - wp.abs(b)
             inside = i + a >= 0 and j + b >= 0 and i + a < d.cell_columns and j + b < d.cell_rows
-            if left >= 0 and inside:
+            if steps_left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))
-                code = wp.int32(RAISED) + (left - 1) * 2 * PER_OCTAVE
+                # RAISED with one step left; two octaves, a factor of four, more for each further one.
+                code = wp.int32(RAISED) + (steps_left - 1) * 2 * PER_OCTAVE
                 raise_ancestors(d, x, y, 2 * d.levels + 1, code, codes, stack)

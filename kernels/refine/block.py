@@ -16,11 +16,11 @@ MAX_BISECTIONS = wp.constant(8)
 class BlockTable:
     """Table of blocks: entry 6 n + s locates the leaves and new vertices for curve state s and n bisections."""
 
-    first_leaf: wp.array(dtype=wp.int32)
-    first_vertex: wp.array(dtype=wp.int32)
+    first_leaf: wp.array(dtype=wp.int32)  # in `code`
+    first_vertex: wp.array(dtype=wp.int32)  # in `leg`
     vertices: wp.array(dtype=wp.int32)  # new vertices of the block
-    code: wp.array(dtype=wp.uint16)  # a leaf's state
-    # a new vertex from the apex, in 2^ceil(n / 2)-ths of the legs towards left and right
+    code: wp.array(dtype=wp.uint16)  # a leaf's curve state
+    # A new vertex (a, b): apex + (a (left - apex) + b (right - apex)) / 2^ceil(n / 2).
     leg: wp.array(dtype=wp.vec2i)
 
 
@@ -54,5 +54,5 @@ def write_block(
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)
     first = item_at(blocks.first_vertex, entry)
     count = item_at(blocks.vertices, entry)
-    bits = (bisections + 1) >> 1
+    bits = (bisections + 1) >> 1  # two bisections halve the legs
     place_legs(blocks.leg, first, count, apex, left - apex, right - apex, bits, point, first_point)

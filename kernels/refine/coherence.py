@@ -30,7 +30,7 @@ from .pixels import CriterionArrays, ends_of, max_range2, min_range2, sizes_of, 
 
 NEAR = wp.constant(wp.float64(1.01))  # factor on the squared near distance, which covers the largest `Motion.drift`
 FADED = wp.constant(2)  # class of a subtree of which a part or all is in the fringe of the frustum
-ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
+ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to footprints
 
 
 @wp.struct
@@ -62,11 +62,11 @@ class Motion:
     depth: wp.vec4d
     planes: planes_type
     step: wp.float64  # metres of camera space that the eye has moved
-    slant_x: wp.vec2d  # ... as are these
+    slant_x: wp.vec2d  # before, as in LocalView
     slant_y: wp.vec2d
     max_gain2: wp.float64
     ratio: wp.float64  # footprint at unit depth over the one before
-    drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
+    drift: wp.float64  # fraction by which the lengths in footprints, and those compared with them, may have changed
 
 
 @wp.func
@@ -86,13 +86,14 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
+    # The box as a sphere; its heights may be off by `unsure`.
     reach = half * (high - low) + wp.vec3d(wp.float64(0.0), wp.float64(0.0), view.unsure)
     radius = camera_length(view, reach)
     before = camera_length(view, centre - motion.eye)
     now = camera_length(view, centre - view.eye)
-    apart = before + now - wp.float64(2.0) * radius
+    apart = before + now - wp.float64(2.0) * radius  # at most |p - a| + |p - b| for any point of it
     nearest = smaller(before, now) - radius
-    valid = wp.int32(1)
+    valid = wp.int32(1)  # not if an eye is near the box or in it
     if nearest <= radius or nearest * nearest <= NEAR * view.near2:
         valid = 0
     spread = wp.float64(2.0) * radius * motion.step / apart
@@ -113,16 +114,16 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
     now, before: the row in this view and in the last. step: movement of the eye, metres. low, high: corners of the
     rectangle relative to the eye before. The product is linear in the position.
     """
-    was = ends_of(before, low, high)
+    products = ends_of(before, low, high)
     growth = ends_of(now - before, low, high)
-    moved = now[0] * step[0] + now[1] * step[1]
-    growth = wp.vec2d(growth[0] - moved, growth[1] - moved)
-    if was[0] < wp.float64(0.0) or was[0] + growth[0] < wp.float64(0.0):
-        if was[1] > wp.float64(0.0) or was[1] + growth[1] > wp.float64(0.0):
-            size = larger(growth[1], -growth[0])
+    by_step = now[0] * step[0] + now[1] * step[1]
+    growth = wp.vec2d(growth[0] - by_step, growth[1] - by_step)
+    if products[0] < wp.float64(0.0) or products[0] + growth[0] < wp.float64(0.0):
+        if products[1] > wp.float64(0.0) or products[1] + growth[1] > wp.float64(0.0):
+            size = larger(growth[1], -growth[0])  # products of both signs
             growth = wp.vec2d(-size, size)
         else:
-            growth = wp.vec2d(-growth[1], -growth[0])
+            growth = wp.vec2d(-growth[1], -growth[0])  # all are negative
     return growth
 
 
@@ -153,7 +154,7 @@ def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d
 
 
 @wp.func
-def span_factors(
+def footprint_factors(
     view: LocalView,
     motion: Motion,
     measures_edges: wp.int32,
@@ -193,6 +194,7 @@ def span_factors(
         min_gain2 = zero  # footprints of edges have no gain
     valid = wp.int32(1)
     gain2 = zero
+    # Bounds of the factor on the second of the three values.
     lowest = lower * lower / wp.sqrt(slants2[1])
     highest = upper * upper / wp.sqrt(slants2[0])
     clamped2 = smaller(view.max_gain2, motion.max_gain2)
@@ -219,11 +221,12 @@ def span_factors(
 
 @wp.func
 def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Return bounds of the factor by which the frustum's fringe coarsens footprints in any box inside this one.
+    """Return (bounds, valid): bounds of the factor by which the frustum's fringe coarsens footprints in this box.
 
-    They are bounds of its change since the subtree was cached (lower, upper) and of its value now (smallest, largest),
-    and 1 if they are valid. The factor is (1 + fade * f)^4, where f (0 to 1) is the distance beyond the planes over the
-    width of the fringe. The distance changes linearly with the position, the width linearly with the depth.
+    They hold in any box inside this one. bounds: of the factor's change since the subtree was cached (lower, upper) and
+    of its value now (smallest, largest). valid: 1, or 0 if nothing is known. The factor is (1 + fade * f)^4, where f (0
+    to 1) is the distance beyond the planes over the width of the fringe. The distance changes linearly with the
+    position, the width linearly with the depth.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -239,7 +242,7 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
         nearest = smaller(min_over_box(planes[p], low, high), nearest)
         deepest = smaller(max_over_box(planes[p], low, high), deepest)
         before_deepest = smaller(max_over_box(before[p], low, high), before_deepest)
-    for p in range(view.plane_count):  # but for planes that are not the nearest one of any point
+    for p in range(view.plane_count):  # without planes that are the nearest one of no point
         if min_over_box(planes[p], low, high) <= deepest or min_over_box(before[p], low, high) <= before_deepest:
             outwards = larger(-min_over_box(planes[p] - before[p], low, high), outwards)
             inwards = larger(max_over_box(planes[p] - before[p], low, high), inwards)
@@ -260,7 +263,7 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
-def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
+def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
     """Return (lower, upper, valid): bounds of the change of pixel footprints in any box of a subtree, metres.
 
     The change is that since the subtree was cached. measures_edges: 1 if the criterion limits edges. valid: 1, or 0 if
@@ -276,7 +279,7 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
     if view.kind != ORTHOGRAPHIC:
         min_growth, max_growth, valid = change_of(view, motion, subtree.low, subtree.high)
     if view.max_gain2 > one or motion.max_gain2 > one:
-        min_factor, max_factor, gain2, also_valid = span_factors(
+        min_factor, max_factor, gain2, also_valid = footprint_factors(
             view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
         valid = wp.min(valid, also_valid)
@@ -286,7 +289,7 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
     if subtree.frustum_class == FADED:
         faded, also_valid = fade_change(view, motion, subtree.low, subtree.high)
         valid = wp.min(valid, also_valid)
-    span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
+    footprint_per_metre = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
     fall = motion.ratio * min_factor * faded[0] - one
     rise = motion.ratio * max_factor * faded[1] - one
     zero = wp.float64(0.0)
@@ -294,8 +297,8 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
     max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
     # Footprints drift, and so do those at which verdicts change.
     margin = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
-    min_growth = min_growth * span + smaller(fall * subtree.fine, fall * subtree.coarse) - margin
-    max_growth = max_growth * span + larger(rise * subtree.fine, rise * subtree.coarse) + margin
+    min_growth = min_growth * footprint_per_metre + smaller(fall * subtree.fine, fall * subtree.coarse) - margin
+    max_growth = max_growth * footprint_per_metre + larger(rise * subtree.fine, rise * subtree.coarse) + margin
     return min_growth, max_growth, valid
 
 
@@ -317,7 +320,7 @@ def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree,
 
     The subtree's leaves are then copied instead of found again. in_frame: 1 if the frustum is known to contain it.
     """
-    min_growth, max_growth, holds = span_change(criterion.view, motion, criterion.measures_edges, subtree)
+    min_growth, max_growth, holds = footprint_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth
     subtree.rise = subtree.rise - max_growth
     rounded = ROUNDED * subtree.coarse

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Output of a walk: a word per leaf and a point per new vertex. Leaves beyond the capacity are only counted."""
+"""Output of a walk: a word per leaf and a point per new vertex. Leaves beyond the capacity are only counted.
+
+`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far.
+"""
 
 import warp as wp
 
@@ -40,7 +43,7 @@ def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
 def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     """Write the edge through which the curve enters a square; return flags for the first leaf, new vertices, new edges.
 
-    The edge is new, unless the square to the left has it on its right side already. n: the slice's counts so far.
+    The edge is new, unless the square to the left has it on its right side already.
     """
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
@@ -62,13 +65,10 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges.
-
-    n: the slice's counts so far.
-    """
+    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges."""
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
-    edges = wp.int32(1)  # that through which the curve leaves
+    edges = wp.int32(1)  # the one through which the curve leaves
     if c.cell == wp.uint64(0):
         flags, entry_vertices, entry_edges = emit_entry(domain, w, q, c, n)
         code = code | flags
@@ -83,7 +83,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
         role = border_role(known, new, q.corner, q.side, q.column, q.row, domain.columns, domain.rows)
         code = code | (wp.uint32(role) << wp.uint32(BORDER))
         if role != INNER and role != TO_CORNER:
-            count_side(domain, w, q, role - 1)
+            count_side(domain, w, q, role - 1)  # sides are in the order of roles
         if role == TAKE_LEFT or role == TAKE_BELOW:
             new_edge = 0
             new_vertex = 0
@@ -91,7 +91,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
             new_vertex = 0
     if c.cell + size_of(w, c.depth) == size_of(w, 0):
         code = code | (wp.uint32(1) << wp.uint32(LAST))
-        if q.row < domain.rows - 1:
+        if q.row < domain.rows - 1:  # the curve leaves the square through its upper side
             count_side(domain, w, q, 3)
     if n.leaves < w.leaf_capacity:
         put(w.code, w.leaf_base + n.leaves, wp.uint16(code))
@@ -113,10 +113,7 @@ def can_copy_block(w: Walk, q: Square, c: Cursor) -> wp.bool:
 
 @wp.func
 def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp.int32:
-    """Write all leaves below the cursor from the table; return the number of new vertices.
-
-    depth: that of all these leaves. n: the slice's counts so far.
-    """
+    """Write all leaves below the cursor, at this depth, from the table; return the number of new vertices."""
     bisections = depth - c.depth
     leaves = 1 << bisections
     if n.leaves + wp.int64(leaves) <= w.leaf_capacity:
@@ -129,10 +126,7 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 
 @wp.func
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
-    """Write the leaves below the cursor's triangle if the verdict on it is final (LEAF or EVEN_BLOCK).
-
-    n: the slice's counts so far. Returns the new counts.
-    """
+    """Write the leaves below the cursor's triangle if its verdict is LEAF or EVEN_BLOCK; return the new counts."""
     leaves = wp.int32(0)
     vertices = wp.int32(0)
     edges = wp.int32(0)
@@ -144,7 +138,7 @@ def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.
         depth = w.intervals[c.interval_index].even_depth
         leaves = 1 << (depth - c.depth)
         vertices = emit_block(w, q, c, n, depth)
-        edges = leaves + vertices
+        edges = leaves + vertices  # a leaf adds the edge by which the curve leaves it, a new vertex one more
     n.leaves = n.leaves + wp.int64(leaves)
     n.vertices = n.vertices + wp.int64(vertices)
     n.edges = n.edges + wp.int64(edges)

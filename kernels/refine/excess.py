@@ -21,7 +21,7 @@ from ..tree.bitfield import Bitfield, is_leaf
 from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
 from .pixels import CriterionArrays, sizes
 from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
-from .tight_box import MARGIN, ONE_SPAN, box_between, finest_seen_in
+from .tight_box import MARGIN, NEARLY_EQUAL, box_between, finest_seen_in
 
 # Quantities to search for.
 FIXED = wp.constant(0)  # rounding of float32 and of the source, which cannot be refined away: pixel footprints
@@ -53,8 +53,8 @@ class Triangle:
     is_drawn: wp.bool  # it is a part of a drawn triangle, whose plane is known
     drawn: wp.vec2i  # apex of the drawn triangle
     plane: wp.vec3d  # height at that apex, metres before scaling, and slopes along x and y, metres per lattice unit
-    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py; of a part the leaf's values
-    total: wp.float64
+    fixed: wp.float64  # metres of error that no refinement removes: rounding of float32 and of the source
+    total: wp.float64  # ... and the error of its leaves; of a part of a leaf, both are the leaf's
 
 
 @wp.func
@@ -76,7 +76,7 @@ def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d
             if fine2 < pixel2:
                 pixel2 = fine2
                 coarse2 = far2
-    return pixel2, coarse2 < ONE_SPAN * pixel2
+    return pixel2, coarse2 < NEARLY_EQUAL * pixel2
 
 
 @wp.func
@@ -93,8 +93,9 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         bits = domain.unit_bits - domain.levels
         i = wp.min(t.apex[0], wp.min(t.left[0], t.right[0])) >> bits
         j = wp.min(t.apex[1], wp.min(t.left[1], t.right[1])) >> bits
-        beside = wp.where((t.depth & 1) == 0, 0, 1)
-        falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - beside, 0)
+        # 1 if a descendant may take the next cell's error, up to twice this one's.
+        halvings_lost = wp.where((t.depth & 1) == 0, 0, 1)
+        falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - halvings_lost, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
             # The error of a meshlet's triangles.
             falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.border_depth
@@ -146,14 +147,14 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.max(t.apex[0], wp.max(t.left[0], t.right[0]))
     y1 = wp.max(t.apex[1], wp.max(t.left[1], t.right[1]))
-    found = wp.float64(0.0)
+    largest = wp.float64(0.0)
     for k in range(4):
         p = wp.vec2i(wp.where((k & 1) == 0, x0, x1), wp.where((k & 2) == 0, y0, y1))
         height = surface_height(domain, p)
         across = t.plane[1] * wp.float64(p[0] - t.drawn[0]) + t.plane[2] * wp.float64(p[1] - t.drawn[1])
-        size = wp.abs(height) + wp.abs(t.plane[0]) + wp.abs(across)
-        found = larger(found, wp.abs(height - t.plane[0] - across) + MARGIN * size)
-    return found
+        magnitude = wp.abs(height) + wp.abs(t.plane[0]) + wp.abs(across)
+        largest = larger(largest, wp.abs(height - t.plane[0] - across) + MARGIN * magnitude)
+    return largest
 
 
 @wp.func
@@ -260,8 +261,8 @@ def find_largest(
 ):
     """Find the largest value of a quantity (FIXED .. METRES) among leaves at depth `leaf_depth`, or all leaves (ANY).
 
-    found: its square, rounded up, and its fixed and total metres (see Triangle); -1 if no square is above `min2`. With
-    ANY, `min2` is the squared tolerance. squares: the tree's node for the first square. stack: scratch.
+    found [3]: its square, rounded up, and the `fixed` and `total` metres of its Triangle, -1 if no square is above
+    `min2`. With ANY, `min2` is the squared tolerance. squares: the tree's node for the first square. stack: scratch.
     """
     bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)
@@ -274,6 +275,7 @@ def find_largest(
             top -= 1
             if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
                 is_part = t.leaf_depth != ANY and t.depth >= t.leaf_depth
+                # A part is divided down to the lattice's smallest triangles.
                 if is_part and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
                     bound2 = t.bound2 * wp.where(quantity == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed

@@ -45,9 +45,9 @@ MAX_BINS = wp.constant(256)
 class Rings:
     """A view's rows in the map: first a row of floors, then one per ring. Without rings no box is hidden."""
 
-    first: wp.int32  # number of the nearest ring
-    count: wp.int32
-    at: wp.int32  # entry of the floors: a ray below its floor may pass below the mesh before the mesh begins
+    first: wp.int32  # number of the nearest ring, see `ring_of`
+    count: wp.int32  # rings
+    at: wp.int32  # entry of the row of floors: a ray below its floor may pass below the mesh before the mesh begins
 
 
 @wp.func
@@ -100,15 +100,15 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
     begin = wp.where(side < 2, low[along], -high[along])
     end = wp.where(side < 2, high[along], -low[along])
     begin = wp.max(begin, near)
-    found = wp.vec2d(one, -one)
+    reach = wp.vec2d(one, -one)
     if begin <= end:
         low_end = low[1 - along]
         high_end = high[1 - along]
         t0 = wp.where(low_end >= zero, low_end / end, low_end / begin)
         t1 = wp.where(high_end >= zero, high_end / begin, high_end / end)
         if t0 <= one and t1 >= -one:
-            found = wp.vec2d(wp.max(t0, -one), wp.min(t1, one))
-    return found
+            reach = wp.vec2d(wp.max(t0, -one), wp.min(t1, one))
+    return reach
 
 
 @wp.func
@@ -130,12 +130,12 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
     low, high: corners of the box, metres relative to the eye. near: its least distance max(|x|, |y|), metres.
     """
     reach = reach_on(side, low, high, near)
-    found = wp.vec2i(0, -1)
+    bins = wp.vec2i(0, -1)
     if reach[0] <= reach[1]:
         a = bin_of(side, bin_at(reach[0]))
         b = bin_of(side, bin_at(reach[1]))
-        found = wp.vec2i(wp.min(a, b), wp.max(a, b))
-    return found
+        bins = wp.vec2i(wp.min(a, b), wp.max(a, b))
+    return bins
 
 
 @wp.func
@@ -194,7 +194,8 @@ def covered(
         top = wp.where(high[2] > zero, high[2] / near, high[2] / far)
         bottom = wp.where(low[2] > zero, low[2] / far, low[2] / near)
         inner = radius_of(rings.first + ring)
-        to_come = wp.max(one - (near - inner) / (radius_of(rings.first + ring + 1) - inner), zero)
+        # How much less the last ring counts: 1 for a box that begins on the ring, 0 at the next ring.
+        still_ahead = wp.max(one - (near - inner) / (radius_of(rings.first + ring + 1) - inner), zero)
         row = rings.at + (ring + 1) * ROW
         bins_left = wp.float64(MAX_BINS)
         side = wp.int32(0)
@@ -209,12 +210,13 @@ def covered(
                 k = wp.int32(first) - 1
                 while fraction > zero and k <= wp.int32(last) + 1:
                     i = k & (ROW - 1)
-                    here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - to_come, zero)
+                    hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - still_ahead, zero)
                     if ring > 0:  # there is one before it
-                        here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), here)
-                    here = wp.min(ramp_fraction(wp.float64(slopes[rings.at + i]), bottom, ramp), here)
-                    beside = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)
-                    fraction = wp.min(here + wp.max(beside, zero), fraction)
+                        hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), hidden_here)
+                    hidden_here = wp.min(ramp_fraction(wp.float64(slopes[rings.at + i]), bottom, ramp), hidden_here)
+                    # By how many bins the box misses this one; below 0 if it meets the bin.
+                    bins_away = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)
+                    fraction = wp.min(hidden_here + wp.max(bins_away, zero), fraction)
                     k += 1
             side += 1
     return fraction

@@ -32,7 +32,7 @@ class HorizonBlocks:
 
     low: wp.array(dtype=wp.float32)  # per block, from level FINEST, row by row from the south-west
     high: wp.array(dtype=wp.float32)
-    outward: wp.float64  # by which part of themselves these may be within the surface's
+    outward: wp.float64  # fraction of itself by which a stored bound may be inside the surface's range
     first: wp.array(dtype=wp.int64)  # per level: number of its first block
     wide: wp.array(dtype=wp.int32)  # per level: blocks in a row
 
@@ -54,15 +54,15 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
     They are rounded outwards. wide: blocks in a row.
     """
     j = (offset + wp.tid()) << FINEST
-    beside = (wp.int32(1) << FINEST) - 1
-    j1 = wp.min(j + beside, domain.samples.rows - 2)
+    last = (wp.int32(1) << FINEST) - 1
+    j1 = wp.min(j + last, domain.samples.rows - 2)
     for k in range(wide):
         i = k << FINEST
-        i1 = wp.min(i + beside, domain.samples.columns - 2)
+        i1 = wp.min(i + last, domain.samples.columns - 2)
         low, high = heights_of_cells(domain, i, j, i1, j1)
-        at = wp.int64(2) * (wp.int64(j >> FINEST) * wp.int64(wide) + wp.int64(k))
-        put(min_height, at, wp.float32(low - wp.abs(low) * OUTWARD))
-        put(min_height, at + wp.int64(1), wp.float32(-high - wp.abs(high) * OUTWARD))
+        entry = wp.int64(2) * (wp.int64(j >> FINEST) * wp.int64(wide) + wp.int64(k))
+        put(min_height, entry, wp.float32(low - wp.abs(low) * OUTWARD))
+        put(min_height, entry + wp.int64(1), wp.float32(-high - wp.abs(high) * OUTWARD))
 
 
 @wp.func
@@ -97,7 +97,7 @@ def min_over(
     j0 = wp.max(y0, 0) >> bits
     i1 = wp.min(x1 >> bits, domain.samples.columns - 2)
     j1 = wp.min(y1 >> bits, domain.samples.rows - 2)
-    up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
+    up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)  # the sign before scaling
     min_height = wp.float64(wp.inf)
     if wp.max(i1 - i0, j1 - j0) <= FEW_CELLS:
         min_height = min_of_cells(domain, i0, j0, i1, j1, up)
@@ -158,7 +158,7 @@ def min_of_windows(
     j = wp.int32(wp.floor(corner[1]))
     i_end = i + wp.int32(size[0]) + 1  # the last of the first window
     j_end = j + wp.int32(size[1]) + 1
-    south = wp.vec2d(inf, inf)  # least of the windows: the western, the eastern
+    south = wp.vec2d(inf, inf)  # minima of the two southern windows: the western, the eastern
     north = wp.vec2d(inf, inf)
     for y in range(wp.max(j - 1, 0), wp.min(j_end + 1, (domain.samples.rows - 2) >> level) + 1):
         row = wp.vec2d(inf, inf)
@@ -172,9 +172,9 @@ def min_of_windows(
             south = wp.min(south, row)
         if y >= j:
             north = wp.min(north, row)
-    right = corner[0] - wp.float64(i)
-    a = south[0] + right * (south[1] - south[0])
-    b = north[0] + right * (north[1] - north[0])
+    east_weight = corner[0] - wp.float64(i)
+    a = south[0] + east_weight * (south[1] - south[0])
+    b = north[0] + east_weight * (north[1] - north[0])
     largest = larger(larger(south[0], south[1]), larger(north[0], north[1]))
     return smaller(a + (corner[1] - wp.float64(j)) * (b - a), largest)
 
@@ -215,18 +215,18 @@ def max_mesh_offset(
     criterion: CriterionArrays,
     view: LocalView,
     reach2: wp.float64,
-    relaxed: wp.float64,
+    relaxation: wp.float64,
     across2: wp.float64,
     rise: wp.float64,
 ) -> wp.float64:
     """Return a bound of the height difference, metres, of mesh and surface at a point if the mesh meets the criterion.
 
-    relaxed: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise: its
-    height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error criteria
-    bound this height.
+    relaxation: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise:
+    its height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error
+    criteria bound this height.
     """
-    part2 = relaxed * relaxed * criterion.error_px2 * view.pixel2 * view.max_gain2
-    metres2 = relaxed * relaxed * criterion.metres2
+    part2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
+    metres2 = relaxation * relaxation * criterion.metres2
     # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
     if part2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
@@ -297,12 +297,12 @@ def fill_horizon(
     number: wp.int32,
     start: wp.float64,
     margin_units: wp.int32,
-    relaxed: wp.float64,
+    relaxation: wp.float64,
 ):
     """Write bin `offset + tid` of view `number`'s map of horizons: its floor, and its slope on every ring.
 
     start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the depth limit,
-    lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxed: factor on the
+    lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxation: factor on the
     criterion.
     """
     one = wp.float64(1.0)
@@ -326,7 +326,7 @@ def fill_horizon(
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
-        off = max_mesh_offset(domain, criterion, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
+        off = max_mesh_offset(domain, criterion, view, reach2, relaxation, wp.float64(2.0) * start * start, rise)
         floor = (rise + off) / start
     per0, per1 = arc_of(domain, side, t0, t1)
     max_slope = NOTHING
@@ -351,7 +351,7 @@ def fill_horizon(
             if begun == 0:  # the eye is outside the raster: rays must come in above the ground
                 begun = 1
                 rise = -min_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
-                floor = (rise + max_mesh_offset(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
+                floor = (rise + max_mesh_offset(domain, criterion, view, reach2, relaxation, across2, rise)) / radius
             rise = -view.eye[2]
             if view.ramp > wp.float64(0.0):
                 rise += steady_min(domain, blocks, margin_units, wp.vec2d(u0, v0), radius * (per1 - per0))
@@ -360,7 +360,7 @@ def fill_horizon(
             if rise > max_slope * radius:
                 max_slope = larger(
                     max_slope,
-                    (rise - max_mesh_offset(domain, criterion, view, reach2, relaxed, across2, rise)) / radius,
+                    (rise - max_mesh_offset(domain, criterion, view, reach2, relaxation, across2, rise)) / radius,
                 )
         elif not inside and begun == 1 and max_slope > NOTHING:
             begun = 2

@@ -23,13 +23,13 @@ REUSED = wp.constant(4)  # its leaves are copied from the last frame
 
 @wp.struct
 class Limits:
-    """The criterion in the form that intervals compare."""
+    """The criterion in the form that intervals compare, with margins for rounding and for changes of footprints."""
 
-    error_px: wp.float64
-    metres_below: wp.float64
-    metres_above: wp.float64
-    finer: wp.float64  # factor on squared footprints: the finest that they may become
-    coarser: wp.float64  # ... the coarsest
+    error_px: wp.float64  # limit of the error, pixels
+    metres_below: wp.float64  # limit of the error, metres, with a margin downwards
+    metres_above: wp.float64  # ... with a margin upwards
+    finer: wp.float64  # factor from a squared footprint to the finest that it may become
+    coarser: wp.float64  # ... to the coarsest
     per_error2: wp.float64  # squared footprint per squared metre of error at which a diamond is split
     per_edge2: wp.float64
     per_area2: wp.float64
@@ -48,9 +48,9 @@ class MeasuredDiamond:
     error_m: wp.float64  # stored error, metres
     rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # squared metres of height that the criterion compares with footprints
-    long2: wp.float64  # squared longest edge of a level triangle, metres of camera space
+    long2: wp.float64  # squared longest edge of a horizontal triangle, metres of camera space
     legs2: wp.float64  # ... and twice its area
-    climb2: wp.float64  # how far edges climb, squared metres
+    climb2: wp.float64  # squared largest height difference along one of its edges, metres
     verdict: wp.int32  # SPLIT or LEAF, as the walk judges it
 
 
@@ -137,12 +137,12 @@ def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 @wp.func
 def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Return an estimate of the largest squared ratio of a diamond to the criteria."""
+    """Return an estimate of the largest squared ratio of a diamond to the criteria; `too_coarse` decides exactly."""
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2
-    over = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2
-    over = larger(m.metres2 * limits.per_error2 / m.pixel2, over)
-    return larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
+    largest2 = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2
+    largest2 = larger(m.metres2 * limits.per_error2 / m.pixel2, largest2)
+    return larger(largest2, m.metres2 / (limits.metres_above * limits.metres_above))
 
 
 @wp.func
@@ -173,7 +173,7 @@ def predict(interval: LodInterval, depth: wp.int32, min_error: wp.float64, error
 def first_within(
     limits: Limits, depth: wp.int32, end: wp.int32, m: MeasuredDiamond, climb2: wp.float64, pixel2: wp.float64
 ) -> wp.int32:
-    """Find the first depth below `depth`, at most `end`, at which edges and areas require no split.
+    """Return the first depth below `depth`, at most `end`, at which edges and areas require no split.
 
     Bisection turns the legs into the longest edge; the new legs are half the old longest edge. Twice the area of a
     triangle is the square of its legs, so that its limit is one of squared legs. climb2: squared height difference
@@ -181,15 +181,15 @@ def first_within(
     """
     max_long2 = limits.edge2 * pixel2 - climb2
     max_legs2 = limits.area2 * pixel2 - climb2
-    found = depth + 1
+    first = depth + 1
     long2 = m.legs2
     legs2 = wp.float64(0.25) * m.long2
-    while found < end and (long2 > max_long2 or legs2 > max_legs2):
+    while first < end and (long2 > max_long2 or legs2 > max_legs2):
         next_legs2 = wp.float64(0.25) * long2
         long2 = legs2
         legs2 = next_legs2
-        found += 1
-    return found
+        first += 1
+    return first
 
 
 @wp.func
@@ -205,9 +205,9 @@ def interval_below(
 ) -> LodInterval:
     """Return the interval below a split diamond, which decides many of its descendants without measuring them.
 
-    It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice; a count those of its
-    finest and coarsest step. m: the measured diamond, at `depth`. max_depth: at this depth all triangles are leaves.
-    in_frame: 1 if all frustums are known to contain the diamond's box.
+    It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice, a count those of its
+    finest and its coarsest step. m: the measured diamond, at `depth`. max_depth: at this depth all triangles are
+    leaves. in_frame: 1 if all frustums are known to contain the diamond's box.
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer
@@ -229,8 +229,10 @@ def interval_below(
         interval.split_above = wp.float64(wp.inf)
         if m.error_m > wp.float64(0.0):
             above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
+            # Descendants have smaller boxes, so their `rest` is between domain.rounding and m.rest.
             interval.split_above = max_error_for(domain, above, domain.rounding)
         if criterion.measures_edges == 1:
+            # Edges below may be level, so their climb is 0.
             interval.split_depth = first_within(
                 coarse, depth, max_depth + 1, m, wp.float64(0.0), edge2 * limits.coarser
             )

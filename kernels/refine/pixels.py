@@ -27,13 +27,13 @@ from .local_view import (
 
 @wp.struct
 class CriterionArrays:
-    """The criterion: squared limits; infinity switches one off."""
+    """The criterion: squared limits, of which infinity switches one off, and the views."""
 
     view_count: wp.int32
-    measures_edges: wp.int32
-    error_px2: wp.float64
-    metres2: wp.float64
-    edge_px2: wp.float64
+    measures_edges: wp.int32  # 1: edges or areas are limited
+    error_px2: wp.float64  # error in pixels
+    metres2: wp.float64  # error in metres
+    edge_px2: wp.float64  # longest edge in pixels
     area_px2: wp.float64  # twice the area: squared legs of a right triangle
     limit: wp.float64  # factor on the limits above: 1, or more to meet a budget
     diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
@@ -53,7 +53,10 @@ def unlimited() -> CriterionArrays:
 
 @wp.func
 def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
-    """Return the squared longest edge and twice the area of a level triangle at `depth`, in camera space (metres)."""
+    """Return the squared longest edge and twice the area of a horizontal triangle at `depth`, in camera space (metres).
+
+    unit_bits: a root square has 2^unit_bits lattice units a side.
+    """
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
     long2 = criterion.diagonal2 * side2
@@ -180,24 +183,24 @@ def cover_of(
 
     low, high: the box, metres relative to the eye. slopes: the map of horizons.
     """
-    part = wp.float64(0.0)
-    if ramp > part:
-        part = covered(rings, ramp, slopes, low, high)
+    fraction = wp.float64(0.0)
+    if ramp > fraction:
+        fraction = covered(rings, ramp, slopes, low, high)
     elif is_hidden(rings, slopes, low, high):
-        part = wp.float64(1.0)
-    return part
+        fraction = wp.float64(1.0)
+    return fraction
 
 
 @wp.func
-def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints are coarser on ground of which the fraction `part` (> 0) is hidden.
+def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, fraction: wp.float64) -> wp.float64:
+    """Return the squared factor by which footprints are coarser on ground of which a `fraction` (> 0) is hidden.
 
     hidden2: the squared factor of wholly hidden ground. occlusion_fade: how fast the factor grows, as in LocalView.
     """
     coarser2 = hidden2
-    if part < wp.float64(1.0):
-        factor = wp.float64(1.0) + occlusion_fade * part
-        factor2 = factor * factor
+    if fraction < wp.float64(1.0):
+        factor = wp.float64(1.0) + occlusion_fade * fraction
+        factor2 = factor * factor  # the footprint is factor^4 coarser
         factor4 = factor2 * factor2
         coarser2 = smaller(factor4 * factor4, coarser2)
     return coarser2
@@ -214,6 +217,7 @@ def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
     outer = inner + fringe_at(view, depth)
     if outer > wp.float64(0.0):
         one = wp.float64(1.0)
+        # 1 + fade * (-inner / width of the fringe), in a form that stays monotone when it is rounded.
         factor = one + view.fade / (one - outer / inner)
         factor2 = factor * factor
         factor4 = factor2 * factor2
@@ -235,9 +239,9 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
         if inner < zero:
             coarser2 = faded2(view, inner, max_over_box(view.depth, d.low, d.high))
     if view.rings.count > 0 and coarser2 < view.hidden2:
-        part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
-        if part > zero:
-            coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, part), coarser2)
+        hidden_fraction = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
+        if hidden_fraction > zero:
+            coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, hidden_fraction), coarser2)
     pixel2, edge2 = nearest_pixel2(view, d.low, d.high, min_over_box(view.depth, d.low, d.high))
     return pixel2 * coarser2, edge2 * coarser2
 
@@ -283,9 +287,9 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside a diamond's.
 
-    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box,
-    which `in_frame` 1 says is known. They are infinite for a diamond that extends beyond the raster's border: some of
-    its descendants are wholly outside, so none is certain to be split.
+    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
+    in_frame: 1 if that is known, 0 to find out. Footprints are infinite for a diamond that extends beyond the raster's
+    border: some of its descendants are wholly outside, so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)
@@ -318,12 +322,12 @@ def ratio2_at(
     unit_bits: a root square has 2^unit_bits lattice units a side. Floats are squared. pixel2, edge2: footprints of
     heights and of edges, metres. metres2: weighed error. climb2: height difference along its edges, metres.
     """
-    found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
+    largest = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:
         long2, legs2 = sizes(criterion, unit_bits, depth)
-        found = larger((long2 + climb2) / (edge2 * criterion.edge_px2), found)
-        found = larger((legs2 + climb2) / (edge2 * criterion.area_px2), found)
-    return found
+        largest = larger((long2 + climb2) / (edge2 * criterion.edge_px2), largest)
+        largest = larger((legs2 + climb2) / (edge2 * criterion.area_px2), largest)
+    return largest
 
 
 @wp.func

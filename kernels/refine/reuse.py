@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reuse of subtrees from the last frame (coherence.py says which ones hold), and the lists for the next frame."""
+"""Reuse of subtrees from the last frame (coherence.py decides which are valid), and the lists for the next frame.
+
+`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far. `r`: the last frame's
+subtrees and the slice's lists. `slot`: number of the slice.
+"""
 
 import warp as wp
 
@@ -101,34 +105,35 @@ def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
 
 @wp.func
 def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
-    """Copy the leaves below a triangle from the last frame if they are cached and still valid.
+    """Copy the leaves below the cursor's triangle from the last frame if they are cached and still valid.
 
-    Returns REUSED, or DOUBT if they are not.
+    Returns REUSED, or DOUBT if they are not. The copied subtree is also cached for the next frame, or narrows the
+    margins of the open subtree that contains it.
     """
-    k = w.slot
-    at = q.base + c.cell
+    slot = w.slot
+    cell = q.base + c.cell
     verdict = wp.int32(DOUBT)
-    if r.cursor[k].cell <= at:
-        while r.cursor[k].cell < at or (r.cursor[k].cell == at and r.cursor[k].depth < c.depth):
-            move_cursor(r, k, r.cursor[k].next)
-        if r.cursor[k].cell == at and r.cursor[k].depth == c.depth:
+    if r.cursor[slot].cell <= cell:
+        while r.cursor[slot].cell < cell or (r.cursor[slot].cell == cell and r.cursor[slot].depth < c.depth):
+            move_cursor(r, slot, r.cursor[slot].next)
+        if r.cursor[slot].cell == cell and r.cursor[slot].depth == c.depth:
             subtree, holds = update_margins(
-                criterion, r.motion, r.last_cached[r.cursor[k].next], w.intervals[c.interval_index].in_frame
+                criterion, r.motion, r.last_cached[r.cursor[slot].next], w.intervals[c.interval_index].in_frame
             )
-            if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
+            if holds == 1 and c.cell >= q.start and cell + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
-                if r.cursor[k].end != NOWHERE:
-                    limit_margins(r, k, subtree.fall, subtree.rise)
-                elif r.cursor[k].count < r.room:
+                if r.cursor[slot].end != NOWHERE:
+                    limit_margins(r, slot, subtree.fall, subtree.rise)
+                elif r.cursor[slot].count < r.room:
                     subtree.first_leaf = w.leaf_base + n.leaves
                     subtree.first_vertex = w.leaf_base + n.vertices
-                    r.cached[wp.int64(k) * r.room + r.cursor[k].count] = subtree
-                    r.cursor[k].count = r.cursor[k].count + wp.int64(1)
-                w.counts[4 * k + STOPPED] = w.counts[4 * k + STOPPED] | wp.int64(subtree.stopped)
-                r.cursor[k].reused = r.cursor[k].reused + wp.int64(subtree.leaves)
-                r.cursor[k].sizes = wp.vec3i(subtree.leaves, subtree.vertices, subtree.edges)
-            move_cursor(r, k, r.cursor[k].next)
+                    r.cached[wp.int64(slot) * r.room + r.cursor[slot].count] = subtree
+                    r.cursor[slot].count = r.cursor[slot].count + wp.int64(1)
+                w.counts[4 * slot + STOPPED] = w.counts[4 * slot + STOPPED] | wp.int64(subtree.stopped)
+                r.cursor[slot].reused = r.cursor[slot].reused + wp.int64(subtree.leaves)
+                r.cursor[slot].sizes = wp.vec3i(subtree.leaves, subtree.vertices, subtree.edges)
+            move_cursor(r, slot, r.cursor[slot].next)
     return verdict
 
 
@@ -148,14 +153,14 @@ def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Wri
 def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
     """Return whether a cached subtree may begin at the cursor's triangle, so that its diamond must be measured.
 
-    None begins inside an open subtree, nor above one that the last frame has cached.
+    None begins inside an open subtree, nor above one of FEW_LEAVES or more leaves that the last frame has cached.
     """
-    k = w.slot
-    found = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room and c.depth < w.max_depth
-    if found:
+    slot = w.slot
+    may = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room and c.depth < w.max_depth
+    if may:
         end = q.base + c.cell + size_of(w, c.depth)
-        found = r.cursor[k].cell >= end or r.cursor[k].leaves < FEW_LEAVES
-    return found
+        may = r.cursor[slot].cell >= end or r.cursor[slot].leaves < FEW_LEAVES
+    return may
 
 
 @wp.func
@@ -171,11 +176,11 @@ def open_subtree(
 ):
     """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
 
-    m: its diamond. interval: the one below it. n: numbers that the slice has written so far. Margins begin at the slack
-    of the interval's verdicts; `narrow_margins` narrows them, and `close_subtree` completes the entry.
+    m: its diamond. interval: the one below it. Margins begin at the slack of the interval's verdicts; `narrow_margins`
+    narrows them, and `close_subtree` completes the entry.
     """
-    k = w.slot
-    opens = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room
+    slot = w.slot
+    opens = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room
     if opens:
         has_few_levels = (
             m.error_m <= ERRORS_CACHED * interval.leaf_up_to and interval.leaf_depth - c.depth <= MAX_BISECTIONS
@@ -184,11 +189,11 @@ def open_subtree(
     if opens:
         frustum_class = frustum_class_of(criterion.view, m.diamond.low, m.diamond.high)
         if can_copy_block(w, q, c):
-            r.cursor[k].end = q.base + c.cell + size_of(w, c.depth)
-            r.cursor[k].before = n
-            r.cursor[k].stopped_before = w.counts[4 * k + STOPPED]
-            w.counts[4 * k + STOPPED] = wp.int64(0)
-            entry = wp.int64(k) * r.room + r.cursor[k].count
+            r.cursor[slot].end = q.base + c.cell + size_of(w, c.depth)
+            r.cursor[slot].before = n
+            r.cursor[slot].stopped_before = w.counts[4 * slot + STOPPED]
+            w.counts[4 * slot + STOPPED] = wp.int64(0)
+            entry = wp.int64(slot) * r.room + r.cursor[slot].count
             coarse2, _edge2, _inside = coarsest(criterion, m.diamond, 0)
             # Footprints of edges are finer.
             footprint = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))
@@ -219,22 +224,22 @@ def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse
 
 
 @wp.func
-def close_subtree(w: Walk, r: Reuse, at: wp.uint64, n: Written):
-    """Complete the entry of the open subtree if it ends at cell `at` or before: its leaves, vertices and edges.
+def close_subtree(w: Walk, r: Reuse, cell: wp.uint64, n: Written):
+    """Complete the entry of the open subtree, its leaves, vertices and edges, if it ends at `cell` or before.
 
-    n: numbers that the slice has written so far. The entry is dropped if its box crosses the frustum's border.
+    cell: the walk's position, counted over all squares. The entry is dropped if its box crosses the frustum's border.
     """
-    k = w.slot
-    if at >= r.cursor[k].end:
-        entry = wp.int64(k) * r.room + r.cursor[k].count
-        before = r.cursor[k].before
+    slot = w.slot
+    if cell >= r.cursor[slot].end:
+        entry = wp.int64(slot) * r.room + r.cursor[slot].count
+        before = r.cursor[slot].before
         r.cached[entry].leaves = wp.int32(n.leaves - before.leaves)
         r.cached[entry].vertices = wp.int32(n.vertices - before.vertices)
         r.cached[entry].edges = wp.int32(n.edges - before.edges)
         r.cached[entry].first_leaf = w.leaf_base + before.leaves
         r.cached[entry].first_vertex = w.leaf_base + before.vertices
-        r.cached[entry].stopped = wp.int32(w.counts[4 * k + STOPPED])
+        r.cached[entry].stopped = wp.int32(w.counts[4 * slot + STOPPED])
         if r.cached[entry].frustum_class != CROSSED:
-            r.cursor[k].count = r.cursor[k].count + wp.int64(1)
-        r.cursor[k].end = NOWHERE
-        w.counts[4 * k + STOPPED] = w.counts[4 * k + STOPPED] | r.cursor[k].stopped_before
+            r.cursor[slot].count = r.cursor[slot].count + wp.int64(1)
+        r.cursor[slot].end = NOWHERE
+        w.counts[4 * slot + STOPPED] = w.counts[4 * slot + STOPPED] | r.cursor[slot].stopped_before

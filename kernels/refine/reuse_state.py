@@ -20,7 +20,7 @@ class ReuseCursor:
     count: wp.int64  # subtrees cached for the next frame
     end: wp.uint64  # cell at which the open subtree ends; NOWHERE: no subtree is open
     before: Written  # counts when it was opened
-    stopped_before: wp.int64  # `stopped` of the slice when it was opened
+    stopped_before: wp.int64  # the slice's entry STOPPED of `Walk.counts` when it was opened
     point_runs: wp.int64  # runs of reused points
     reused: wp.int64  # leaves
     sizes: wp.vec3i  # leaves, vertices and edges of the subtree that was reused last

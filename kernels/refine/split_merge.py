@@ -56,18 +56,18 @@ def decide(
     if depth > 0:  # squares that only fill the tree up to a power of two are a leaf each
         left, apex, right = triangle_of(node, domain.unit_bits)
         middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
-        up = wp.int32(0)
-        while up < wp.min(depth, 2) and order == wp.uint64(0):
-            splits = depth - up < max_depth
+        levels_up = wp.int32(0)  # 0: test the leaf's diamond; 1: its parent's
+        while levels_up < wp.min(depth, 2) and order == wp.uint64(0):
+            splits = depth - levels_up < max_depth
             if splits:
-                splits = is_too_coarse(domain, criterion, middle, depth - up)
-            if up == 0 and splits:
+                splits = is_too_coarse(domain, criterion, middle, depth - levels_up)
+            if levels_up == 0 and splits:
                 order = tree_id
-            elif up == 1 and not splits:
+            elif levels_up == 1 and not splits:
                 if can_merge(t, grid, tree_id >> ONE):
                     order = MERGE | (tree_id >> ONE)
             middle = apex  # the vertex at which the parent's diamond was split
-            up += 1
+            levels_up += 1
     orders[k] = order
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The steps of a walk along the curve: into a square, down to a triangle's children, on to the next triangle."""
+"""The steps of a walk along the curve: into a square, down to a triangle's children, on to the next triangle.
+
+`w`: the slice's Walk. `q`: its current square. `c`: its cursor.
+"""
 
 import warp as wp
 
@@ -31,7 +34,8 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 def enter(w: Walk, q: Square) -> Cursor:
     """Return a cursor at the first of a square's two halves, with the other half on the stack; both are in doubt.
 
-    An entry of `aside` packs a triangle's curve state (3 bits), its depth (6 bits) and the entry of its interval.
+    An entry of `stack` has a triangle's apex and right corner; the left corner is the right one of the triangle before.
+    An entry of `aside` packs its curve state (3 bits), its depth (6 bits) and the index of its interval.
     """
     entry = w.slot * STACK
     x0 = q.corner[0]
@@ -90,12 +94,12 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         c.cell = c.cell + size_of(w, c.depth)
         c.top = wp.where(q.base + c.cell >= w.end_cell, -1, c.top - 1)
         if c.top >= 0:
-            at = w.slot * STACK + c.top
+            top_entry = w.slot * STACK + c.top
             c.left = c.right
-            corners = item_at(w.stack, at)
+            corners = item_at(w.stack, top_entry)
             c.apex = wp.vec2i(corners[0], corners[1])
             c.right = wp.vec2i(corners[2], corners[3])
-            packed = item_at(w.aside, at)
+            packed = item_at(w.aside, top_entry)
             c.state = packed & 7
             c.depth = (packed >> 3) & 63
             c.interval_index = packed >> 9

@@ -22,7 +22,7 @@ UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # above the rounding of a su
 def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.float32:
     """Return the stored error of raster cell (i, j) in a group, metres before scaling; 0 outside the raster.
 
-    group: of cells or of curvatures.
+    group: domain.cell_group, or domain.curvature_group of a bicubic surface.
     """
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
@@ -66,7 +66,7 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     while may_be_larger and ring <= RINGS + 1:
         may_be_larger = wp.bool(False)
         largest_before = largest
-        for k in range(wp.max(4 * ring, 1)):
+        for k in range(wp.max(4 * ring, 1)):  # cells `ring` steps away: four sides of a rhombus
             t = k % wp.max(ring, 1)
             side = k / wp.max(ring, 1)
             x = wp.where((side & 1) == 0, ring - t, -t)
@@ -100,7 +100,7 @@ def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
 
 
 @wp.func
-def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
+def error_index(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
     """Return the entry, in the array of errors, of the diamond split at (x, y), above the raster's cells.
 
     The order of entries: see kernels/field/layout.py.
@@ -152,7 +152,7 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
     if is_beyond(domain, x, y, depth):
         error = wp.float32(0.0)
     elif finer < 0:
-        index = place(domain, x, y, depth)
+        index = error_index(domain, x, y, depth)
         error = error_of(domain.table, group_of(domain.levels, depth), domain.error, index)
     else:
         bits = domain.unit_bits - domain.levels
@@ -206,8 +206,8 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
     max_weight = wp.int32(0)
     for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
-            at = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
-            max_weight = wp.max(max_weight, wp.int32(item_at(domain.mask_max, at)))
+            entry = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
+            max_weight = wp.max(max_weight, wp.int32(item_at(domain.mask_max, entry)))
     return max_weight
 
 
@@ -224,7 +224,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
         if x + reach > domain.east or y + reach > domain.north:
             table_entry = 0  # all of it
     missed = domain.detail[table_entry][0]
-    for k in range(domain.masked):
+    for k in range(domain.masked):  # `detail` has 64 entries for all unmasked layers, then 64 for each mask
         weight = wp.float32(max_of_mask(domain, k, x, y, depth))
         missed += weight * domain.detail[64 * (k + 1) + table_entry][0]
     if domain.masked > 0:
@@ -234,9 +234,9 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 @wp.func
 def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the diamond's error from stored codes with that of the detail, metres before scaling: `error_at` or more.
+    """Return the diamond's error from stored codes with that of the detail, metres before scaling.
 
-    It is cheap, and at most twice `error_at`, where `may_be_less` is true.
+    It is cheaper than `error_at`, and equal to it unless `may_be_less`; then it is up to twice as large.
     """
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
@@ -270,4 +270,4 @@ def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
     """Prefetch the errors around the diamond split at (x, y) into the processor's cache."""
-    prefetch(domain.error, place(domain, x, y, depth))
+    prefetch(domain.error, error_index(domain, x, y, depth))

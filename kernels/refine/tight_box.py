@@ -17,8 +17,8 @@ from .pixels import farthest_pixel2, nearest_pixel2
 
 # A part of a leaf is small enough if squared pixel footprints differ by less than the first factor in it; at the
 # frame's sides, where it may be out of view, by less than the second.
-ONE_SPAN = wp.constant(wp.float64(1.2))
-ONE_SPAN_CROSSED = wp.constant(wp.float64(1.02))
+NEARLY_EQUAL = wp.constant(wp.float64(1.2))
+NEARLY_EQUAL_CROSSED = wp.constant(wp.float64(1.02))
 # Relative; far above what rounding does to a sum of a few terms.
 MARGIN = wp.constant(wp.float64(1e-12))
 NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; rounding is a thousandth of it
@@ -90,22 +90,23 @@ def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
     depth - multiplier * (distance from the plane) is a lower bound (weak duality). The bound is largest if the
     multiplier cancels a coordinate. The result is -infinity if no multiplier does.
     """
-    found = wp.float64(-wp.inf)
+    largest = wp.float64(-wp.inf)
     for p in range(view.plane_count):
         plane = view.planes[p]
         for axis in range(3):
             multiplier = view.depth[axis] / plane[axis]
             if multiplier > wp.float64(0.0) and multiplier < wp.float64(wp.inf):
                 bound = view.depth[3] - multiplier * plane[3]
-                size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
+                # Sum of the terms' magnitudes, which bounds the rounding of `bound`.
+                magnitude = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
                 for k in range(3):
                     reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
-                    size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
+                    magnitude += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
                     if k != axis:
                         factor = view.depth[k] - multiplier * plane[k]
                         bound += smaller(factor * d.low[k], factor * d.high[k])
-                found = larger(found, bound - MARGIN * size)
-    return found
+                largest = larger(largest, bound - MARGIN * magnitude)
+    return largest
 
 
 @wp.func
@@ -113,7 +114,7 @@ def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
     """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
 
     of_edges: whether footprints of edges are measured, or those of heights. The finest is infinite if the box is out of
-    view. The coarsest is scaled for the comparison with ONE_SPAN.
+    view. The coarsest is scaled for the comparison with NEARLY_EQUAL.
     """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
@@ -128,5 +129,5 @@ def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
             pixel2 = edge2
             coarse2 = coarse_edge2
         if frustum_class == CROSSED:
-            coarse2 = coarse2 * ONE_SPAN / ONE_SPAN_CROSSED
+            coarse2 = coarse2 * NEARLY_EQUAL / NEARLY_EQUAL_CROSSED
     return pixel2, coarse2

@@ -6,6 +6,9 @@ plain.py is the same method without shortcuts. Here the leaves below a triangle 
 diamonds below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval
 for those below it. The curve often crosses from one triangle of a diamond to the other: the last measure of each depth
 is kept, so the second one need not be measured. Leaves of one depth are written as an even block.
+
+`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far. `r`: the last frame's
+subtrees and the slice's lists.
 """
 
 import warp as wp
@@ -54,32 +57,32 @@ def judge(
 ):
     """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the index of its children's interval.
 
-    The index is that in `w.intervals`. w, q, c: the walk, its square and its cursor. r: subtrees of the last frame. n:
-    the slice's counts so far. The interval from above decides if it can; otherwise the diamond is measured, unless its
-    other triangle was just before this one. A measured diamond and its interval are stored in `w`.
+    The index is that in `w.intervals`. limits: the criterion. The interval from above decides if it can; otherwise the
+    diamond is measured, unless it was measured just before, for its other triangle. A measured diamond and its interval
+    are stored in `w`.
     """
     middle = middle_of(c)
     above = w.intervals[c.interval_index]
     interval_index = c.interval_index
     error = wp.float32(0.0)  # where depths alone decide, errors need not be read
-    min_error = wp.float64(1.0)
+    min_fraction = wp.float64(1.0)  # of the stored error, that the exact one is at least
     if above.depths_decide == 0:
         error = stored_error_at(domain, middle[0], middle[1], c.depth)
         if may_be_less(domain, c.depth):
-            min_error = SURE
+            min_fraction = SURE
     error_m = wp.float64(error) * domain.error_scale
-    verdict = predict(above, c.depth, min_error * error_m, error_m)
+    verdict = predict(above, c.depth, min_fraction * error_m, error_m)
     if c.depth < w.max_depth:
-        narrows = above.depths_decide == 1 and above.even_depth == 0 and (c.depth & 1) == 0
-        narrows = narrows and above.leaf_depth - c.depth > NARROWED
-        if (narrows and verdict == SPLIT) or may_begin_subtree(w, r, q, c):
+        would_narrow = above.depths_decide == 1 and above.even_depth == 0 and (c.depth & 1) == 0
+        would_narrow = would_narrow and above.leaf_depth - c.depth > NARROWED
+        if (would_narrow and verdict == SPLIT) or may_begin_subtree(w, r, q, c):
             verdict = DOUBT
     elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
-        verdict = LEAF  # its measure can add nothing
+        verdict = LEAF  # to measure it could only set STOPPED, which is set
     if verdict == DOUBT:
         here = w.slot * STACK + c.depth
         if not (w.diamonds[here].middle == middle):
-            if min_error < wp.float64(1.0):
+            if min_fraction < wp.float64(1.0):
                 error = error_at(domain, middle[0], middle[1], c.depth)
             m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
             m.verdict = wp.where(too_coarse(criterion, criterion.limit, m), SPLIT, LEAF)

@@ -25,16 +25,16 @@ class Walk:
     first_cell: wp.uint64  # slice [first_cell, end_cell) of deepest cells, all squares in a row
     end_cell: wp.uint64
     cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
-    max_depth: wp.int32
-    leaf_capacity: wp.int64
+    max_depth: wp.int32  # at this depth all triangles are leaves
+    leaf_capacity: wp.int64  # leaves and new vertices for which this slice has entries
     leaf_limit: wp.int64  # a walk with more leaves may end early
-    leaf_base: wp.int64  # where this slice's part of the arrays begins
-    slot: wp.int32  # row of stacks, sides and counts
+    leaf_base: wp.int64  # first entry of this slice in `code` and `point`
+    slot: wp.int32  # number of the slice: its row of stacks, sides and counts
     grid: wp.int32  # 1: several squares, borders are tracked
-    code: wp.array(dtype=wp.uint16)
-    point: wp.array(dtype=wp.vec2i)
-    stack: wp.array(dtype=wp.vec4i)
-    aside: wp.array(dtype=wp.int32)
+    code: wp.array(dtype=wp.uint16)  # words of leaves, see curve.py
+    point: wp.array(dtype=wp.vec2i)  # new vertices, lattice units
+    stack: wp.array(dtype=wp.vec4i)  # apex (x, y) and right corner (x, y) of each triangle on the stack
+    aside: wp.array(dtype=wp.int32)  # ... its state, depth and interval, see `enter`
     intervals: wp.array(dtype=LodInterval)  # by depth: below the last measured diamond that was split
     diamonds: wp.array(dtype=MeasuredDiamond)  # ... and the last measured diamond
     blocks: BlockTable
@@ -50,7 +50,7 @@ class Square:
     number: wp.int32
     column: wp.int32
     row: wp.int32
-    corner: wp.vec2i
+    corner: wp.vec2i  # south-west corner, lattice units
     side: wp.int32  # lattice units
     base: wp.uint64  # its first deepest cell, all squares in a row
     start: wp.uint64  # the first of its cells, from 0, that is in the slice
@@ -60,7 +60,7 @@ class Square:
 class Cursor:
     """Position of the walk: a triangle, and the interval for it."""
 
-    left: wp.vec2i
+    left: wp.vec2i  # corners, lattice units
     apex: wp.vec2i
     right: wp.vec2i
     cell: wp.uint64  # its first deepest cell, in the square

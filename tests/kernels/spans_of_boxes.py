@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from .coherence import FADED, Motion, Subtree, span_change
+from .coherence import FADED, Motion, Subtree, footprint_change
 from .diamond import Diamond
 from .local_view import LocalView
 from .pixels import CriterionArrays, finest_in
@@ -39,7 +39,7 @@ def spans_of_boxes(
         spans[k, 3] = wp.sqrt(edges_now2)
         subtree.fine = wp.min(subtree.fine, spans[k, wp.where(asked.measures_edges == 1, 2, 0)])
         subtree.coarse = wp.max(subtree.coarse, spans[k, 0])
-    least, most, valid = span_change(asked.view, motion, asked.measures_edges, subtree)
+    least, most, valid = footprint_change(asked.view, motion, asked.measures_edges, subtree)
     change[0] = least
     change[1] = most
     change[2] = wp.float64(valid)

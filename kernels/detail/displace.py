@@ -15,13 +15,15 @@ def with_detail(domain: Domain, layers: PackedLayers, p: wp.vec2i, g: wp.vec3d) 
 
     g: metres before scaling, and metres a cell.
     """
-    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding is level
-    level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
+    units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    slope_factor_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding has no slope
+    slope_factor_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
     x = domain.west + wp.float64(wp.min(p[0], domain.east)) * domain.unit_x
     y = domain.south + wp.float64(wp.min(p[1], domain.north)) * domain.unit_y
     d = detail_at(layers, x, y)
-    return g + wp.vec3d(d[0], d[1] * level_x * domain.unit_x * units, d[2] * level_y * domain.unit_y * units)
+    return g + wp.vec3d(
+        d[0], d[1] * slope_factor_x * domain.unit_x * units_a_cell, d[2] * slope_factor_y * domain.unit_y * units_a_cell
+    )
 
 
 @wp.kernel
@@ -37,15 +39,16 @@ def displace_detail(
 ):
     """Write positions and normals of points first .. end - 1, on the surface with all displacement layers.
 
-    Like `displace` (kernels/mesh/displace.py), it copies runs of points that the last mesh had. point_base: index
-    of the first point in the list. vertex_base: its vertex. slot: number of the thread's list of runs.
+    Like `displace` (kernels/mesh/displace.py), it copies runs of points that the last mesh had. Points are counted in
+    the slice: point 0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of
+    the thread's list of runs.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
-        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        copy_run(points, at, begin, stop, vertex_base)
+        begin, stop, last_first = find_run(points, run, run_end, v, end, point_base)
+        copy_run(points, last_first, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

@@ -14,11 +14,11 @@ from ..unchecked import has_near_corner
 
 @wp.struct
 class Cut:
-    """A welded mesh in arrays with room behind what they hold."""
+    """A welded mesh in arrays with room for new elements at their ends."""
 
-    corner_verts: wp.array(dtype=wp.int32)
-    corner_edges: wp.array(dtype=wp.int32)
-    edges: wp.array(dtype=wp.vec2i)
+    corner_verts: wp.array(dtype=wp.int32)  # [3 triangles]
+    corner_edges: wp.array(dtype=wp.int32)  # [3 triangles]: the edge from each corner to the next
+    edges: wp.array(dtype=wp.vec2i)  # ends of each edge
     value: wp.array(dtype=wp.float64)  # of each vertex of a listed triangle
     listed: wp.array(dtype=wp.int32)  # triangles that are cut, removed, new, or may use moved elements
     ends: wp.array(dtype=wp.vec2i)  # positive and negative end of each new vertex' edge
@@ -144,15 +144,15 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
     """
     a = m.edges[e][0]
     b = m.edges[e][1]
-    n = a + b - p
-    if n == q:
-        n = next_number(m, VERTEX)
-        m.ends[n - first] = wp.vec2i(p, q)
+    new = a + b - p  # the end of e that is not p
+    if new == q:
+        new = next_number(m, VERTEX)
+        m.ends[new - first] = wp.vec2i(p, q)
         if a == q:
-            m.edges[e] = wp.vec2i(n, b)
+            m.edges[e] = wp.vec2i(new, b)
         else:
-            m.edges[e] = wp.vec2i(a, n)
-    return n
+            m.edges[e] = wp.vec2i(a, new)
+    return new
 
 
 @wp.func
@@ -173,7 +173,7 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
     """
     v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
-    n = wp.int32(0)
+    num_corners = wp.int32(0)
     line = next_number(m, EDGE)
     for i in range(3):
         p = m.corner_verts[3 * t + i]
@@ -182,28 +182,29 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
         at_p = m.value[p]
         at_q = m.value[q]
         if at_p >= wp.float64(0.0):
-            v[n] = p
-            e[n] = wp.where(at_p == wp.float64(0.0) and at_q < wp.float64(0.0), line, edge)
-            n += 1
+            v[num_corners] = p
+            e[num_corners] = wp.where(at_p == wp.float64(0.0) and at_q < wp.float64(0.0), line, edge)
+            num_corners += 1
         if at_p > wp.float64(0.0) and at_q < wp.float64(0.0):
-            v[n] = cut_point(m, first_vertex, edge, p, q)
-            e[n] = line
-            n += 1
+            v[num_corners] = cut_point(m, first_vertex, edge, p, q)
+            e[num_corners] = line
+            num_corners += 1
         if at_p < wp.float64(0.0) and at_q > wp.float64(0.0):
-            v[n] = cut_point(m, first_vertex, edge, q, p)
-            e[n] = edge
-            n += 1
+            v[num_corners] = cut_point(m, first_vertex, edge, q, p)
+            e[num_corners] = edge
+            num_corners += 1
     k = wp.int32(0)
-    for i in range(n):
+    for i in range(num_corners):
         if e[i] == line:
             k = i
-    a = (k + 1) % n
-    b = (k + 2) % n
+    # The new edge is from corner v[k] to v[a]; the other corners follow.
+    a = (k + 1) % num_corners
+    b = (k + 2) % num_corners
     m.edges[line] = wp.vec2i(v[k], v[a])
-    if n == 3:
+    if num_corners == 3:
         put_triangle(m, t, wp.vec3i(v[k], v[a], v[b]), wp.vec3i(line, e[a], e[b]))
     else:
-        c = (k + 3) % n
+        c = (k + 3) % num_corners
         across = next_number(m, EDGE)
         m.edges[across] = wp.vec2i(v[a], v[c])
         put_triangle(m, t, wp.vec3i(v[a], v[b], v[c]), wp.vec3i(e[a], e[b], across))

@@ -17,15 +17,15 @@ HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32
 class DisplacedPoints:
     """Lattice points, their vertices, and the vertices of the last frame that are reused."""
 
-    point: wp.array(dtype=wp.vec2i)
+    point: wp.array(dtype=wp.vec2i)  # lattice units; each slice has its entries
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
     uv: wp.array(dtype=wp.vec2f)
     not_finite: wp.array(dtype=wp.int32)  # [1]: set to 1 where a position or a normal is not finite
-    # Points that the last frame had, and its vertices.
-    reused: Runs
-    last_base: wp.array(dtype=wp.int64)  # of each slice of it: its first point
-    last_vertex: wp.array(dtype=wp.int64)  # ... and that one's number
+    # The last frame's points and vertices.
+    reused: Runs  # points that both frames have
+    last_base: wp.array(dtype=wp.int64)  # per slice of the last frame: entry of its first point
+    last_vertex: wp.array(dtype=wp.int64)  # ... and the number of that point's vertex
     last_slices: wp.int32
     last_positions: wp.array(dtype=wp.vec3f)
     last_normals: wp.array(dtype=wp.vec3f)
@@ -143,10 +143,11 @@ def runs_of(points: DisplacedPoints, slot: wp.int32):
 def find_run(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return (begin, stop, at): the points from v on that a run copies, and the first one's vertex in the last frame.
+    """Return (begin, stop, at): the points begin .. stop - 1 that a run copies, and the first one's last vertex.
 
-    Without such points begin and stop are both `end`. run, run_end: the run's entry in the list, and the end of the
-    list. point_base: entry of the slice's point 0.
+    Points are counted in the slice, and only those from v to `end` - 1 count; without any, begin and stop are `end`.
+    at: number of the vertex in the last frame. run, run_end: the run's entry in the list, and the end of the list.
+    point_base: entry of the slice's point 0 in `points.point`.
     """
     begin = end
     stop = end
@@ -170,7 +171,8 @@ def next_new(
 ):
     """Return the end of the points to prefetch: from `stop` to the next run that is copied, AHEAD at most.
 
-    run, run_end: the next entry of the list of runs and its end. end: end of this piece's points.
+    Points are counted in the slice. run, run_end: the next entry of the list of runs and its end. end: end of this
+    piece's points. point_base: entry of the slice's point 0 in `points.point`.
     """
     begin = wp.min(stop + AHEAD, end)
     if run < run_end:
@@ -180,9 +182,9 @@ def next_new(
 
 @wp.func
 def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
-    """Copy vertices begin .. stop - 1 from the last frame, where they start at vertex `at`.
+    """Copy the vertices of points begin .. stop - 1 from the last frame, where they start at vertex `at`.
 
-    vertex_base: number of the slice's first vertex.
+    vertex_base: number of the vertex of the slice's point 0.
     """
     if stop > begin:
         count = stop - begin
@@ -238,10 +240,10 @@ def displace(
     domain: Domain,
     points: DisplacedPoints,
 ):
-    """Write positions (metres from the local origin), normals and texture coordinates of points `first` .. `end`.
+    """Write positions (metres from the local origin), normals and texture coordinates of points first .. end - 1.
 
-    point_base, vertex_base: entry of point 0, and its vertex. slot: number of the list of runs that are copied from the
-    last frame; all other points are computed.
+    Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the
+    mesh. slot: number of the list of runs that are copied from the last frame; all other points are computed.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

@@ -62,7 +62,7 @@ def resolve(
         e = STATE_SIZE * k
         leaves = wp.int32(w.counts[3 * k])
         room = base_of(w.counts, k).room
-        first = 2 * room
+        first = 2 * room  # of the slice's imports, which have two entries for each of `room`
         for i in range(w.state[e + IMPORTS]):
             level = w.imports[first + i][0] >> LEVEL_SHIFT
             kind = w.imports[first + i][0] & ((1 << LEVEL_SHIFT) - 1)
@@ -72,13 +72,13 @@ def resolve(
                 n = w.state[e - STATE_SIZE + END_FRONT + value]
                 number = wp.vec2i(n, n)
             elif kind == STACK or kind == STACK + 1:
-                at = tops[kind - STACK] - 1 - value
-                if at < 0:  # nothing is open
+                entry = tops[kind - STACK] - 1 - value
+                if entry < 0:  # nothing is open
                     w.state[e + TORN] = 1
                 else:
-                    at += (kind - STACK) * size
-                    number = open[at]
-                    check_level(w, e, level, open_level[at])
+                    entry += (kind - STACK) * size
+                    number = open[entry]
+                    check_level(w, e, level, open_level[entry])
             elif kind == SIDE:
                 number = w.side[value]
                 check_level(w, e, level, w.side_level[value])
@@ -94,9 +94,9 @@ def resolve(
             if w.state[e + RESTARTED] == 1:
                 top = 0
             for i in range(w.state[e + END_TOPS + side]):
-                at = stack_base(room, leaves, side) + i
-                edge = w.stack[at]
-                open_level[side * size + top] = w.stack_level[at]
+                entry = stack_base(room, leaves, side) + i
+                edge = w.stack[entry]
+                open_level[side * size + top] = w.stack_level[entry]
                 open[side * size + top] = wp.vec2i(edge[0], resolve_number(edge[1], first, found, 1))
                 top += 1
             tops[side] = top
@@ -105,7 +105,7 @@ def resolve(
         if k + 1 < slices:
             last = w.squares[k + 1]
         for q in range(w.squares[k], wp.min(last + 1, squares)):
-            for upper in range(2):
+            for upper in range(2):  # 0: the right side, 1: the upper side
                 begin = w.side_base[upper * squares + q]
                 end = w.side_base[upper * squares + q + 1]
                 if q == last:

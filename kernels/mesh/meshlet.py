@@ -37,11 +37,11 @@ class WeldedMesh:
 
     vertices: wp.int32
     edge_count: wp.int32
-    point: wp.array(dtype=wp.vec2i)
-    corner_verts: wp.array(dtype=wp.int32)
-    corner_edges: wp.array(dtype=wp.int32)
-    edges: wp.array(dtype=wp.vec2i)
-    level: wp.array(dtype=wp.int32)
+    point: wp.array(dtype=wp.vec2i)  # of each vertex, lattice units
+    corner_verts: wp.array(dtype=wp.int32)  # [3 triangles]
+    corner_edges: wp.array(dtype=wp.int32)  # [3 triangles]: the edge from each corner to the next
+    edges: wp.array(dtype=wp.vec2i)  # ends of each edge
+    level: wp.array(dtype=wp.int32)  # of each triangle
 
 
 @wp.func
@@ -52,7 +52,7 @@ def step_along(p: wp.vec2i, q: wp.vec2i, n: wp.int32) -> wp.vec2i:
 
 @wp.func
 def expand_edge(e: wp.int32, n: wp.int32, source: WeldedMesh, out: WeldedMesh):
-    """Write the n - 1 points inside edge e of the source, and its n segments."""
+    """Write the n - 1 points inside edge e of the source, and its n segments, to the expanded mesh `out`."""
     ends = source.edges[e]
     p = source.point[ends[0]]
     d = step_along(p, source.point[ends[1]], n)
@@ -108,8 +108,8 @@ def expand(
 ):
     """Write points, lines and triangles of edges first_edge .. end_edge - 1 and leaves first_leaf .. end_leaf - 1.
 
-    numbers: scratch from entry `scratch` on, for the numbers of one leaf's points and lines in the template's
-    order.
+    source, out: the mesh before and after the expansion. numbers: scratch from entry `scratch` on, for the numbers of
+    one leaf's points and lines in the template's order.
     """
     n = t.segments
     for e in range(first_edge, end_edge):
@@ -175,23 +175,23 @@ def find_common_points(
     """
     i = wp.int32(0)
     j = wp.int32(0)
-    ahead = wp.int64(0)  # end of leaf i along the curve less that of leaf j
-    found = wp.int64(0)
-    goes_on = wp.bool(False)  # whether the run of the previous leaf goes on
+    ahead = wp.int64(0)  # end of leaf i along the curve minus that of leaf j, in the unit of `length_of`
+    num_runs = wp.int64(0)
+    is_run_open = wp.bool(False)  # whether the previous leaf belongs to the last run
     if leaves > 0 and last_leaves > 0:
         ahead = length_of(level[0]) - length_of(last_level[0])
     while i < leaves and j < last_leaves:
-        stays = level[i] == last_level[j]
-        if stays:
-            if not goes_on:
-                runs[found].first = wp.int64(first) + wp.int64(points) * wp.int64(i)
-                runs[found].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
-                runs[found].count = wp.int64(0)
-                runs[found].coarse = wp.float64(wp.inf)
-                runs[found].clear_below = NOT_CLEAR
-                found += wp.int64(1)
-            runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
-        goes_on = stays
+        is_same = level[i] == last_level[j]
+        if is_same:
+            if not is_run_open:
+                runs[num_runs].first = wp.int64(first) + wp.int64(points) * wp.int64(i)
+                runs[num_runs].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
+                runs[num_runs].count = wp.int64(0)
+                runs[num_runs].coarse = wp.float64(wp.inf)
+                runs[num_runs].clear_below = NOT_CLEAR
+                num_runs += wp.int64(1)
+            runs[num_runs - wp.int64(1)].count = runs[num_runs - wp.int64(1)].count + wp.int64(points)
+        is_run_open = is_same
         next_i = ahead <= wp.int64(0)
         next_j = ahead >= wp.int64(0)
         if next_i:
@@ -202,4 +202,4 @@ def find_common_points(
             j += 1
             if j < last_leaves:
                 ahead -= length_of(last_level[j])
-    count[0] = found
+    count[0] = num_runs

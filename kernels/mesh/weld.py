@@ -9,7 +9,8 @@ instead, since the later square passes them last edge first.
 
 Slices of the curve are welded side by side, each from exact bases (weld_state.py), and joined afterwards (join.py).
 
-`slot`: the slice's row in the arrays. `leaves`: number of the slice's leaves. `code`: a leaf's word.
+`slot`: the slice's row in the arrays. `leaves`: number of its leaves. `b`: its first numbers. `e`: its first entry in
+`state`. `s`: its strip. `code`: a leaf's word.
 """
 
 import warp as wp
@@ -54,9 +55,9 @@ from .weld_state import (
     stack_base,
 )
 
-PASSAGE = wp.constant(6)  # a leaf's word without the rest
-SHAPE = wp.constant(PASSAGE | 1 << PARITY)
-RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST
+PASSAGE = wp.constant(6)  # bits of the passage in a leaf's word
+SHAPE = wp.constant(PASSAGE | 1 << PARITY)  # ... and of the depth's parity
+RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # bits of BORDER, FIRST and LAST: not all are 0 in rare leaves
 
 
 def by_shape(value) -> int:
@@ -141,8 +142,7 @@ def write_triangle(
 def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     """Return the strip before a slice's first leaf, and clear the slice's state.
 
-    No edge is open. The front is an import from the slice before, unless a square begins here. b: the slice's first
-    numbers. leaves: number of the slice's leaves.
+    No edge is open. The front is an import from the slice before, unless a square begins here.
     """
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):
@@ -174,8 +174,7 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
     """Return the strip before a square's first leaf.
 
-    The front is the edge by which the curve enters; no edge is open. b, slot, leaves: first numbers, number and leaves
-    of the slice. code: word of the leaf. s: strip at the end of the square before.
+    The front is the edge by which the curve enters; no edge is open. s: the strip at the end of the square before.
     """
     e = STATE_SIZE * slot
     for i in range(4):
@@ -200,15 +199,15 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
 def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
     """Return (third, far, grow): the edge that the curve does not cross, its far vertex, and the growth of its stack.
 
-    A new edge or vertex gets the next number. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side. b,
-    slot, leaves: first numbers, number and leaves of the slice. code: the leaf's word. s: the strip.
+    A new edge or vertex gets the next number. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or
+    if an earlier slice has opened it.
     """
     e = STATE_SIZE * slot
     side = side_of(code)
     level = level_of(code, THIRD_LEGS)
     role = (code >> BORDER) & 7
     top = wp.where(side == 0, s.next0, s.next1)
-    moved = wp.where(side == 0, s.front0, s.front1)
+    side_vertex = wp.where(side == 0, s.front0, s.front1)  # the front's vertex that this leaf moves
     third = s.edge
     far = s.vertex
     grow = wp.int32(0)
@@ -225,9 +224,9 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
         third = shared_edge[0]
         far = shared_edge[1]
     elif role == GIVE_RIGHT:
-        append_right(w, e, third, level, moved, far)
+        append_right(w, e, third, level, side_vertex, far)
     elif role == GIVE_ABOVE:
-        append_above(w, e, third, level, moved)
+        append_above(w, e, third, level, side_vertex)
     else:
         if role == TO_CORNER:
             far = corner_below(w, b, e, w.state[e + SQUARE])
@@ -239,8 +238,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
     """List triangle t for `join` if it uses an import, and pass an edge by which the curve leaves a square to the next.
 
-    The next is the square above. s: the strip. code: the leaf's word. third, far: its third edge and that edge's far
-    vertex.
+    The next is the square above. third, far: the leaf's third edge and that edge's far vertex.
     """
     e = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:
@@ -286,19 +284,19 @@ def weld(slot: wp.int32, w: Weld):
             s = begin_square(w, b, slot, code, leaves, s)
         side = side_of(code)
         top = wp.where(side == 0, s.next0, s.next1)
-        moved = wp.where(side == 0, s.front0, s.front1)
+        side_vertex = wp.where(side == 0, s.front0, s.front1)
         third, far, grow = third_edge(w, b, slot, code, leaves, s)
         note_rare(w, b, slot, code, s, b.triangle + k, third, far)
         ordinary = wp.bool(True)
         while ordinary:
             # Where an edge that is closed, or the front, has another level, leaves do not fit together.
             level = level_of(code, THIRD_LEGS)
-            met = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)
-            s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | met
+            differs = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)  # 0 unless an edge is closed
+            s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | differs
             leave = s.edge + wp.where(third == s.edge, 1, 0)
             # Later leaves overwrite those of these three that are not needed.
-            put(w.edges, s.edge, wp.vec2i(moved, far))
-            put(w.stack, top, wp.vec2i(third, moved))
+            put(w.edges, s.edge, wp.vec2i(side_vertex, far))
+            put(w.stack, top, wp.vec2i(third, side_vertex))
             put(w.stack_level, top, level)
             write_triangle(w, b.triangle + k, code, side, s.front0, s.front1, far, s.entry, third, leave)
             s.level = level_of(code, LEAVE_LEGS)
@@ -316,7 +314,7 @@ def weld(slot: wp.int32, w: Weld):
             side = side_of(code)
             old = code & 1
             top = wp.where(side == 0, s.next0, s.next1)
-            moved = wp.where(side == 0, s.front0, s.front1)
+            side_vertex = wp.where(side == 0, s.front0, s.front1)
             closed = item_at(w.stack, top - 1)
             third = wp.where(old == 1, closed[0], s.edge)
             far = wp.where(old == 1, closed[1], s.vertex)

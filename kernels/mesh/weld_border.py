@@ -2,7 +2,7 @@
 """Welding across root squares: sides that two squares share are kept per side, edge by edge.
 
 Squares are numbered row by row. A square reads its left and lower side, last edge first, and writes its right and upper
-side.
+side. `slot`: the slice's row in the arrays. `e`: its first entry in `state`. `b`: its first numbers.
 """
 
 import warp as wp
@@ -43,7 +43,7 @@ def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, befo
 def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
     """Return the vertex at the lower left corner of `square`, which the square below has made as its upper left one.
 
-    It is an import (a negative number) if an earlier slice made it. e: the slice's entry in `state`.
+    It is an import (a negative number) if an earlier slice made it.
     """
     below = square - w.columns
     v = wp.int32(0)
@@ -61,8 +61,8 @@ def begin_left_side(
     """Begin a square with its left side's first edge, from the upper left corner down.
 
     Returns corner, lower end, edge, and the next free vertex and edge number. Side and corner come from the left
-    neighbour if there is one; they are imports if an earlier slice made them. e: the slice's entry in `state`. code:
-    the leaf's word. level: the edge's level. vertices, edges: the next free numbers.
+    neighbour if there is one; they are imports if an earlier slice made them. code: the leaf's word. level: the edge's
+    level. vertices, edges: the next free numbers.
     """
     square = w.state[e + SQUARE]
     column = square % w.columns
@@ -72,16 +72,16 @@ def begin_left_side(
     new_vertices = wp.int32(0)
     if column > 0:
         owner = square - 1
-        at = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
+        last = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
         w.state[e + LEFT] = 1
-        if is_in_slice(w, slot, owner, at - w.side_base[owner], RIGHT_SIDE):
+        if is_in_slice(w, slot, owner, last - w.side_base[owner], RIGHT_SIDE):
             corner = w.corners[2 * owner + 1]
-            entry = w.side[at][0]
-            end = w.side[at][1]
-            check_level(w, e, level, w.side_level[at])
+            entry = w.side[last][0]
+            end = w.side[last][1]
+            check_level(w, e, level, w.side_level[last])
         else:
             corner = add_import(w, b, e, UPPER_RIGHT, owner)
-            end = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
+            end = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), last)
             entry = end
     else:
         new_vertices = 1
@@ -99,30 +99,30 @@ def begin_left_side(
 def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
     """Return the next (edge, far vertex) of the side shared with the square to the left or below.
 
-    They are imports (negative numbers) if an earlier slice made them. e: the slice's entry in `state`. role: TAKE_LEFT
-    or TAKE_BELOW. level: the edge's level, which is checked.
+    They are imports (negative numbers) if an earlier slice made them. role: TAKE_LEFT or TAKE_BELOW. level: the edge's
+    level, which is checked.
     """
     square = w.state[e + SQUARE]
-    at = wp.int32(0)
+    entry = wp.int32(0)
     is_here = wp.bool(False)
     if role == TAKE_LEFT:
         n = w.state[e + LEFT]
         w.state[e + LEFT] = n + 1
-        at = w.side_base[square] - 1 - n
-        is_here = is_in_slice(w, slot, square - 1, at - w.side_base[square - 1], RIGHT_SIDE)
+        entry = w.side_base[square] - 1 - n
+        is_here = is_in_slice(w, slot, square - 1, entry - w.side_base[square - 1], RIGHT_SIDE)
     else:
         owner = square - w.columns
         n = w.state[e + BELOW]
         w.state[e + BELOW] = n + 1
         above = w.columns * w.rows + owner
-        at = w.side_base[above + 1] - 1 - n
-        is_here = is_in_slice(w, slot, owner, at - w.side_base[above], UPPER_SIDE)
+        entry = w.side_base[above + 1] - 1 - n
+        is_here = is_in_slice(w, slot, owner, entry - w.side_base[above], UPPER_SIDE)
     shared_edge = wp.vec2i(0, 0)
     if is_here:
-        shared_edge = w.side[at]
-        check_level(w, e, level, w.side_level[at])
+        shared_edge = w.side[entry]
+        check_level(w, e, level, w.side_level[entry])
     else:
-        n = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
+        n = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), entry)
         shared_edge = wp.vec2i(n, n)
     return shared_edge
 
@@ -131,7 +131,7 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
 def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     """Append an edge to the right side of the current square, for the square to the right.
 
-    e: the slice's entry in `state`. level: the edge's. begun: the vertex at which the curve began the edge. far: its
+    level: the edge's. begun: the vertex at which the curve began the edge. far: its
     other vertex, which becomes the upper right corner at the end.
     """
     square = w.state[e + SQUARE]
@@ -147,7 +147,7 @@ def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: w
 def append_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
     """Append an edge to the upper side of the current square, for the square above.
 
-    e: the slice's entry in `state`. level: the edge's. begun: the vertex at which the curve began the edge.
+    level: the edge's. begun: the vertex at which the curve began the edge.
     """
     n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)

@@ -2,7 +2,7 @@
 """State of the slices of a welding: arrays, first numbers and the list of imports.
 
 An import is a vertex or edge that an earlier slice made. Until join.py resolves it, it has the negative number -1 - i,
-where i is its index in the slice's list.
+where i is its index in the slice's list. `b`: the slice's first numbers. `e`: its first entry in `state`.
 """
 
 import warp as wp
@@ -15,14 +15,14 @@ SIDE = wp.constant(3)  # entry `value` of the shared sides
 UPPER_LEFT = wp.constant(4)  # upper left corner of square `value`
 UPPER_RIGHT = wp.constant(5)
 
-# Columns of a slice's state: values that rarely change, and those that the next slice needs.
-IMPORTS, FIXES = wp.constant(0), wp.constant(1)
+# Columns of a slice's state, a row of STATE_SIZE entries.
+IMPORTS, FIXES = wp.constant(0), wp.constant(1)  # lengths of these two lists
 POPS = wp.constant(2)  # of each side, edges taken from earlier slices' stacks
-SQUARE = wp.constant(4)
+SQUARE = wp.constant(4)  # number of the current square
 LEFT, BELOW, RIGHT, ABOVE = wp.constant(5), wp.constant(6), wp.constant(7), wp.constant(8)  # edges of its sides passed
 FIRST_BEGUN = wp.constant(9)  # the first square that began in this slice, which made its upper left corner
 RESTARTED = wp.constant(10)  # 1: a square began in the slice, so edges left open before are not needed
-END_FRONT, END_TOPS = wp.constant(11), wp.constant(14)
+END_FRONT, END_TOPS = wp.constant(11), wp.constant(14)  # at the end: 3 numbers of the front, lengths of both stacks
 TORN = wp.constant(16)  # 1: an edge met one of another level, so the leaves do not fit together
 FIRST_LEVEL, LAST_LEVEL = wp.constant(17), wp.constant(18)  # of the edges of entry and leave; 0 at a square's ends
 STATE_SIZE = wp.constant(20)
@@ -40,16 +40,16 @@ class Weld:
     squares: wp.array(dtype=wp.int32)  # [slices]: where each begins
     before: wp.array(dtype=wp.int32)  # [slices, 4]: edges of that square's sides passed by earlier slices
     side_base: wp.array(dtype=wp.int32)  # first entry of every square's right side in `side`, then of upper sides, end
-    code: wp.array(dtype=wp.uint16)
+    code: wp.array(dtype=wp.uint16)  # words of leaves, see kernels/refine/curve.py
     side: wp.array(dtype=wp.vec2i)  # edges of the shared sides, each with the vertex where it was begun
     side_level: wp.array(dtype=wp.int32)  # ... and its level
     corners: wp.array(dtype=wp.int32)  # per square: upper left and upper right vertex
-    stack: wp.array(dtype=wp.vec2i)
-    stack_level: wp.array(dtype=wp.int32)  # of each open edge
-    imports: wp.array(dtype=wp.vec2i)
+    stack: wp.array(dtype=wp.vec2i)  # open edges of both borders, each with the vertex where it was begun
+    stack_level: wp.array(dtype=wp.int32)  # ... and its level
+    imports: wp.array(dtype=wp.vec2i)  # (kind, value)
     fixes: wp.array(dtype=wp.int32)  # triangles with a number that is an import
     state: wp.array(dtype=wp.int32)  # [slices, STATE_SIZE]
-    corner_verts: wp.array(dtype=wp.int32)
+    corner_verts: wp.array(dtype=wp.int32)  # results: three of each triangle
     corner_edges: wp.array(dtype=wp.int32)
     edges: wp.array(dtype=wp.vec2i)
     level: wp.array(dtype=wp.int32)
@@ -57,7 +57,7 @@ class Weld:
 
 @wp.struct
 class Base:
-    """First numbers of a slice, and the begin of its part of the lists."""
+    """The first numbers that a slice gives, and the start of its part of the lists."""
 
     triangle: wp.int32
     vertex: wp.int32
@@ -73,7 +73,7 @@ class Strip:
     front1: wp.int32
     entry: wp.int32  # ... and its edge
     level: wp.int32  # of that edge; 0: a square begins or has ended
-    next0: wp.int32  # places of the next open edges of the two stacks
+    next0: wp.int32  # entries of `Weld.stack` for the next open edge of the left and of the right border
     next1: wp.int32
     edge: wp.int32  # the next new edge
     vertex: wp.int32
@@ -105,7 +105,7 @@ def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
 def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
     """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it.
 
-    e: the slice's entry in `state`. value: which one of its kind, see the kinds above.
+    value: which one of its kind, see the kinds above.
     """
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
@@ -117,7 +117,7 @@ def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -
 def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
     """Import the next edge from the stack that earlier slices left open on a side; return its negative number.
 
-    level: the edge's level, which is checked. e: the slice's entry in `state`.
+    level: the edge's level, which is checked later, by `join`.
     """
     n = w.state[e + POPS + side]
     w.state[e + POPS + side] = n + 1
@@ -128,7 +128,7 @@ def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.in
 def check_level(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
     """Mark the slice as torn if the two leaves of an edge give it different levels: errors are not nested then.
 
-    e: the slice's entry in `state`. level, other: the edge's level as each of them has it.
+    level, other: the edge's level as each of them has it.
     """
     if level != other:
         w.state[e + TORN] = 1

@@ -60,28 +60,29 @@ def displace_morphing(
     """Write positions and normals of points first .. end - 1, moved by the geomorph.
 
     Points of the last frame are copied in runs; they get new heights and normals unless they were settled (at their
-    final place) and still are. point_base: entry of point 0. vertex_base: its vertex. slot: number of the thread's list
-    of runs.
+    final height) and still are. Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and
+    vertex `vertex_base` of the mesh. slot: number of the thread's list of runs.
     """
     forget_all(memory)
     run, run_end = runs_of(points, slot)
-    v = first
+    v = first  # first point that is not written yet
     while v < end:
-        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        copy_run(points, at, begin, stop, vertex_base)
-        # Squared metres of error above which points of the run have settled, and the depth below which all frustums
-        # contain their diamonds.
-        settled = wp.float64(wp.inf)
+        # Points v .. begin - 1 are new; those from there to stop - 1 are copied from vertex `last_first` on.
+        begin, stop, last_first = find_run(points, run, run_end, v, end, point_base)
+        copy_run(points, last_first, begin, stop, vertex_base)
+        # Squared metres of error above which points of the run have settled. All frustums contain those diamonds of
+        # its points that are deeper than `run_clear_below`.
+        settled_above2 = wp.float64(wp.inf)
         run_clear_below = NOT_CLEAR
         if stop > begin:
             reused = points.reused.runs[run]
-            settled = settled_above(morphing, reused.coarse * reused.coarse)
+            settled_above2 = settled_above(morphing, reused.coarse * reused.coarse)
             run_clear_below = reused.clear_below
         run += wp.int64(1)
         next_end = next_new(points, run, run_end, stop, end, point_base)
         for ahead in range(stop, next_end):
             fetch_point(domain, item_at(points.point, point_base + wp.int64(ahead)))
-        gap_end = point_base + wp.int64(begin)
+        gap_end = point_base + wp.int64(begin)  # entry after the new points
         for u in range(v, stop):
             k = point_base + wp.int64(u)
             p = item_at(points.point, k)
@@ -90,16 +91,16 @@ def displace_morphing(
             clear_below = NOT_CLEAR
             if u >= begin:
                 clear_below = run_clear_below
-                last_vertex = at + wp.int64(u - begin)
+                last_vertex = last_first + wp.int64(u - begin)
                 fetch_records(morphing, last_vertex + RECORDS_AHEAD)
-                morphs = not has_settled(morphing, memory, p, vertex_base + u, last_vertex, settled)
+                morphs = not has_settled(morphing, memory, p, vertex_base + u, last_vertex, settled_above2)
             elif k + wp.int64(AHEAD) < gap_end:
                 fetch_point(domain, item_at(points.point, k + wp.int64(AHEAD)))
             if morphs:
-                there, surface = morphed_point(domain, morphing, memory, p, vertex_base + u, last_vertex, clear_below)
+                morphed, surface = morphed_point(domain, morphing, memory, p, vertex_base + u, last_vertex, clear_below)
                 if u < begin:
-                    put_vertex(points, vertex_base + u, domain, p, wp.vec3d(there.z, surface[1], surface[2]))
-                else:
-                    put_height(points, vertex_base + u, domain, there.z)
-                put(points.normals, vertex_base + u, there.normal)
+                    put_vertex(points, vertex_base + u, domain, p, wp.vec3d(morphed.z, surface[1], surface[2]))
+                else:  # it is copied, and keeps its x, y and UV
+                    put_height(points, vertex_base + u, domain, morphed.z)
+                put(points.normals, vertex_base + u, morphed.normal)
         v = stop

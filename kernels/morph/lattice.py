@@ -12,7 +12,7 @@ import warp as wp
 class SplitVertex:
     """A point of the lattice and its diamond."""
 
-    point: wp.vec2i
+    point: wp.vec2i  # lattice units
     depth: wp.int32  # of the diamond that it splits; 0: a corner of a root square
     left: wp.vec2i  # the ends of the edge that it splits, in either order
     right: wp.vec2i

@@ -109,7 +109,7 @@ def forget_all(memory: Memory):
 def evaluate_point(
     domain: Domain,
     morphing: Morphing,
-    at: wp.vec2i,
+    point: wp.vec2i,
     depth: wp.int32,
     is_vertex: wp.bool,
     vertex: wp.int32,
@@ -118,7 +118,7 @@ def evaluate_point(
 ):
     """Return a point's W, its record, the surface there, and the squared metres of the finest pixel on its diamond.
 
-    at, depth: lattice point and depth of its diamond. is_vertex: it is vertex `vertex` itself, not an end that it
+    point, depth: lattice point and depth of its diamond. is_vertex: it is vertex `vertex` itself, not an end that it
     depends on; record and relief are then written for the next frame. last: the vertex's number in the last frame, -1
     for none; the record of such a vertex is read, and its surface is zero. clear_below: depth; the frustums contain the
     diamonds of all deeper points. Points up to depth `ramp.bisections` have no diamond that judges them: their W is 1
@@ -129,17 +129,17 @@ def evaluate_point(
     surface = wp.vec3d()
     known = Known()
     known.metres2 = wp.float64(wp.inf)
-    was_there = is_vertex and last >= wp.int64(0)
-    if was_there:
+    is_old = is_vertex and last >= wp.int64(0)
+    if is_old:
         known = morphing.last_known[last]
     if depth > morphing.ramp.bisections:
-        judged = SplitVertex()
-        judged.point = at
+        judged = SplitVertex()  # its diamond decides the point's W
+        judged.point = point
         judged.depth = depth
         if morphing.ramp.bisections > 0:
-            judged = diamond_above(domain.unit_bits, split_vertex(domain.unit_bits, at), morphing.ramp.bisections)
+            judged = diamond_above(domain.unit_bits, split_vertex(domain.unit_bits, point), morphing.ramp.bisections)
         relief = Relief()
-        if was_there and known.is_settled == 0:
+        if is_old and known.is_settled == 0:
             relief = morphing.last_relief[last]
         else:
             relief, metres2 = relief_of(domain, judged)  # new, or settled in the last frame, which stored none
@@ -152,8 +152,8 @@ def evaluate_point(
         pixel2 = finest2
         if is_vertex and weight < wp.float64(1.0):
             morphing.relief[vertex] = relief
-    if not was_there:
-        surface = surface_of(domain, morphing.ramp.layers, at)
+    if not is_old:
+        surface = surface_of(domain, morphing.ramp.layers, point)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
     known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
@@ -180,19 +180,19 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
     target: height and normal of the surface there. ends: sums over the two ends of the edge that the point splits.
     """
     half = wp.float64(0.5)
-    found = target
-    found.z = half * ends.z + weight * (target.height - half * ends.height)
+    morphed = target
+    morphed.z = half * ends.z + weight * (target.height - half * ends.height)
     n = wp.vec3d(wp.float64(target.normal[0]), wp.float64(target.normal[1]), wp.float64(target.normal[2])) * weight
     n += ends.normal * (half - half * weight)
     per_length = wp.float64(1.0) / wp.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     n = n * per_length
-    found.normal = wp.vec3f(wp.float32(n[0]), wp.float32(n[1]), wp.float32(n[2]))
-    return found
+    morphed.normal = wp.vec3f(wp.float32(n[0]), wp.float32(n[1]), wp.float32(n[2]))
+    return morphed
 
 
 @wp.func
 def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
-    """Return the squared error, metres, above which a point has surely stopped moving, so that its record is reused.
+    """Return the squared error, metres, above which a point has certainly settled, so that its record is reused.
 
     pixel2: squared metres that a pixel spans at most there.
     """
@@ -201,33 +201,36 @@ def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
 
 @wp.func
 def has_settled(
-    morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
+    morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled_above2: wp.float64
 ) -> wp.bool:
     """Return whether vertex `last` of the last frame was settled and still is; then copy its record to `vertex`.
 
-    p: its lattice point. settled: squared error, metres, above which a point has settled, from `settled_above`.
+    p: its lattice point. settled_above2: squared error, metres, above which a point has settled, from `settled_above`.
     """
     known = morphing.last_known[last]
-    found = known.is_settled == 1 and known.metres2 > settled
-    if found:
-        there = MorphedPoint()
-        there.point = p
-        there.height = known.height
-        there.z = known.height
-        there.settled_metres2 = known.metres2
-        there.normal = known.normal
-        memory.points[memory_slot(memory, p)] = there
+    is_settled = known.is_settled == 1 and known.metres2 > settled_above2
+    if is_settled:
+        morphed = MorphedPoint()
+        morphed.point = p
+        morphed.height = known.height
+        morphed.z = known.height
+        morphed.settled_metres2 = known.metres2
+        morphed.normal = known.normal
+        memory.points[memory_slot(memory, p)] = morphed
         morphing.known[vertex] = known
-    return found
+    return is_settled
 
 
 @wp.func
 def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
-    """Return whether vertex `last` of the last frame has records of its edge's ends; False if `last` is -1."""
-    found = wp.bool(False)
+    """Return whether vertex `last` of the last frame was not settled: only then it has records of its edge's ends.
+
+    last: its number, -1 for none, which gives False.
+    """
+    was = wp.bool(False)
     if last >= wp.int64(0):
-        found = morphing.last_known[last].is_settled == 0
-    return found
+        was = morphing.last_known[last].is_settled == 0
+    return was
 
 
 @wp.func
@@ -256,73 +259,73 @@ def morphed_point(
     """
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait
-    at = p
-    there = MorphedPoint()
+    point = p
+    morphed = MorphedPoint()
     ends = Ends()
     vertex_surface = wp.vec3d()
     is_settled = wp.bool(True)
     is_vertex = wp.bool(True)
-    goes_on = wp.bool(True)
-    while goes_on:
-        entry = memory_slot(memory, at)
+    is_waiting = wp.bool(True)
+    while is_waiting:
+        entry = memory_slot(memory, point)
         is_known = wp.bool(False)
         if not is_vertex:
-            there = memory.points[entry]
-            is_known = there.point == at
+            morphed = memory.points[entry]
+            is_known = morphed.point == point
         if not is_known:
-            depth = depth_of(domain.unit_bits, at)
+            depth = depth_of(domain.unit_bits, point)
             weight, known, surface, pixel2 = evaluate_point(
-                domain, morphing, at, depth, is_vertex, vertex, last, clear_below
+                domain, morphing, point, depth, is_vertex, vertex, last, clear_below
             )
             is_known = weight >= wp.float64(1.0)
-            there.point = at
-            there.height = known.height
-            there.z = known.height
-            there.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
-            there.normal = known.normal
+            morphed.point = point
+            morphed.height = known.height
+            morphed.z = known.height
+            morphed.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
+            morphed.normal = known.normal
             if not is_known:
                 if is_vertex and was_unsettled(morphing, last):
                     # Pixels on the diamonds of the two ends are no coarser than on this one.
                     ends = morphing.last_ends[last]
                     is_known = ends.settled_metres2 > settled_above(morphing, pixel2)
                 if not is_known:  # Most often both ends are remembered.
-                    along = half_edge(domain.unit_bits, at, depth)
-                    left = memory.points[memory_slot(memory, at - along)]
-                    right = memory.points[memory_slot(memory, at + along)]
-                    is_known = left.point == at - along and right.point == at + along
+                    along = half_edge(domain.unit_bits, point, depth)
+                    left = memory.points[memory_slot(memory, point - along)]
+                    right = memory.points[memory_slot(memory, point + along)]
+                    is_known = left.point == point - along and right.point == point + along
                     ends = add_end(add_end(no_ends(), left), right)
                     if not is_known:
                         top += 1
                         waiting = Pending()
-                        waiting.left = at - along
-                        waiting.right = at + along
-                        waiting.target = there
+                        waiting.left = point - along
+                        waiting.right = point + along
+                        waiting.target = morphed
                         waiting.weight = weight
                         waiting.ends = no_ends()
                         memory.pending[top] = waiting
                 if is_known:
-                    there = morph_between(there, weight, ends)
+                    morphed = morph_between(morphed, weight, ends)
             if is_known:
-                memory.points[entry] = there
+                memory.points[entry] = morphed
             if is_vertex:
                 vertex_surface = surface
                 is_settled = weight >= wp.float64(1.0)
             is_vertex = False
         while is_known and top >= first:
             waiting = memory.pending[top]
-            ends = add_end(waiting.ends, there)
+            ends = add_end(waiting.ends, morphed)
             waiting.ends = ends
             waiting.seen += 1
             is_known = waiting.seen == 2
             if is_known:
-                there = morph_between(waiting.target, waiting.weight, ends)
-                memory.points[memory_slot(memory, there.point)] = there
+                morphed = morph_between(waiting.target, waiting.weight, ends)
+                memory.points[memory_slot(memory, morphed.point)] = morphed
                 top -= 1
             else:
                 memory.pending[top] = waiting
-        goes_on = top >= first
-        if goes_on:
-            at = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)
+        is_waiting = top >= first
+        if is_waiting:
+            point = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)
     if not is_settled:
         morphing.ends[vertex] = ends
-    return there, vertex_surface
+    return morphed, vertex_surface

@@ -36,7 +36,7 @@ class Known:
 class MorphedPoint:
     """Height and normal of a point in this frame."""
 
-    point: wp.vec2i
+    point: wp.vec2i  # lattice units
     height: wp.float64  # of the surface, metres before scaling
     z: wp.float64  # of the point, metres before scaling
     settled_metres2: wp.float64  # its `metres2` if its W is 1, else 0
@@ -47,10 +47,10 @@ class MorphedPoint:
 class Ends:
     """Sums over the two ends of the edge that a point splits."""
 
-    height: wp.float64
-    z: wp.float64
+    height: wp.float64  # of the surface, metres before scaling
+    z: wp.float64  # of the points in this frame, metres before scaling
     normal: wp.vec3d
-    settled_metres2: wp.float64  # minimum of the two
+    settled_metres2: wp.float64  # minimum of the two, not their sum
 
 
 @wp.struct
@@ -59,7 +59,7 @@ class Relief:
 
     low: wp.float64
     high: wp.float64
-    rise: wp.float64  # as in Diamond
+    rise: wp.float64  # largest height difference along one of its edges
 
 
 @wp.struct
@@ -68,7 +68,7 @@ class Morphing:
 
     criterion: CriterionArrays
     ramp: Ramp
-    known: wp.array(dtype=Known)
+    known: wp.array(dtype=Known)  # [vertices] of this frame; `last_` arrays are those of the last frame
     last_known: wp.array(dtype=Known)
     relief: wp.array(dtype=Relief)  # only of vertices that are not settled, as are their ends
     last_relief: wp.array(dtype=Relief)
@@ -78,22 +78,22 @@ class Morphing:
 
 @wp.struct
 class Pending:
-    """A point that waits for the two that it comes from."""
+    """A point that waits for the two ends of the edge that it splits."""
 
-    left: wp.vec2i
+    left: wp.vec2i  # the ends, lattice units
     right: wp.vec2i
     target: MorphedPoint  # the point with a W of 1
     weight: wp.float64  # its W
-    seen: wp.int32  # number of the two in the sums
+    seen: wp.int32  # number of ends in the sums, 0 .. 2
     ends: Ends
 
 
 @wp.struct
 class Memory:
-    """Scratch of one thread: both begin at entry `slot` times their size."""
+    """Scratch of one thread: REMEMBERED entries of `points`, a hash table, and PENDING of `pending`, a stack."""
 
-    slot: wp.int32
-    points: wp.array(dtype=MorphedPoint)  # at NOWHERE: none
+    slot: wp.int32  # number of the thread: its entries begin at `slot` times their number
+    points: wp.array(dtype=MorphedPoint)  # an entry whose point is at NOWHERE is empty
     pending: wp.array(dtype=Pending)
 
 

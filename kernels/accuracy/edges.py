@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The edges of a mesh, cell by cell: with the samples they hold every extremum of mesh less bilinear reference.
+"""The edges of a mesh, cell by cell: they and the samples have every extremum of mesh minus bilinear reference.
 
 Over one cell the reference is a saddle, so its difference from a plane has extrema only on the border of the part of
 the cell that a triangle covers. Along cell borders both are straight; along a triangle's edge the difference is a
@@ -16,13 +16,13 @@ PLACES = wp.constant(8)
 
 @wp.struct
 class Stretch:
-    """Part of a triangle's edge inside one cell, where mesh less bilinear reference is a parabola."""
+    """Part of a triangle's edge inside one cell, where mesh minus bilinear reference is a parabola."""
 
     from_: wp.float64  # along the edge, 0 .. 1
     to: wp.float64
-    turn: wp.float64  # where the parabola turns
-    difference: wp.float64  # mesh less reference at `to`, metres
-    line_x: wp.int64  # the next grid lines that the edge meets
+    turn: wp.float64  # where the parabola turns, along the edge
+    difference: wp.float64  # mesh minus reference at `to`, metres
+    line_x: wp.int64  # numbers of the next grid lines that the edge meets
     line_y: wp.int64
 
 
@@ -53,7 +53,7 @@ def on_edge(ground: Reference, f: MeasuredFacet, k: wp.int32, along: wp.float64)
 
 @wp.func
 def difference_at(ground: Reference, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the mesh less that of the reference surface at (u, v) cells, metres."""
+    """Return the height of the mesh minus that of the reference surface at (u, v) cells, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
 
 

@@ -204,10 +204,10 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 def covers(
     f: MeasuredFacet, per_unit: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
 ) -> wp.bool:
-    """Return whether the triangle owns the point (x, y): it contains the point, or moved off a shared edge it would.
+    """Return whether the triangle owns the point (x, y): contains it, after a point on an edge is moved off the edge.
 
-    x, y: units of which a lattice unit has `per_unit`. shift_x, shift_y: 1 or -1, the direction in which a
-    point on an edge is moved, so that it has one owner.
+    x, y: units of which a lattice unit has `per_unit`. shift_x, shift_y: 1 or -1, the direction in which a point on an
+    edge is moved, from `shift_of`, so that it has one owner.
     """
     inside = f.area2 > wp.int64(0)
     for k in range(3):
@@ -251,7 +251,7 @@ def differences(
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
-    """Write mesh less reference, metres, to `difference` at every sample that triangles first .. end - 1 own.
+    """Write mesh minus reference, metres, to `difference` at every sample that triangles first .. end - 1 own.
 
     Write the largest magnitude of triangle t to worst[t].
     """

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh less a bicubic reference, or one with detail, inside triangles: no closed form says where that is largest."""
+"""The difference of a mesh and a bicubic reference, or one with detail, inside triangles.
+
+No closed form gives its maximum, so it is evaluated on a grid of points.
+"""
 
 import warp as wp
 
@@ -15,7 +18,8 @@ def grid_extremes(
 ):
     """Raise worst[t] of triangles first .. end - 1 to the largest difference on a grid of points inside.
 
-    In metres. A cell, or the box of a smaller triangle, has about 2^PLACES_BITS points along each side.
+    In metres. A cell, or the box of a smaller triangle, has about 2^PLACES_BITS points along each side. They are
+    computed in lattice units, 2^ground.bits a cell; `covers` gives a point on a shared edge to one triangle.
     """
     one = wp.int64(1)
     bits = wp.int64(ground.bits)

@@ -20,10 +20,10 @@ class MeasuredPoints:
     count: wp.int32
     x: wp.array(dtype=wp.int64)
     y: wp.array(dtype=wp.int64)
-    key: wp.array(dtype=wp.int64)  # sorted
+    key: wp.array(dtype=wp.int64)  # Morton keys, sorted
     order: wp.array(dtype=wp.int64)  # the point of each key
-    difference: wp.array(dtype=wp.float64)  # mesh less reference, metres
-    owner: wp.array(dtype=wp.int32)  # the triangle
+    difference: wp.array(dtype=wp.float64)  # mesh minus reference, metres
+    owner: wp.array(dtype=wp.int32)  # the triangle that covers the point
 
 
 @wp.func

@@ -3,7 +3,7 @@
 
 Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest height; a ray climbs
 to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps; here
-with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and the
+with minima, as a ray may also run below). In one cell, ray minus bilinear surface is a parabola along the ray, and the
 crossing is exact. Against a bicubic surface, or one with detail, the ray is evaluated at PLACES + 1 points in the cell,
 and a change of sides between two of them is bisected: a ray that dips into the surface and out again between two points
 is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between
@@ -59,7 +59,7 @@ class SightRay:
 def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
     """Return 1 if a ray is above the surface, -1 if it is below, 0 if it is within the tolerance.
 
-    e: height of the ray less that of the surface, metres. tolerance: metres.
+    e: height of the ray minus that of the surface, metres. tolerance: metres.
     """
     side = wp.float64(0.0)
     if e > tolerance:
@@ -253,6 +253,7 @@ def first_crossing(
     i = cell_along_axis(ray.u, ray.du, t, 0, cells_x)
     j = cell_along_axis(ray.v, ray.dv, t, 0, cells_y)
     while True:
+        # The block around cell (i, j), and the ray's t where it leaves the block.
         bits = wp.where(level == 0, 0, level + CELL_BITS)
         x0 = (i >> bits) << bits
         y0 = (j >> bits) << bits
@@ -276,6 +277,7 @@ def first_crossing(
             side = wp.where(clear, on_side, side)
         if hit < NOWHERE or (clear and out >= last):
             break
+        # Go on in the next cell, by a larger block if the line that is crossed is a side of one, or descend.
         if clear:
             line = wp.where(ray.dv > zero, y1, y0)
             if to_x <= to_y:

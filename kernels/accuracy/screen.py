@@ -42,7 +42,7 @@ class Eye:
     right: wp.vec4d  # camera space = rows . (u, v, z, 1), metres
     up: wp.vec4d
     back: wp.vec4d
-    to_x: wp.vec4d  # rows of the projection: across, up and w, of camera space
+    to_x: wp.vec4d  # rows of the projection of camera space: across, up and w
     to_y: wp.vec4d
     to_w: wp.vec4d
     half_width: wp.float64  # pixels
@@ -52,7 +52,7 @@ class Eye:
     near: wp.float64  # nearer than this depth nothing is promised
     pixels_per_radian: wp.float64  # of a panorama
     eye: wp.vec3d  # of a view that is not orthographic
-    toward: wp.vec3d  # of an orthographic view: a metre of depth less
+    toward: wp.vec3d  # of an orthographic view: the vector towards the eye along which depth falls by a metre
     # A pixel's ray: origin + x * across + y * along, and the same for directions; x, y are -1 .. 1 in the frame.
     origin: wp.mat33d
     direction: wp.mat33d

@@ -37,7 +37,7 @@ def chord(p: wp.vec4d) -> wp.vec4d:
 
 @wp.func
 def off_chord(p: wp.vec4d) -> wp.vec2d:
-    """Return the two inner control heights of the cubic less its chord from p1 to p2; the outer two are 0.
+    """Return the two inner control heights of the cubic minus its chord from p1 to p2; the outer two are 0.
 
     p: four samples in a row.
     """

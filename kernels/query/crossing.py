@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ray in one cell: where it meets the surface there.
 
-Ray less bilinear surface is a parabola along the ray, whose root is solved for. Of a bicubic surface, and of one with
+Ray minus bilinear surface is a parabola along the ray, whose root is solved for. Of a bicubic surface, and of one with
 detail, the ray goes on by steps that Taylor's formula allows: with the second derivative bounded by 2 G along the ray,
 height e and its slope e', nothing is met before e + e' d - G d^2 = 0 (as in Kalra and Barr 1989, "Guaranteed ray
 intersections with implicit surfaces"). Near a crossing these are Newton's steps. All arithmetic is float64. Heights are
@@ -25,22 +25,22 @@ CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that 
 class HeightRanges:
     """Ranges of heights, of blocks of 2^2, 2^4 .. 2^top cells a side and, of a bicubic surface, of cells."""
 
-    top: wp.int32  # 0: there are none
-    low_z: wp.float64  # of the whole surface, metres
+    top: wp.int32  # 0: there are no blocks
+    low_z: wp.float64  # lowest and highest height of the whole surface, metres
     high_z: wp.float64
-    spare: wp.float64  # ... and more than float64 rounds of them
+    spare: wp.float64  # metres, more than the rounding of these two
     base: wp.float64  # a height is base + q * step metres
     step: wp.float64
-    more: wp.float64  # metres that detail rises above the ranges, or falls below them
+    more: wp.float64  # largest displacement by detail, up or down, metres; it is not in the ranges
     first: wp.array(dtype=wp.int64)  # of each group of levels: its first entry
     pages: wp.array(dtype=wp.int32)
-    ranges: wp.array(dtype=wp.uint16)
+    ranges: wp.array(dtype=wp.uint16)  # lowest and highest q of each entry
     cells: wp.int64  # of a bicubic surface: the first entry of the raster's cells in the ranges
     curvatures: wp.int64  # ... and in the errors
     cell_pages: wp.int32
     curvature_group: wp.int32
-    table: wp.array(dtype=wp.float32)
-    error: wp.array(dtype=wp.uint8)
+    table: wp.array(dtype=wp.float32)  # metres of the codes in `error`, by group
+    error: wp.array(dtype=wp.uint8)  # codes of errors and curvatures
     detail_curvature: wp.float64  # second derivative of the detail, 1 / metre before scaling, at most
 
 
@@ -66,8 +66,8 @@ class RaySegment:
     j: wp.int32
     first: wp.float64  # t
     last: wp.float64
-    side: wp.float64  # where the ray comes from: 1 above the surface, -1 below, 0 whichever it is
-    slack: wp.float64  # metres that it has to be beyond the surface
+    side: wp.float64  # where the ray comes from: 1 above the surface, -1 below, 0 unknown
+    slack: wp.float64  # metres that it has to be beyond the surface for a crossing
 
 
 @wp.func

@@ -164,6 +164,7 @@ def first_hit(
         part.side = side
         if hit < NOWHERE:
             break
+        # Go on in the next cell, by a larger block if the line that is crossed is a side of one, or descend.
         if done:
             if out >= last or next_i < 0 or next_j < 0 or next_i >= cells_x or next_j >= cells_y:
                 break

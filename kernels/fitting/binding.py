@@ -39,10 +39,10 @@ def place_vertices(
     bits = d.unit_bits - d.levels
     state = PINNED  # inside a raster's cell
     if ((x | y) & ((1 << bits) - 1)) == 0:
-        at = vertex_index(d, x >> bits, y >> bits)
-        state = item_at(states, at)
+        entry = vertex_index(d, x >> bits, y >> bits)
+        state = item_at(states, entry)
         if (state & KNOWN) != wp.uint8(0):
-            p = wp.vec3f(p[0], p[1], item_at(heights, at))
+            p = wp.vec3f(p[0], p[1], item_at(heights, entry))
             positions[v] = p
     m.z[v] = p[2]
     m.state[v] = state & PINNED
@@ -74,6 +74,6 @@ def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), 
     bits = d.unit_bits - d.levels
     p = m.point[v]
     if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
-        at = vertex_index(d, p[0] >> bits, p[1] >> bits)
-        put(heights, at, m.z[v])
-        put(states, at, m.state[v] | KNOWN)
+        entry = vertex_index(d, p[0] >> bits, p[1] >> bits)
+        put(heights, entry, m.z[v])
+        put(states, entry, m.state[v] | KNOWN)

@@ -15,15 +15,15 @@ from ..field.hierarchy import diagonal_inside, row_inside
 
 @wp.struct
 class Facet:
-    """A triangle in the plane and over it: legs from the apex in units, heights in metres before scaling."""
+    """A triangle in the plan, lattice units, and its plane, metres before scaling."""
 
-    x: wp.int32
+    x: wp.int32  # the apex, which has the right angle
     y: wp.int32
-    left_x: wp.int32
+    left_x: wp.int32  # the left and the right corner, from the apex
     left_y: wp.int32
     right_x: wp.int32
     right_y: wp.int32
-    z: wp.float64
+    z: wp.float64  # height at the apex
     slope_x: wp.float64  # metres a unit
     slope_y: wp.float64
 
@@ -63,9 +63,9 @@ def height_above(d: Domain, facet: Facet, x: wp.int32, y: wp.int32) -> wp.float6
 
 @wp.func
 def rows_of(facet: Facet, bits: wp.int32):
-    """Return the first row of samples in the facet, counted from its apex, and the number of rows; 0 inside a cell.
+    """Return the southernmost row of samples in the facet, counted from its apex, and the number of rows.
 
-    A cell has 2^bits lattice units a side.
+    A facet smaller than a cell has 0 rows. bits: a cell has 2^bits lattice units a side.
     """
     low = wp.min(wp.min(facet.left_y, facet.right_y), 0) >> bits
     high = wp.max(wp.max(facet.left_y, facet.right_y), 0) >> bits
@@ -77,9 +77,9 @@ def rows_of(facet: Facet, bits: wp.int32):
 
 @wp.func
 def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
-    """Return the first sample of row `j` of the facet and the number of its samples, both counted from its apex.
+    """Return the westernmost sample of row `j` of the facet and the number of its samples.
 
-    A cell has 2^bits lattice units a side.
+    Rows and samples are counted from its apex. bits: a cell has 2^bits lattice units a side.
     """
     n = wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) >> bits
     away = wp.abs(j)
@@ -173,7 +173,7 @@ def farthest(d: Domain, facet: Facet) -> wp.float64:
         slope = facet.slope_x * unit
         largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
     if facet.left_x == 0 or facet.left_y == 0:
-        if count == 0:
+        if count == 0:  # no row has the apex, and the diagonal below does not begin there
             largest = wp.abs(height_above(d, facet, 0, 0))
         largest = farthest_on_diagonal(d, facet, facet.left_x, facet.left_y, facet.right_x, facet.right_y, largest)
     else:

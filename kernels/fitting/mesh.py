@@ -23,24 +23,24 @@ class FitMesh:
 
     domain: Domain
     snap: wp.int32  # mesh vertices are multiples of 2**snap units
-    error: wp.float64  # metres of error, that of the criterion
-    bound: wp.float64  # metres of distance that a triangle may have
+    error: wp.float64  # requested error of the criterion, metres
+    bound: wp.float64  # metres of distance from the surface that a triangle may have
     room: wp.int32  # triangles that the arrays have room for
-    round: wp.int32  # triangles are split at the end of each
+    round: wp.int32  # number of the round: sweeps that move vertices, then splits
     corner_verts: wp.array(dtype=wp.int32)  # [3 T]
     beside: wp.array(dtype=wp.int32)  # [3 T] the triangle across the edge from a corner to the next, -1 at the border
     level: wp.array(dtype=wp.int32)  # [T]
     worst: wp.array(dtype=wp.float64)  # [T] largest distance, metres after vertical scaling, or NOT_MEASURED
     seen: wp.array(dtype=wp.vec3f)  # [T] `z` of the corners when that was measured
-    pushes: wp.array(dtype=wp.vec2f)  # [3 T] of each triangle on its corners, and their weights
+    pushes: wp.array(dtype=wp.vec2f)  # [3 T] (push, weight) of each triangle on its corners
     active: wp.array(dtype=wp.int32)  # [T] the listed triangles
     marks: wp.array(dtype=wp.uint32)  # [T / 32] bits: triangles to be listed
     awake: wp.array(dtype=wp.int32)  # [T] the last round that measured it, or found it beyond the bound
     point: wp.array(dtype=wp.vec2i)  # [V] lattice units
     z: wp.array(dtype=wp.float32)  # [V] height, metres after vertical scaling
-    state: wp.array(dtype=wp.uint8)  # [V]
+    state: wp.array(dtype=wp.uint8)  # [V] KNOWN and PINNED
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
-    push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
+    push: wp.array(dtype=wp.float64)  # [2 V] sums of pushes and of weights, 0 between sweeps
     movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
     codes: wp.array(dtype=wp.uint8)  # errors that are raised with each split, see raising.py
     splitting: wp.array(dtype=wp.int32)  # scratch: triangles that are to be split
@@ -53,12 +53,12 @@ def facet_of(m: FitMesh, t: wp.int32) -> Facet:
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
-    at = m.point[apex]
-    to_left = m.point[left] - at
-    to_right = m.point[right] - at
+    apex_point = m.point[apex]
+    to_left = m.point[left] - apex_point
+    to_right = m.point[right] - apex_point
     s = Facet()
-    s.x = at[0]
-    s.y = at[1]
+    s.x = apex_point[0]
+    s.y = apex_point[1]
     s.left_x = to_left[0]
     s.left_y = to_left[1]
     s.right_x = to_right[0]
@@ -102,7 +102,7 @@ def mark_around(m: FitMesh, v: wp.int32):
     """Mark all triangles that share vertex v to be measured in the next sweep."""
     start = m.first[v]
     t = start
-    turn = wp.int32(0)
+    turn = wp.int32(0)  # 0: on across the edge that begins at v; 2: across the one that ends there
     while t >= 0:
         mark(m, t)
         t = m.beside[3 * t + (corner_of(m, t, v) + turn) % 3]
@@ -167,12 +167,12 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
-    near = m.beside[3 * t]
-    far = m.beside[3 * t + 1]
+    beside_left_leg = m.beside[3 * t]
+    beside_right_leg = m.beside[3 * t + 1]
     level = m.level[t] + 1
-    put_triangle(m, t, wp.vec3i(apex, middle, left), wp.vec3i(new, across_new, near), level)
-    put_triangle(m, new, wp.vec3i(right, middle, apex), wp.vec3i(across, t, far), level)
-    replace_beside(m, far, t, new)
+    put_triangle(m, t, wp.vec3i(apex, middle, left), wp.vec3i(new, across_new, beside_left_leg), level)
+    put_triangle(m, new, wp.vec3i(right, middle, apex), wp.vec3i(across, t, beside_right_leg), level)
+    replace_beside(m, beside_right_leg, t, new)
     m.first[left] = t
     m.first[right] = new
     m.first[apex] = t
@@ -191,32 +191,32 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
     top = wp.int32(1)
     m.splitting[0] = t
     while top > 0:
-        a = m.splitting[top - 1]
-        b = m.beside[3 * a + 2]
-        if b >= 0 and m.beside[3 * b + 2] != a:
-            m.splitting[top] = b  # coarser by one bisection
+        triangle = m.splitting[top - 1]
+        partner = m.beside[3 * triangle + 2]
+        if partner >= 0 and m.beside[3 * partner + 2] != triangle:
+            m.splitting[top] = partner  # the partner is coarser by one bisection, and is split first
             top += 1
         else:
             top -= 1
-            left = m.corner_verts[3 * a]
-            right = m.corner_verts[3 * a + 2]
+            left = m.corner_verts[3 * triangle]
+            right = m.corner_verts[3 * triangle + 2]
             p = (m.point[left] + m.point[right]) / 2
-            raise_ancestors(d, p[0], p[1], m.level[a], wp.int32(RAISED), m.codes, m.climbing)
-            v = vertices
+            raise_ancestors(d, p[0], p[1], m.level[triangle], wp.int32(RAISED), m.codes, m.climbing)
+            new_vertex = vertices
             vertices += 1
-            m.point[v] = p
-            put_on_surface(m, v)
-            m.state[v] = wp.uint8(0)
-            m.push[2 * v] = wp.float64(0.0)
-            m.push[2 * v + 1] = wp.float64(0.0)
-            m.first[v] = a
+            m.point[new_vertex] = p
+            put_on_surface(m, new_vertex)
+            m.state[new_vertex] = wp.uint8(0)
+            m.push[2 * new_vertex] = wp.float64(0.0)
+            m.push[2 * new_vertex + 1] = wp.float64(0.0)
+            m.first[new_vertex] = triangle
             new = triangles
             triangles += 1
-            if b >= 0:
-                bisect_triangle(m, a, new, v, b, new + 1)
-                bisect_triangle(m, b, new + 1, v, a, new)
+            if partner >= 0:
+                bisect_triangle(m, triangle, new, new_vertex, partner, new + 1)
+                bisect_triangle(m, partner, new + 1, new_vertex, triangle, new)
                 triangles += 1
             else:
-                bisect_triangle(m, a, new, v, -1, -1)  # at the border there is no triangle across
-            mark_around(m, v)
+                bisect_triangle(m, triangle, new, new_vertex, -1, -1)  # at the border there is no triangle across
+            mark_around(m, new_vertex)
     return wp.vec2i(triangles, vertices)

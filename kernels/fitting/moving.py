@@ -77,19 +77,19 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             m.awake[t] = m.round
             rise_left = (wp.float64(z[0]) - wp.float64(z[1])) * per_scale
             rise_right = (wp.float64(z[2]) - wp.float64(z[1])) * per_scale
-            q = Pushes()
+            q = Pushes()  # largest distance, then weight and push of the apex, the left and the right corner
             if m.level[t] <= 2 * d.levels + 1:
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
                 corner_climbs = wp.vec2f(wp.float32(rise_left), wp.float32(rise_right))
                 q = pushes_of(d, left, apex, right, height, corner_climbs, wp.float32(aim / d.error_scale))
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
-            size = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
-            m.worst[t] = (wp.float64(q[0]) + ROUNDED * size) * d.error_scale
-            all = q[1] + q[3] + q[5]
-            m.pushes[3 * t] = push_and_weight(q[4], q[3], all)
-            m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], all)
-            m.pushes[3 * t + 2] = push_and_weight(q[6], q[5], all)
+            magnitude = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
+            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale
+            sum_weights = q[1] + q[3] + q[5]
+            m.pushes[3 * t] = push_and_weight(q[4], q[3], sum_weights)
+            m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], sum_weights)
+            m.pushes[3 * t + 2] = push_and_weight(q[6], q[5], sum_weights)
 
 
 @wp.func
@@ -107,7 +107,8 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
     number of triangles beyond the bound.
     """
     beyond = wp.int32(0)
-    pushed = wp.int32(0)
+    # Triangles beyond the bound decide which vertices move.
+    num_movers = wp.int32(0)
     for k in range(count):
         t = m.active[k]
         if m.worst[t] > m.bound and m.awake[t] == m.round:
@@ -117,10 +118,11 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
                 if q[1] > wp.float32(0.0):
                     v = m.corner_verts[3 * t + c]
                     if m.push[2 * v + 1] == wp.float64(0.0):
-                        m.movers[pushed] = v
-                        pushed += 1
+                        m.movers[num_movers] = v
+                        num_movers += 1
                     add_push(m, v, q)
             mark(m, t)
+    # Other triangles beyond the aim push those of their corners that move.
     for k in range(count):
         t = m.active[k]
         if m.worst[t] > AIM * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
@@ -129,7 +131,7 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
                 if m.push[2 * v + 1] > wp.float64(0.0):
                     add_push(m, v, m.pushes[3 * t + c])
             mark(m, t)
-    for k in range(pushed):
+    for k in range(num_movers):
         v = m.movers[k]
         height = STRETCH * m.push[2 * v] / m.push[2 * v + 1] * m.domain.height_scale
         m.push[2 * v] = wp.float64(0.0)

@@ -137,7 +137,8 @@ def pushes_of(
     left, apex, right: its corners, lattice units; the apex, at the right angle, may be beyond the raster's border,
     where nothing counts. `z`: the triangle's height there; `corner_climbs`: of the left and of the right corner above
     it. Returns the largest distance, then for the apex, the left and the right corner the sum of the weights of the
-    points beyond `aim`, and the weighted sum of their distances beyond it, positive upwards. Points: samples, and
+    points beyond `aim`, and the weighted sum of their distances beyond it, positive upwards. Heights, distances and
+    `aim` are metres before scaling. Points: samples, and
     extrema along the diagonals of cells on the triangle's sides. Nearly all time of a sweep passes here, in vectors of
     eight samples of a row.
     """
@@ -154,14 +155,14 @@ def add_point(pushes: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: 
     far = wp.abs(r)
     pushes[0] = wp.max(pushes[0], wp.float32(far))
     if far > aim:
-        over = wp.where(r > wp.float64(0.0), far - aim, aim - far)
+        excess = wp.where(r > wp.float64(0.0), far - aim, aim - far)
         apex = wp.float64(1.0) - u - v
         pushes[1] = pushes[1] + wp.float32(apex)
-        pushes[2] = pushes[2] + wp.float32(over * apex)
+        pushes[2] = pushes[2] + wp.float32(excess * apex)
         pushes[3] = pushes[3] + wp.float32(u)
-        pushes[4] = pushes[4] + wp.float32(over * u)
+        pushes[4] = pushes[4] + wp.float32(excess * u)
         pushes[5] = pushes[5] + wp.float32(v)
-        pushes[6] = pushes[6] + wp.float32(over * v)
+        pushes[6] = pushes[6] + wp.float32(excess * v)
     return pushes
 
 

@@ -29,21 +29,21 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     _spread_excess(m, count)
     for k in range(count):
         t = m.active[k]
-        over = m.worst[t] - m.bound
-        if over > wp.float64(0.0):
+        excess = m.worst[t] - m.bound
+        if excess > wp.float64(0.0):
             m.awake[t] = m.round + 1
             mark(m, t)
-            if over >= min_share * _max_excess_around(m, t):
+            if excess >= min_share * _max_excess_around(m, t):
                 below = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, below, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
-                if m.level[t] < max_depth and (too_coarse or _is_on_surface(m, t, error)):
+                if m.level[t] < max_depth and (too_coarse or _needs_split_on_surface(m, t, error)):
                     splits += 1
                     if below >= 0:
                         raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.codes, m.climbing)
                         later += 1
-                    elif size[0] + 2 * m.level[t] + 2 < m.room:
+                    elif size[0] + 2 * m.level[t] + 2 < m.room:  # a split adds at most two triangles a level
                         size = split(m, t, size)
                     else:
                         later += 1
@@ -75,11 +75,11 @@ def _spread_excess(m: FitMesh, count: int):
     """
     for k in range(count):
         t = m.active[k]
-        over = m.worst[t] - m.bound
-        if over > wp.float64(0.0):
+        excess = m.worst[t] - m.bound
+        if excess > wp.float64(0.0):
             for c in range(3):
                 v = m.corner_verts[3 * t + c]
-                m.push[2 * v] = wp.max(m.push[2 * v], over)
+                m.push[2 * v] = wp.max(m.push[2 * v], excess)
 
 
 @wp.func
@@ -122,17 +122,18 @@ def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
 
 
 @wp.func
-def _is_on_surface(m: FitMesh, t: int, error: wp.float32):
-    """Return whether a triangle has all its vertices on the surface since before this round, and a large stored error.
+def _needs_split_on_surface(m: FitMesh, t: int, error: wp.float32):
+    """Return whether only a split can help: all vertices of triangle t are on the surface, and its error is large.
 
-    Only a split then reduces the error of float32 positions. error: metres before scaling.
+    They must be there since before this round, as the distance of t is not known after they have moved. error: stored
+    error, metres before scaling.
     """
     common_state = PINNED
     num_new = wp.float64(0.0)
     for c in range(3):
         v = m.corner_verts[3 * t + c]
         common_state = common_state & m.state[v]
-        num_new += m.push[2 * v + 1]
+        num_new += m.push[2 * v + 1]  # 1 if `_pin_corners` has just moved it
     is_large = wp.float64(error) * m.domain.error_scale > wp.float64(0.5) * m.bound
     return common_state != wp.uint8(0) and num_new == wp.float64(0.0) and is_large
 

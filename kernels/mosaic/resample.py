@@ -55,9 +55,9 @@ def split_position(u: wp.float64) -> wp.vec2d:
 def max_difference(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
     """Return the largest difference between neighbours along one axis in the 4 x 4 samples around a cell.
 
-    So much, in units of `values`, a value in the cell changes at most if its position is wrong by one sample along that
-    axis. NaN is ignored. at: index of the cell's sample with the lowest column and row. along, across: steps of the
-    index along the axis and along the other one.
+    It is the most by which a value in the cell changes, in units of `values`, if its position is wrong by one sample
+    along that axis. NaN is ignored. at: index of the cell's sample with the lowest column and row. along, across: steps
+    of the index along the axis and along the other one.
     """
     largest = wp.float64(0.0)
     for j in range(-1, 3):
@@ -119,31 +119,35 @@ def resample_rows(
             continue
         at_u = split_position(u)
         at_v = split_position(v)
-        f = at_u[1]
-        g = at_v[1]
-        p = wp.int32(at_u[0]) - left
-        q = wp.int32(at_v[0]) - top
-        if p < 1 or q < 1 or p + 2 >= width or q + 2 >= height:
+        fraction_u = at_u[1]
+        fraction_v = at_v[1]
+        source_column = wp.int32(at_u[0]) - left
+        source_row = wp.int32(at_v[0]) - top
+        if source_column < 1 or source_row < 1 or source_column + 2 >= width or source_row + 2 >= height:
             continue
-        k = q * width + p
+        k = source_row * width + source_column  # a fraction of 0 reads no sample beyond, which may be missing
         right = wp.int32(0)
-        if f > wp.float64(0.0):
+        if fraction_u > wp.float64(0.0):
             right = wp.int32(1)
         down = wp.int32(0)
-        if g > wp.float64(0.0):
+        if fraction_v > wp.float64(0.0):
             down = width
         rank = wp.min(wp.min(ranks[k], ranks[k + right]), wp.min(ranks[k + down], ranks[k + down + right]))
-        n = y * columns + x
+        entry = y * columns + x
         if rank < 0:
-            if rank == NO_DATA and out_ranks[n] == UNCOVERED:
-                out_ranks[n] = NO_DATA
+            if rank == NO_DATA and out_ranks[entry] == UNCOVERED:
+                out_ranks[entry] = NO_DATA
             continue
-        if rank <= out_ranks[n]:
+        if rank <= out_ranks[entry]:
             continue
-        z = between(between(values[k], values[k + right], f), between(values[k + down], values[k + down + right], f), g)
+        value = between(
+            between(values[k], values[k + right], fraction_u),
+            between(values[k + down], values[k + down + right], fraction_u),
+            fraction_v,
+        )
         error = wp.float64(0.0)
         if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):
             error = error_u * max_difference(values, k, 1, width) + error_v * max_difference(values, k, width, 1)
-        out[n] = z
-        out_ranks[n] = rank
-        moved[n] = error
+        out[entry] = value
+        out_ranks[entry] = rank
+        moved[entry] = error

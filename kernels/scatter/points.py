@@ -13,7 +13,7 @@ from ..field.domain import Domain
 from ..field.holes import is_whole
 from ..field.noise import scramble
 from ..mesh.displace import surface_at
-from .seams import PER_RANK, Pattern, seam_density, shift_of, shifted, tile_hash
+from .seams import PER_RANK, Pattern, seam_density, shift_of, shift_point, tile_hash
 from .seen import Views, density_of_views
 
 UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16 sides of a tile
@@ -25,19 +25,15 @@ TURNS = wp.constant(1024)  # number of rotations about the upright axis
 
 @wp.struct
 class CandidateRun:
-    """The candidates of a square of tile (`tile_x`, `tile_y`).
+    """The candidates of a square."""
 
-    `first`: index of its window's first rank in `order`. `at`: first candidate in the arrays. `out`: first index for
-    the chosen ones. `clear`: 1 if the whole square is in the frame of the only view.
-    """
-
-    tile_x: wp.int32
+    tile_x: wp.int32  # column and row of its tile
     tile_y: wp.int32
-    first: wp.int32
-    count: wp.int32
-    at: wp.int32
-    out: wp.int32
-    clear: wp.int32
+    first: wp.int32  # index of its window's first rank in `Pattern.order`
+    count: wp.int32  # candidates
+    at: wp.int32  # entry of the first candidate in CandidateArrays
+    out: wp.int32  # first entry for its candidates in Chosen
+    clear: wp.int32  # 1: the whole square is in the frame of the only view
 
 
 @wp.struct
@@ -51,24 +47,24 @@ class CandidateArrays:
 
 @wp.struct
 class Chosen:
-    """Candidates in view, run by run: indices, ranks and sizes from 0 to 1 (`scale`)."""
+    """Candidates in view, run by run."""
 
-    which: wp.array(dtype=wp.int32)
+    which: wp.array(dtype=wp.int32)  # index of the candidate
     rank: wp.array(dtype=wp.int32)
-    scale: wp.array(dtype=wp.float32)
+    scale: wp.array(dtype=wp.float32)  # size, 0 .. 1
     counts: wp.array(dtype=wp.int32)  # of each run
 
 
 @wp.struct
 class ScatterStyle:
-    """Sizes and rotations of points. `cosine`, `sine`: of half of each rotation angle."""
+    """Sizes and rotations of points."""
 
     seed: wp.uint32
-    size: wp.float32
+    size: wp.float32  # mean size
     variation: wp.float32  # variation of the size as a fraction, in both directions
     align: wp.float32  # 0: upright; 1: along the normal
     tiles: wp.int64  # in a row
-    cosine: wp.array(dtype=wp.float32)
+    cosine: wp.array(dtype=wp.float32)  # of half of each of the TURNS rotation angles
     sine: wp.array(dtype=wp.float32)
 
 
@@ -101,7 +97,7 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
 
 
 @wp.func
-def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
+def nearest_unit(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
     """Return the lattice coordinate nearest to a position in lattice units, clamped to one unit outside the raster.
 
     samples: number of them along that axis.
@@ -136,10 +132,10 @@ def place_candidates(
         y0 = pattern.south + wp.float64(run.tile_y) * pattern.side - domain.south
         for k in range(run.count):
             rank = pattern.order[run.first + k]
-            q = shifted(pattern.place[rank], shift)
+            q = shift_point(pattern.place[rank], shift)
             x = (x0 + wp.float64(q[0]) * UNIT * pattern.side) / domain.unit_x
             y = (y0 + wp.float64(q[1]) * UNIT * pattern.side) / domain.unit_y
-            p = wp.vec2i(nearest(x, domain.samples.columns, domain), nearest(y, domain.samples.rows, domain))
+            p = wp.vec2i(nearest_unit(x, domain.samples.columns, domain), nearest_unit(y, domain.samples.rows, domain))
             position = wp.vec3f()
             normal = wp.vec3f(0.0, 0.0, 1.0)
             density = wp.float32(0.0)
@@ -181,17 +177,17 @@ def choose(
         run = runs[t]
         n = run.out
         for k in range(run.count):
-            at = run.at + k
+            candidate = run.at + k
             rank = pattern.order[run.first + k]
-            r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK
-            density = GROWING * wp.float64(candidates.density[at])
-            if density > r:
-                p = candidates.positions[at]
+            r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK  # the density of all ranks up to this one
+            density = GROWING * wp.float64(candidates.density[candidate])
+            if density > r:  # otherwise no view can want it, whose densities are at most 1
+                p = candidates.positions[candidate]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-                want = density * density_of_views(views, p3, run.clear)
-                if want > r:
-                    s = wp.min((want - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
-                    chosen.which[n] = at
+                wanted = density * density_of_views(views, p3, run.clear)
+                if wanted > r:
+                    s = wp.min((wanted - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
+                    chosen.which[n] = candidate
                     chosen.rank[n] = rank
                     chosen.scale[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))
                     n += 1
@@ -202,8 +198,9 @@ def choose(
 def rotation_of(style: ScatterStyle, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
     """Return the rotation of a point as a quaternion (w, x, y, z): about the vertical, then towards the normal.
 
-    turn: which of the rotation angles.
+    turn: index of the rotation about the vertical in `style.cosine` and `style.sine`.
     """
+    # The shortest rotation from the vertical to a direction n = (x, y, z) is (|n| + z, -y, x, 0); turn first.
     x = normal[0] * style.align
     y = normal[1] * style.align
     z = normal[2] * style.align + (1.0 - style.align)
@@ -229,18 +226,18 @@ def fill_points(
     for t in range(begin, end):
         run = runs[t]
         tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)
-        row = tile_hash(style.seed, run.tile_x, run.tile_y)
+        tile_bits = tile_hash(style.seed, run.tile_x, run.tile_y)
         for k in range(chosen.counts[t]):
             n = first[t] + k
-            at = chosen.which[run.out + k]
+            candidate = chosen.which[run.out + k]
             rank = chosen.rank[run.out + k]
-            drawn = scramble(row + wp.uint32(rank))
-            other = scramble(drawn + wp.uint32(1))
-            vary = wp.float32(wp.int32(other)) * 4.656612873077393e-10  # -1 .. 1
-            points.positions[n] = candidates.positions[at]
-            points.normals[n] = candidates.normals[at]
+            bits = scramble(tile_bits + wp.uint32(rank))
+            more_bits = scramble(bits + wp.uint32(1))
+            vary = wp.float32(wp.int32(more_bits)) * 4.656612873077393e-10  # -1 .. 1
+            points.positions[n] = candidates.positions[candidate]
+            points.normals[n] = candidates.normals[candidate]
             points.size[n] = style.size * (1.0 + style.variation * vary) * chosen.scale[run.out + k]
             points.id[n] = tile * RANKS + wp.int64(rank)
-            points.variant[n] = wp.int32(drawn >> wp.uint32(1))
-            turn = wp.int32(scramble(other) >> wp.uint32(22))
-            points.rotation[n] = rotation_of(style, candidates.normals[at], turn)
+            points.variant[n] = wp.int32(bits >> wp.uint32(1))
+            turn = wp.int32(scramble(more_bits) >> wp.uint32(22))  # the upper 10 bits: 0 .. TURNS - 1
+            points.rotation[n] = rotation_of(style, candidates.normals[candidate], turn)

@@ -13,24 +13,20 @@ UNIT_BITS = wp.constant(16)  # a side has 2^16 units
 SHIFT_BITS = wp.constant(3)  # shifts are eighths of a side
 SQUARE_BITS = wp.constant(4)  # the smallest squares are sixteenths
 PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14, 1 / points of the tile
-# With n points in a tile, the least distance over seams is this / sqrt(n) sides; inside of a tile few are nearer.
+# With n points in a tile, the smallest distance over seams is this / sqrt(n) sides; inside a tile few are nearer.
 APART = wp.constant(wp.float64(0.6))
 
 
 @wp.struct
 class Pattern:
-    """The tile and its position.
+    """The points that each tile repeats, and the position of the tiles."""
 
-    `place`: position of each rank in units. `order`: ascending ranks of each window (see Tile). `first`: indices there
-    of the smallest squares.
-    """
-
-    place: wp.array(dtype=wp.vec2i)
-    order: wp.array(dtype=wp.int32)
-    first: wp.array(dtype=wp.int32)
-    west: wp.float64  # metres, of tile (0, 0)
+    place: wp.array(dtype=wp.vec2i)  # per rank: position of its point, units
+    order: wp.array(dtype=wp.int32)  # the ascending ranks of each window, see Tile in cbt_terrain/scatter/tile.py
+    first: wp.array(dtype=wp.int32)  # per smallest square: index of its first rank in `order`
+    west: wp.float64  # of tile (0, 0), metres
     south: wp.float64
-    side: wp.float64
+    side: wp.float64  # of a tile, metres
     seed: wp.uint32
 
 
@@ -43,12 +39,12 @@ def tile_hash(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
 @wp.func
 def shift_of(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.vec2i:
     """Return the shift of the pattern in tile (x, y) to the east and north, eighths of its side."""
-    drawn = wp.int32(tile_hash(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
-    return wp.vec2i(drawn & ((1 << SHIFT_BITS) - 1), drawn >> SHIFT_BITS)
+    bits = wp.int32(tile_hash(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
+    return wp.vec2i(bits & ((1 << SHIFT_BITS) - 1), bits >> SHIFT_BITS)
 
 
 @wp.func
-def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
+def shift_point(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
     """Return the position of point q of the pattern in a tile with this shift, units of the pattern."""
     bits = UNIT_BITS - SHIFT_BITS
     last = (1 << UNIT_BITS) - 1
@@ -56,16 +52,16 @@ def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
 
 
 @wp.kernel
-def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
+def write_shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
     """Write the shift of the pattern in tile tiles[offset + tid], eighths of its side."""
     t = offset + wp.tid()
     found[t] = shift_of(seed, tiles[t][0], tiles[t][1])
 
 
 @wp.func
-def distance_outside(at: wp.int32) -> wp.int32:
-    """Return by how many units the coordinate `at` is outside its tile, which has 2^UNIT_BITS; 0 inside."""
-    return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
+def distance_outside(coordinate: wp.int32) -> wp.int32:
+    """Return by how many units a coordinate is outside its tile, which has 2^UNIT_BITS of them a side; 0 inside."""
+    return wp.max(wp.max(-coordinate, coordinate - (1 << UNIT_BITS)), 0)
 
 
 @wp.func
@@ -74,47 +70,49 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
 
     Lengths are in units of the tile. shift: displacement of the pattern in that tile, eighths of a side.
     """
-    nearest = limit
+    smallest2 = limit
     bits = UNIT_BITS - SQUARE_BITS
     last = (1 << SQUARE_BITS) - 1
     radius = wp.int32(wp.sqrt(limit))
-    turn_x = shift[0] << (SQUARE_BITS - SHIFT_BITS)
-    turn_y = shift[1] << (SQUARE_BITS - SHIFT_BITS)
+    # The shift in smallest squares.
+    shift_x = shift[0] << (SQUARE_BITS - SHIFT_BITS)
+    shift_y = shift[1] << (SQUARE_BITS - SHIFT_BITS)
     for j in range(wp.max((q[1] - radius) >> bits, 0), wp.min((q[1] + radius) >> bits, last) + 1):
         for i in range(wp.max((q[0] - radius) >> bits, 0), wp.min((q[0] + radius) >> bits, last) + 1):
-            square = (((j - turn_y) & last) << SQUARE_BITS) + ((i - turn_x) & last)
+            square = (((j - shift_y) & last) << SQUARE_BITS) + ((i - shift_x) & last)
             for k in range(pattern.first[square], pattern.first[square + 1]):
                 rank = pattern.order[k]
                 if rank >= ranks:
                     break
-                p = shifted(pattern.place[rank], shift)
+                p = shift_point(pattern.place[rank], shift)
                 x = wp.float64(p[0] - q[0])
                 y = wp.float64(p[1] - q[1])
-                nearest = wp.min(nearest, x * x + y * y)
-    return nearest
+                smallest2 = wp.min(smallest2, x * x + y * y)
+    return smallest2
 
 
 @wp.func
 def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
     """Return the density factor, 0 .. 1, of a point at q (units of the tile) with this rank in tile (x, y).
 
-    It is 1, less if points of other tiles are too near for its rank, and 0 if they are so for all ranks.
+    It is 1, or less if a point of another tile is too near for its rank: the squared distance to it over the required
+    one. It is 0 if the point would be too near at any density.
     """
     side = wp.int32(1) << UNIT_BITS
-    number = wp.float64(rank) + wp.float64(0.5)
-    apart2 = APART * APART * wp.float64(side) * wp.float64(side) / number
-    inside = wp.float64(wp.min(wp.min(q[0], q[1]), side - wp.max(q[0], q[1])))
-    if inside * inside >= apart2:
+    num_points = wp.float64(rank) + wp.float64(0.5)  # of the tile at the density at which this one appears
+    apart2 = APART * APART * wp.float64(side) * wp.float64(side) / num_points
+    to_border = wp.float64(wp.min(wp.min(q[0], q[1]), side - wp.max(q[0], q[1])))
+    if to_border * to_border >= apart2:
         return wp.float64(1.0)
-    nearest = apart2
+    smallest2 = apart2
     for j in range(wp.max(y - 1, 0), y + 2):
         for i in range(wp.max(x - 1, 0), x + 2):
             p = wp.vec2i(q[0] + ((x - i) << UNIT_BITS), q[1] + ((y - j) << UNIT_BITS))
-            away_x = wp.float64(distance_outside(p[0]))
-            away_y = wp.float64(distance_outside(p[1]))
-            if (i != x or j != y) and away_x * away_x + away_y * away_y < nearest:
+            outside_x = wp.float64(distance_outside(p[0]))
+            outside_y = wp.float64(distance_outside(p[1]))
+            if (i != x or j != y) and outside_x * outside_x + outside_y * outside_y < smallest2:
                 # Of two points of one rank, the one of the tile further south or west comes first.
                 ranks = rank + wp.where(j < y or (j == y and i < x), 1, 0)
-                nearest = nearest2(pattern, shift_of(pattern.seed, i, j), p, ranks, nearest)
-    factor = nearest / apart2
-    return wp.where(number * PER_RANK > factor, wp.float64(0.0), factor)
+                smallest2 = nearest2(pattern, shift_of(pattern.seed, i, j), p, ranks, smallest2)
+    factor = smallest2 / apart2
+    return wp.where(num_points * PER_RANK > factor, wp.float64(0.0), factor)

@@ -14,17 +14,13 @@ from ..refine.local_view import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, classif
 
 @wp.struct
 class Views:
-    """Views; without any the density is 1 everywhere.
-
-    `full2`: squared distance up to which it is full. `slopes`: map of hidden ground, see kernels/refine/hiding.py.
-    `reach`: size of scattered objects in metres of the terrain's space.
-    """
+    """Views; without any the density is 1 everywhere."""
 
     count: wp.int32
-    full2: wp.float64
+    full2: wp.float64  # squared distance from the eye up to which the density is 1, metres of camera space
     views: wp.array(dtype=LocalView)
-    slopes: wp.array(dtype=wp.float32)
-    reach: wp.vec3d
+    slopes: wp.array(dtype=wp.float32)  # map of horizons, see kernels/refine/hiding.py
+    reach: wp.vec3d  # how far scattered objects reach from their points, metres of the terrain's space
 
 
 @wp.func
@@ -46,13 +42,14 @@ def density_by_view(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.i
 
     full2: squared distance up to which the density is 1. clear: 1 if p is known to be in the frame.
     """
-    inside = wp.float64(0.0)
+    inside = wp.float64(0.0)  # metres inside the nearest plane of the frustum
     if clear == 0:
         inside = max_inside(view, p, p)
-    want = wp.float64(0.0)
+    density = wp.float64(0.0)
     if inside >= wp.float64(0.0):
-        want = density_at_distance(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))
-    return want
+        distance_squared = distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2])
+        density = density_at_distance(full2, distance_squared)
+    return density
 
 
 @wp.func
@@ -61,33 +58,34 @@ def density_of_views(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
 
     clear: 1 if p is known to be in the frame of the only view.
     """
-    want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
+    density = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
     for v in range(views.count):
-        want = larger(want, density_by_view(views.full2, views.views[v], p, clear))
-    return want
+        density = larger(density, density_by_view(views.full2, views.views[v], p, clear))
+    return density
 
 
 @wp.func
 def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
     """Return bounds (upper, lower) of the density in a box, which is `low` .. `high`, metres.
 
-    The lower bound is 0 if a frame ends in the box or ground may hide a part of it.
+    The upper bound is 0 if the box is out of all frames or hidden, the lower one if a frame ends in the box or ground
+    may hide a part of it.
     """
     zero = wp.float64(0.0)
     high_density = wp.where(views.count == 0, wp.float64(1.0), zero)
     low_density = high_density
-    seen = wp.bool(views.count == 0)
+    is_visible = wp.bool(views.count == 0)
     for v in range(views.count):
         view = views.views[v]
         frustum_class = classify_box(view, low, high, wp.float64(0.0))
         if frustum_class != OUTSIDE:
             a = low - view.eye
             b = high - view.eye
-            seen = seen or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
+            is_visible = is_visible or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near_squared = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
             high_density = larger(high_density, density_at_distance(views.full2, near_squared))
             if frustum_class == CLEAR and view.rings.count == 0:
                 distance_squared = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
                 low_density = larger(low_density, density_at_distance(views.full2, distance_squared))
-    return wp.where(seen, high_density, zero), low_density
+    return wp.where(is_visible, high_density, zero), low_density

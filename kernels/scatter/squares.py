@@ -15,16 +15,15 @@ ROUNDING = wp.constant(wp.float64(1e-6))
 
 @wp.struct
 class ScatterSquares:
-    """Squares of one size; the south-western corner of (0, 0) is at `west`, `south` in metres."""
+    """Squares of one size, by column and row, and the stored ranges from which their heights come."""
 
-    west: wp.float64
+    west: wp.float64  # south-west corner of square (0, 0), metres
     south: wp.float64
-    side: wp.float64
-    # Height ranges of lattice cells of at least this size, `cell_x` by `cell_y` metres; without any, `low` and `high`.
-    ranges: Depth
-    cell_x: wp.float64
+    side: wp.float64  # of a square, metres
+    ranges: Depth  # height ranges of lattice cells at least as large as a square; no columns: `low` and `high` hold
+    cell_x: wp.float64  # size of these cells, metres
     cell_y: wp.float64
-    low: wp.float64  # metres, before scaling
+    low: wp.float64  # lowest and highest height of the raster, metres before scaling
     high: wp.float64
 
 
@@ -43,9 +42,9 @@ def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float
         j1 = wp.min(wp.int32((y1 - domain.south) / q.cell_y), q.ranges.rows - 1)
         for j in range(wp.min(wp.int32((y0 - domain.south) / q.cell_y), j1), j1 + 1):
             for i in range(wp.min(wp.int32((x0 - domain.west) / q.cell_x), i1), i1 + 1):
-                at = wp.int64(2) * entry(q.ranges, i, j)
-                low = smaller(low, wp.float64(item_at(domain.ranges, at)))
-                high = larger(high, wp.float64(item_at(domain.ranges, at + wp.int64(1))))
+                index = wp.int64(2) * entry(q.ranges, i, j)
+                low = smaller(low, wp.float64(item_at(domain.ranges, index)))
+                high = larger(high, wp.float64(item_at(domain.ranges, index + wp.int64(1))))
         low = domain.range_base + low * domain.range_step - domain.max_detail
         high = domain.range_base + high * domain.range_step + domain.max_detail
     return low, high
@@ -62,28 +61,28 @@ def density_range(
     numbers: wp.array(dtype=wp.vec2i),
     wanted: wp.array(dtype=wp.vec2d),
 ):
-    """Write the bounds (upper, lower) of the density that views want in square numbers[offset + tid].
+    """Write to `wanted` the bounds (upper, lower) of the density that views want in square numbers[offset + tid].
 
-    They are 0 outside the raster. east, north: border of the raster, metres.
+    They are 0 outside the raster. east, north: border of the raster, metres. numbers: column and row of each square.
     """
-    t = offset + wp.tid()
-    more = ROUNDING * (wp.abs(east) + wp.abs(domain.west) + wp.abs(north) + wp.abs(domain.south))
-    x0 = q.west + wp.float64(numbers[t][0]) * q.side
-    y0 = q.south + wp.float64(numbers[t][1]) * q.side
-    x1 = smaller(x0 + q.side + more, east)
-    y1 = smaller(y0 + q.side + more, north)
-    x0 = larger(x0 - more, domain.west)
-    y0 = larger(y0 - more, domain.south)
-    found = wp.vec2d()
+    k = offset + wp.tid()
+    margin = ROUNDING * (wp.abs(east) + wp.abs(domain.west) + wp.abs(north) + wp.abs(domain.south))
+    x0 = q.west + wp.float64(numbers[k][0]) * q.side
+    y0 = q.south + wp.float64(numbers[k][1]) * q.side
+    x1 = smaller(x0 + q.side + margin, east)
+    y1 = smaller(y0 + q.side + margin, north)
+    x0 = larger(x0 - margin, domain.west)
+    y0 = larger(y0 - margin, domain.south)
+    bounds = wp.vec2d()
     if x0 <= x1 and y0 <= y1:
         low, high = heights_over(domain, q, x0, y0, x1, y1)
         z0 = low * domain.height_scale + domain.height_offset
         z1 = high * domain.height_scale + domain.height_offset
-        beside = ROUNDING * (wp.abs(z0) + wp.abs(z1))
+        height_margin = ROUNDING * (wp.abs(z0) + wp.abs(z1))
         high_density, low_density = density_bounds(
             views,
-            wp.vec3d(x0 - more, y0 - more, smaller(z0, z1) - beside),
-            wp.vec3d(x1 + more, y1 + more, larger(z0, z1) + beside),
+            wp.vec3d(x0 - margin, y0 - margin, smaller(z0, z1) - height_margin),
+            wp.vec3d(x1 + margin, y1 + margin, larger(z0, z1) + height_margin),
         )
-        found = wp.vec2d(high_density, low_density)
-    wanted[t] = found
+        bounds = wp.vec2d(high_density, low_density)
+    wanted[k] = bounds

@@ -19,12 +19,13 @@ CANDIDATES, MAX_CANDIDATES = wp.constant(8), wp.constant(2000)  # candidates for
 def best_candidates(count: wp.int32, near: wp.array(dtype=wp.int32), points: wp.array(dtype=wp.vec2i)):
     """Fill `points` with `count` positions in 2^-16 of the side: each the farthest of many random candidates.
 
-    near: squared distances of pixels to the nearest point, at first maximal.
+    near: squared distance of each pixel of the map to the nearest point, in pixels; at first maximal.
     """
     side = wp.int32(1) << BITS
-    p = wp.vec2i(0, 0)
-    draw = wp.uint32(0)
+    p = wp.vec2i(0, 0)  # pixel of point k
+    draw = wp.uint32(0)  # candidates so far
     for k in range(count):
+        # Random bits put the point anywhere in its pixel.
         fine = wp.int32(scramble(wp.uint32(k) + wp.uint32(0x40000000)))
         fine_mask = (wp.int32(1) << FINE_BITS) - 1
         points[k] = wp.vec2i((p[0] << FINE_BITS) + (fine & fine_mask), (p[1] << FINE_BITS) + ((fine >> 8) & fine_mask))

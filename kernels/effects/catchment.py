@@ -47,13 +47,13 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
                 if k != 4:  # the sample itself
                     total += flow_weight(d, i, k)
             if total > wp.float64(0.0):
-                per = d.area[i] / total
+                area_per_weight = d.area[i] / total
                 for k in range(9):
                     if k != 4:
-                        share = flow_weight(d, i, k)
-                        if share > wp.float64(0.0):
+                        weight = flow_weight(d, i, k)
+                        if weight > wp.float64(0.0):
                             j = towards(i, k, d.grid.width)
-                            d.area[j] = d.area[j] + per * share
+                            d.area[j] = d.area[j] + area_per_weight * weight
             else:
                 j = towards(i, wp.int32(d.to[i]), d.grid.width)
                 d.area[j] = d.area[j] + d.area[i]

@@ -21,20 +21,20 @@ def next_common(
     v: wp.int32,
     count: wp.int32,
     last: wp.array(dtype=wp.vec3f),
-    at: wp.int32,
+    last_v: wp.int32,
     last_count: wp.int32,
 ):
     """Return how many points to skip in this and in the last surface until the next ones agree.
 
-    It is (-1, -1) if more than LOOK points in all would have to be skipped. v, at: current points of this and of the
-    last surface. count, last_count: numbers of points.
+    It is (-1, -1) if more than LOOK points in all would have to be skipped. v, last_v: current points of this and of
+    the last surface. count, last_count: numbers of points.
     """
     skip = wp.vec2i(-1, -1)
     total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
         for a in range(total + 1):
-            if skip[0] < 0 and v + a < count and at + total - a < last_count:
-                if count_same_vec3s(positions, v + a, last, at + total - a, 1) == 1:
+            if skip[0] < 0 and v + a < count and last_v + total - a < last_count:
+                if count_same_vec3s(positions, v + a, last, last_v + total - a, 1) == 1:
                     skip = wp.vec2i(a, total - a)
         total += 1
     return skip
@@ -55,22 +55,22 @@ def match_in_order(
     the last surface, count. found [2]: number of runs, and the first point that `match_anywhere` still has to find.
     """
     v = wp.int32(0)
-    at = wp.int32(0)
+    last_v = wp.int32(0)
     k = wp.int32(0)
-    lost = wp.int32(0)
-    while v < count and lost == 0:
-        same = count_same_vec3s(positions, v, last, at, wp.min(count - v, last_count - at))
+    has_ended = wp.int32(0)
+    while v < count and has_ended == 0:
+        same = count_same_vec3s(positions, v, last, last_v, wp.min(count - v, last_count - last_v))
         if same > 0:
-            runs[k] = wp.vec3i(v, at, same)
+            runs[k] = wp.vec3i(v, last_v, same)
             k += 1
         v += same
-        at += same
-        skip = next_common(positions, v, count, last, at, last_count)
+        last_v += same
+        skip = next_common(positions, v, count, last, last_v, last_count)
         if skip[0] < 0:
-            lost = 1
+            has_ended = 1
         else:
             v += skip[0]
-            at += skip[1]
+            last_v += skip[1]
     found[0] = k
     found[1] = v
 
@@ -117,12 +117,12 @@ def match_anywhere(
     for i in range(last_count):
         put(table, wp.int64(hash_slot(last[i], bits)), i)
     while v < count:
-        at = item_at(table, hash_slot(positions[v], bits))
+        last_v = item_at(table, hash_slot(positions[v], bits))
         same = wp.int32(0)
-        if at >= 0:
-            same = count_same_vec3s(positions, v, last, at, wp.min(count - v, last_count - at))
+        if last_v >= 0:
+            same = count_same_vec3s(positions, v, last, last_v, wp.min(count - v, last_count - last_v))
             if same > 0:
-                runs[k] = wp.vec3i(v, at, same)
+                runs[k] = wp.vec3i(v, last_v, same)
                 k += 1
         v += wp.max(same, 1)
     found[0] = k
@@ -141,7 +141,7 @@ def list_fresh(
     """List the points whose values have to be computed: those in no run, or with another level than before.
 
     One thread. runs: (first point, first point of the last surface, count). levels, last_levels: log2 of the samples
-    that a pixel covers at each point, now and before. found[0] becomes the number of listed points.
+    that a pixel covers at each point, now and before. fresh: the listed points. found[0] becomes their number.
     """
     n = wp.int32(0)
     v = wp.int32(0)
@@ -191,10 +191,10 @@ def copy_runs(
             begin = wp.max(run[0], first)
             stop = wp.min(run[0] + run[2], end)
             if begin < stop:
-                at = run[1] + begin - run[0]
+                last_v = run[1] + begin - run[0]
                 copy_items(
                     pair.last,
-                    wp.int64(at) * wp.int64(pair.width),
+                    wp.int64(last_v) * wp.int64(pair.width),
                     (stop - begin) * pair.width,
                     pair.values,
                     wp.int64(begin) * wp.int64(pair.width),

@@ -99,12 +99,13 @@ def sun_seen(
     y = cells_of(wp.float64(positions[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)
     z = surface(occluder, x, y)
     zero = wp.float64(0.0)
-    seen = zero
+    visible = zero
     whole = zero
     for k in range(strips.shape[0]):
         half_height = strips[k].half_height
         slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
-        hidden = (elevation_of(slope) - elevation) / radius
-        seen += wp.clamp(half_height - hidden, zero, wp.float64(2.0) * half_height)
+        # In radii above the disc's centre.
+        hidden_up_to = (elevation_of(slope) - elevation) / radius
+        visible += wp.clamp(half_height - hidden_up_to, zero, wp.float64(2.0) * half_height)
         whole += wp.float64(2.0) * half_height
-    out[i] = wp.float32(seen / whole)
+    out[i] = wp.float32(visible / whole)

@@ -31,12 +31,12 @@ WAITING = wp.constant(wp.uint8(16))
 class Draw:
     """Noise in the choice of receivers: slopes times 1 - jitter / 2 .. 1 + jitter / 2, which breaks straight lines.
 
-    It is a function of the position; `row`, `column`: position of the first sample in the whole raster.
+    It is a function of the position in the whole raster.
     """
 
-    jitter: wp.float32
+    jitter: wp.float32  # width of the range of these factors
     seed: wp.uint32
-    row: wp.int32
+    row: wp.int32  # of the first sample in the whole raster
     column: wp.int32
 
 
@@ -86,10 +86,10 @@ def route_flats(d: DrainageArrays, end: wp.int32):
     The queue is the first `end` entries of `order`; samples that are routed join it. Samples of `base` are never
     routed.
     """
-    at = wp.int32(0)
-    while at < end:
-        i = d.order[at]
-        at += 1
+    next_entry = wp.int32(0)
+    while next_entry < end:
+        i = d.order[next_entry]
+        next_entry += 1
         if d.to[i] >= WAITING:
             d.to[i] = d.to[i] - WAITING
         for q in range(8):
@@ -111,13 +111,13 @@ def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     end = wp.int32(0)
     i = next_pit(d, 0)
     while i < n:
-        found = wp.int32(0)
+        is_routed = wp.int32(0)
         for q in range(8):
             k = straight_first(q)
             j = towards(i, k, d.grid.width)
             drains = (d.to[j] < WAITING and d.to[j] != ROOT) or d.base[j] != wp.uint8(0)
-            if found == 0 and drains and d.h[j] == d.h[i]:
-                found = 1
+            if is_routed == 0 and drains and d.h[j] == d.h[i]:
+                is_routed = 1
                 d.to[i] = wp.uint8(k) + WAITING
                 d.order[end] = i
                 end += 1
@@ -187,16 +187,16 @@ def redirect_basin(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width
 
     So the whole basin of that root drains through i. to: directions of the receivers. width: samples in a row.
     """
-    at = wp.int32(i)
+    sample = wp.int32(i)
     new = wp.int32(k)
-    going = wp.int32(1)
-    while going == 1:
-        old = wp.int32(to[at])
-        to[at] = wp.uint8(new)
+    is_going_on = wp.int32(1)
+    while is_going_on == 1:
+        old = wp.int32(to[sample])
+        to[sample] = wp.uint8(new)
         if old == 4:  # ROOT
-            going = 0
+            is_going_on = 0
         else:
-            at = towards(at, old, width)
+            sample = towards(sample, old, width)
             new = 8 - old
 
 
@@ -207,17 +207,17 @@ def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=w
     The basins of `base`, label 1, never drain elsewhere. count: number of passes. edge: 4 * sample + direction - 5 of
     each pass, ascending by height. up [pits + 2]: parent of each basin in the sets of linked basins; at first itself.
     """
-    outside = wp.int32(1)
-    left = wp.int32(pits)
-    e = wp.int32(0)
-    while e < count and left > 0:
-        i = edge[e] / 4
-        k = 5 + edge[e] % 4
+    outside = wp.int32(1)  # label of all samples that drain to an outlet
+    num_unlinked = wp.int32(pits)
+    p = wp.int32(0)
+    while p < count and num_unlinked > 0:
+        i = edge[p] / 4
+        k = 5 + edge[p] % 4
         j = towards(i, k, d.grid.width)
         a = representative(up, d.label[i])
         b = representative(up, d.label[j])
         if a != b:
-            left -= 1
+            num_unlinked -= 1
             # The set of `outside` keeps its number, so that one comparison identifies it.
             if a == outside:
                 redirect_basin(d.to, j, 8 - k, d.grid.width)
@@ -225,7 +225,7 @@ def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=w
             else:
                 redirect_basin(d.to, i, k, d.grid.width)
                 up[a] = b
-        e += 1
+        p += 1
 
 
 @wp.func

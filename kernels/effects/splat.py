@@ -32,53 +32,46 @@ MIN_SUM = wp.constant(wp.float32(1e-12))
 
 @wp.struct
 class SplatRule:
-    """A rule: the weight of a layer by a value, 1 between `low` and `high`.
+    """A rule: the weight of a layer by a value, 1 between `low` and `high`."""
 
-    `at`: row of `values`, index of the layer, or first pixel of the image [rows, columns]. `sine`, `cosine`: of the
-    direction.
-    """
-
-    kind: wp.int32
-    at: wp.int32
+    kind: wp.int32  # VALUE .. IMAGE
+    at: wp.int32  # row of `Splat.values`, index of the layer, or the image's first pixel in `Splat.images`
     low: wp.float32
     high: wp.float32
     edge: wp.float32  # width of the soft edges at `low` and `high`, in the value's unit
     per_edge: wp.float32  # 1 / edge
-    sine: wp.float32
+    sine: wp.float32  # of the azimuth of a DIRECTION
     cosine: wp.float32
-    rows: wp.int32
+    rows: wp.int32  # of an IMAGE
     columns: wp.int32
 
 
 @wp.struct
 class SplatLayer:
-    """A layer with the rules from `first` to `end`. `noise_size`: metres, 0 for no noise."""
+    """A layer with the rules first .. end - 1."""
 
     first: wp.int32
     end: wp.int32
     on_top: wp.int32  # 1: it covers the layers before it; 0: it shares the ground with them
     strength: wp.float32  # factor on the weight of its rules
     ragged: wp.float32  # amplitude of the noise that shifts the rules' values, in widths of their edges
-    noise_size: wp.float64
+    noise_size: wp.float64  # length of the longest waves, metres; 0: no noise
     seed: wp.uint32
 
 
 @wp.struct
 class Splat:
-    """Layers and the values that their rules read: a row of `count` numbers for each quantity, two for directions.
-
-    The raster's south-west corner is at `west`, `south`; it is `across` by `up` metres.
-    """
+    """Layers and the values that their rules read."""
 
     layers: wp.array(dtype=SplatLayer)
     layer_count: wp.int32
     rules: wp.array(dtype=SplatRule)
-    values: wp.array(dtype=wp.float32)
-    count: wp.int64
-    images: wp.array(dtype=wp.float32)
-    west: wp.float64
+    values: wp.array(dtype=wp.float32)  # a row of `count` numbers for each quantity, two rows for directions
+    count: wp.int64  # points
+    images: wp.array(dtype=wp.float32)  # pixels of all images
+    west: wp.float64  # the raster's south-west corner, metres
     south: wp.float64
-    across: wp.float64
+    across: wp.float64  # the raster's size to the east and north, metres
     up: wp.float64
     step: wp.float64  # metres between samples of the raster
 
@@ -91,7 +84,7 @@ def smooth(x: wp.float32) -> wp.float32:
 
 
 @wp.func
-def corner(row: wp.uint32, i: wp.uint32) -> wp.float32:
+def lattice_value(row: wp.uint32, i: wp.uint32) -> wp.float32:
     """Return the random value of lattice point i of a row, -1 .. 1. row: hash of the row's number."""
     return wp.float32(wp.int32(scramble(row + i))) * 4.656612873077393e-10
 
@@ -112,8 +105,8 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
     u = fade(wp.float32(x - column))
     south = scramble(j + seed)
     north = scramble(j + wp.uint32(1) + seed)
-    low = wp.lerp(corner(south, i), corner(south, i + wp.uint32(1)), u)
-    high = wp.lerp(corner(north, i), corner(north, i + wp.uint32(1)), u)
+    low = wp.lerp(lattice_value(south, i), lattice_value(south, i + wp.uint32(1)), u)
+    high = wp.lerp(lattice_value(north, i), lattice_value(north, i + wp.uint32(1)), u)
     return wp.lerp(low, high, fade(wp.float32(y - row)))
 
 
@@ -125,16 +118,16 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
     """
     total = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
-        per = wp.float64(1.0) / layer.noise_size
+        per_wave = wp.float64(1.0) / layer.noise_size
         footprints_per_wave = wp.float32(layer.noise_size / footprint)
-        amount = wp.float32(8.0 / 15.0)  # amplitudes add up to 1
+        amplitude = wp.float32(8.0 / 15.0)  # amplitudes add up to 1
         octave = wp.int32(0)
         while octave < OCTAVES and footprints_per_wave > 1.0:
-            waves = wave(x * per, y * per, layer.seed + wp.uint32(octave) * GOLDEN)
-            total += amount * wp.min(footprints_per_wave - 1.0, 1.0) * waves
-            amount *= 0.5
+            waves = wave(x * per_wave, y * per_wave, layer.seed + wp.uint32(octave) * GOLDEN)
+            total += amplitude * wp.min(footprints_per_wave - 1.0, 1.0) * waves
+            amplitude *= 0.5
             footprints_per_wave *= 0.5
-            per *= wp.float64(2.0)
+            per_wave *= wp.float64(2.0)
             octave += 1
     return total
 
@@ -190,7 +183,8 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
         layer = s.layers[number]
         noise = wp.float32(0.0)
         cover = layer.strength
-        # Noise is expensive and does not matter far from a rule's limits: rules that need it have the second turn.
+        # Noise is expensive and does not matter far from a rule's limits. Rules without it are evaluated in turn 0,
+        # those that need it in turn 1, which is left out if none does.
         turn = wp.int32(0)
         turns = wp.int32(1)
         while turn < turns and cover > 0.0:
@@ -202,14 +196,14 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                     q = wp.float32(0.0)
                     needed = wp.int32(0)
                     if r.kind <= DIRECTION:
-                        at = wp.int64(r.at) * s.count + wp.int64(v)
-                        q = item_at(s.values, at)
+                        entry = wp.int64(r.at) * s.count + wp.int64(v)
+                        q = item_at(s.values, entry)
                         if r.kind == LOGARITHM:
                             q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
                         elif r.kind == DIRECTION:
-                            q = r.sine * q + r.cosine * item_at(s.values, at + s.count)
-                        near = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
-                        needed = wp.where(layer.ragged > 0.0 and near < (0.5 + layer.ragged) * r.edge, 1, 0)
+                            q = r.sine * q + r.cosine * item_at(s.values, entry + s.count)
+                        to_limit = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
+                        needed = wp.where(layer.ragged > 0.0 and to_limit < (0.5 + layer.ragged) * r.edge, 1, 0)
                         if turn == 1:
                             q += layer.ragged * r.edge * noise
                     elif r.kind == NOISE:
@@ -229,7 +223,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
 
 
 @wp.func
-def normalised(w: Weights, count: wp.int32) -> Weights:
+def normalise(w: Weights, count: wp.int32) -> Weights:
     """Return the first `count` weights of w scaled to a sum of 1, as multiples of 2^-24.
 
     The largest weight absorbs the rounding. If all are 0, the first becomes 1.
@@ -240,16 +234,16 @@ def normalised(w: Weights, count: wp.int32) -> Weights:
         total += w[k]
         if w[k] > w[largest]:
             largest = k
-    rest = wp.int32(16777216)
+    units_left = wp.int32(16777216)
     out = Weights()
     if total > MIN_SUM:
         scale = UNITS / total
         for k in range(count):
             if k != largest:
-                units = wp.min(wp.int32(w[k] * scale), rest)
-                rest -= units
+                units = wp.min(wp.int32(w[k] * scale), units_left)
+                units_left -= units
                 out[k] = wp.float32(units) * UNIT
-    out[largest] = wp.float32(rest) * UNIT
+    out[largest] = wp.float32(units_left) * UNIT
     return out
 
 
@@ -286,15 +280,15 @@ def splats(
                 w[0] = 1.0
                 sum = 1.0
             weight = wp.min(cover, 1.0)
-            left = (1.0 - weight) / sum
+            factor = (1.0 - weight) / sum
             for below in range(k):
-                w[below] = w[below] * left
+                w[below] = w[below] * factor
             w[k] = weight
             sum = wp.float32(1.0)
         else:
             w[k] = cover
             sum += cover
-    w = normalised(w, s.layer_count)
+    w = normalise(w, s.layer_count)
     if (wanted & 1) != 0:
         out_1[v] = wp.vec4f(w[0], w[1], w[2], w[3])
     if (wanted & 2) != 0:

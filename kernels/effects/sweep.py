@@ -159,9 +159,9 @@ class SkyLayer:
     values: wp.array(dtype=wp.float32)
     columns: wp.int32
     rows: wp.int32
-    west: wp.float64
+    west: wp.float64  # of the first sample, metres
     south: wp.float64
-    step_x: wp.float64
+    step_x: wp.float64  # metres between samples
     step_y: wp.float64
 
 
@@ -173,12 +173,12 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
     """
     i = wp.min(wp.int32(x), layer.columns - 2)
     j = wp.min(wp.int32(y), layer.rows - 2)
-    at = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
-    north = at + wp.int64(layer.columns)
+    index = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
+    north = index + wp.int64(layer.columns)
     u = x - wp.float64(i)
-    a = wp.float64(layer.values[at])
+    a = wp.float64(layer.values[index])
     b = wp.float64(layer.values[north])
-    a += (wp.float64(layer.values[at + wp.int64(1)]) - a) * u
+    a += (wp.float64(layer.values[index + wp.int64(1)]) - a) * u
     b += (wp.float64(layer.values[north + wp.int64(1)]) - b) * u
     return a + (b - a) * (y - wp.float64(j))
 

@@ -14,7 +14,7 @@ from ..effects.rows import Grid
 
 @wp.struct
 class Soil:
-    """A step of diffusion. Explicit steps use `old`, the implicit one `scratch` and `change`."""
+    """A step of diffusion of heights. Explicit steps read `old`; the implicit one uses `scratch` and `change`."""
 
     grid: Grid
     ew: wp.float32  # D dt / dx^2
@@ -22,10 +22,10 @@ class Soil:
     base: wp.array(dtype=wp.uint8)  # 1 where heights are constant, which includes the border
     weight: wp.array(dtype=wp.float32)  # factor on the change
     preserved: wp.array(dtype=wp.float32)  # metres of the change that is left out where it has the same sign
-    old: wp.array(dtype=wp.float32)
-    scratch: wp.array(dtype=wp.float32)
-    change: wp.array(dtype=wp.float32)
-    h: wp.array(dtype=wp.float32)
+    old: wp.array(dtype=wp.float32)  # heights before the step, metres
+    scratch: wp.array(dtype=wp.float32)  # coefficients of Thomas's algorithm
+    change: wp.array(dtype=wp.float32)  # change of heights in the implicit step, metres
+    h: wp.array(dtype=wp.float32)  # heights after it, metres
 
 
 @wp.func_native("""
@@ -51,7 +51,10 @@ class Soil:
     }
 """)
 def creep_of_row(soil: Soil, y: int):
-    """Take an explicit step of diffusion in row y: heights `old` to `h`, times the weights of `soil`."""
+    """Take an explicit step of diffusion in row y, from the heights `old` to `h`.
+
+    The change is reduced by `preserved` and multiplied by `weight`.
+    """
     ...
 
 

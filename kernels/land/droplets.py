@@ -72,32 +72,32 @@ def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec
     j = wp.int32(y)
     u = x - wp.float64(i)
     v = y - wp.float64(j)
-    at = (j - rain.first_row) * rain.width + i - rain.first_column
-    a = height_at(rain, at)
-    b = height_at(rain, at + 1) - a
-    c = height_at(rain, at + rain.width)
-    d = height_at(rain, at + rain.width + 1) - c
+    index = (j - rain.first_row) * rain.width + i - rain.first_column
+    a = height_at(rain, index)
+    b = height_at(rain, index + 1) - a
+    c = height_at(rain, index + rain.width)
+    d = height_at(rain, index + rain.width + 1) - c
     low = a + b * u
     rise = c + d * u - low
     return wp.vec3d((b * (one - v) + d * v) / rain.step_x, rise / rain.step_y, low + rise * v)
 
 
 @wp.func
-def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
+def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, wider_by: wp.int32):
     """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y).
 
-    x, y: samples of the whole level. more: samples by which the brush is wider than `brush_x`, `brush_y`. The weight
+    x, y: samples of the whole level. wider_by: samples added to `brush_x`, `brush_y`. The weight
     falls from 1 in the middle to 0 at the brush's radius; samples that must not change get nothing.
     """
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
-    west = wp.max(middle_x - rain.brush_x - more, 0)
-    east = wp.min(middle_x + rain.brush_x + more, rain.width - 1) + 1
-    south = wp.max(middle_y - rain.brush_y - more, 0)
-    north = wp.min(middle_y + rain.brush_y + more, rain.height - 1) + 1
+    west = wp.max(middle_x - rain.brush_x - wider_by, 0)
+    east = wp.min(middle_x + rain.brush_x + wider_by, rain.width - 1) + 1
+    south = wp.max(middle_y - rain.brush_y - wider_by, 0)
+    north = wp.min(middle_y + rain.brush_y + wider_by, rain.height - 1) + 1
     none = wp.float64(0.0)
-    per_x = wp.float64(1.0) / wp.float64(rain.brush_x + more + 1)
-    per_y = wp.float64(1.0) / wp.float64(rain.brush_y + more + 1)
+    per_x = wp.float64(1.0) / wp.float64(rain.brush_x + wider_by + 1)
+    per_y = wp.float64(1.0) / wp.float64(rain.brush_y + wider_by + 1)
     total = wp.float64(0.0)
     for row in range(south, north):
         v = (y - wp.float64(rain.first_row + row)) * per_y
@@ -105,7 +105,7 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
         for column in range(west, east):
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
-            if rain.ground[i] == rain.ground[i]:
+            if rain.ground[i] == rain.ground[i]:  # not NaN
                 total += wp.max(rest - u * u, none)
     scale = volume / (rain.step_x * rain.step_y * total)
     for row in range(south, north):
@@ -138,7 +138,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     load = wp.float64(0.0)
     carried = wp.float64(0.0)
     step = wp.int32(0)
-    here = slopes_and_height(rain, x, y)
+    here = slopes_and_height(rain, x, y)  # slopes to the east and north, height
     while step < rain.steps and here[2] > rain.sea:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
@@ -159,7 +159,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                 step = rain.steps
             else:
                 there = slopes_and_height(rain, u, v)
-                if there[2] == there[2]:
+                if there[2] == there[2]:  # not NaN: all four samples around it may change
                     fall = here[2] - there[2]
                     capacity = rain.capacity * water * wp.max(fall, none) / rain.stride
                     volume = none
@@ -169,8 +169,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                         volume = (load - capacity) * rain.load
                     else:
                         row = wp.int32(y + wp.float64(0.5)) - rain.first_row
-                        near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
-                        volume = -wp.min((capacity - load) * rain.load, fall * cell) * wp.float64(rain.mask[near])
+                        nearest = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
+                        volume = -wp.min((capacity - load) * rain.load, fall * cell) * wp.float64(rain.mask[nearest])
                     load -= volume
                     deposit(rain, x, y, volume, ON_THE_WAY)
                     water *= one - rain.dry

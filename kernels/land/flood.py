@@ -24,7 +24,10 @@ TO_EAST, TO_NORTH = wp.constant(0), wp.constant(1)
 
 @wp.struct
 class FloodStep:
-    """Water on a bed and a step of it, samples in rows. Fluxes and `part` have a row before and after the raster's."""
+    """Water on a bed and a step of it, samples in rows.
+
+    Fluxes, m^2/s over the faces to the next samples, and `part` have a row before and after the raster's.
+    """
 
     width: wp.int32
     height: wp.int32
@@ -35,9 +38,9 @@ class FloodStep:
     bed: wp.array(dtype=wp.float32)  # metres
     rain: wp.array(dtype=wp.float32)  # m/s
     depth: wp.array(dtype=wp.float64)  # metres
-    was_east: wp.array(dtype=wp.float64)  # m^2/s to the next sample in the east, before the step
+    was_east: wp.array(dtype=wp.float64)  # flux to the east before the step
     was_north: wp.array(dtype=wp.float64)
-    east: wp.array(dtype=wp.float64)  # after it
+    east: wp.array(dtype=wp.float64)  # ... and after it
     north: wp.array(dtype=wp.float64)
     part: wp.array(dtype=wp.float64)  # water of a sample over its outflow, at most 1
 

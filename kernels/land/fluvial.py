@@ -19,11 +19,11 @@ class River:
     cell: wp.float32  # area of a sample in m2
     hillslope: wp.float32  # A0 in m2, added to the drainage area
     strength: wp.float32  # K times years
-    drop: wp.vec3f  # largest height in metres above the receiver, by axis
+    drop: wp.vec3f  # largest height in metres above the receiver: east-west, north-south, diagonally
     lakes: wp.int32  # 1: compute `filled`
     deposition: wp.float64  # G
-    to: wp.array(dtype=wp.uint8)
-    order: wp.array(dtype=wp.int32)
+    to: wp.array(dtype=wp.uint8)  # direction of the receiver, 3 * (dy + 1) + dx + 1; 4: an outlet
+    order: wp.array(dtype=wp.int32)  # samples, donors before receivers
     area: wp.array(dtype=wp.float64)  # A in samples
     erodibility: wp.array(dtype=wp.float32)  # factor on K
     weight: wp.array(dtype=wp.float32)  # of the mask
@@ -176,7 +176,7 @@ def settle_samples(
     old: wp.array(dtype=wp.float32),
     deposited: wp.array(dtype=wp.float32),
 ):
-    """Move sediment between lake samples first .. end and their four neighbours `apart` samples away.
+    """Move sediment between lake samples first .. end - 1 and their four neighbours `apart` samples away.
 
     rock, old: metres of ground and of sediment on it. deposited: the sediment afterwards. width: samples in a row.
     """

@@ -2,7 +2,8 @@
 """Kernels of built-in lands for height operators: mountains, a canyon, an archipelago.
 
 Heights are functions of the position by arithmetic alone: a seed gives the same bits on every machine, and a point has
-the same height at every resolution. x, y: metres from the centre of the square, to the east and north.
+the same height at every resolution. `x`, `y`: metres from the centre of the square, to the east and north. `wx`, `wy`:
+the position moved by noise, so that forms are not straight.
 """
 
 import warp as wp
@@ -19,7 +20,7 @@ MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 def mountains_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of a range from west to east with forelands on both sides; metres, above 0.
 
-    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
+    half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
@@ -62,17 +63,17 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0.
 
-    x, y: metres from the middle of the square. half_side: half of the square's side, metres. The distance from the
+    half_side: half of the square's side, metres. The distance from the
     river, shorter in side canyons, gives the height in its walls.
     """
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
     fine = noise(x / wp.float64(310.0), y / wp.float64(310.0), seed + wp.uint32(42))
     rough = noise(x / wp.float64(90.0), y / wp.float64(90.0), seed + wp.uint32(43))[2]
-    # The river's course bends with x alone, so it never meets itself.
-    zero = wp.float64(0.5)
-    course = wp.float64(2600.0) * noise(x / wp.float64(7300.0), zero, seed + wp.uint32(44))[2]
-    course += wp.float64(800.0) * noise(x / wp.float64(2300.0), zero, seed + wp.uint32(45))[2]
+    # The river's course is a function of x, so it never meets itself; its noise has any fixed second coordinate.
+    fixed_y = wp.float64(0.5)
+    course = wp.float64(2600.0) * noise(x / wp.float64(7300.0), fixed_y, seed + wp.uint32(44))[2]
+    course += wp.float64(800.0) * noise(x / wp.float64(2300.0), fixed_y, seed + wp.uint32(45))[2]
     d = wp.abs(y - course)
     wx = x + wp.float64(420.0) * noise(x / wp.float64(1900.0), y / wp.float64(1900.0), seed + wp.uint32(46))[2]
     wy = y + wp.float64(420.0) * noise(x / wp.float64(1900.0), y / wp.float64(1900.0), seed + wp.uint32(47))[2]
@@ -85,9 +86,9 @@ def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.
     reach = wp.where(d < wp.float64(60.0), wp.min(reach, d), reach)
     plateau = wp.float64(1950.0) + wp.float64(140.0) * wide + wp.float64(5.0) * fine[2] + wp.float64(1.2) * rough
     floor = wp.float64(700.0) + wp.float64(60.0) * x / half_side
-    share = walls(wp.max(reach, wp.float64(0.0)))
-    loose = wp.float64(9.0) * rough * share * (one - share)
-    return floor + (plateau - floor) * share + loose
+    wall_height = walls(wp.max(reach, wp.float64(0.0)))
+    loose = wp.float64(9.0) * rough * wall_height * (one - wall_height)
+    return floor + (plateau - floor) * wall_height + loose
 
 
 @wp.func
@@ -109,16 +110,16 @@ def volcano(
     bed = gullies(u + wp.float64(0.04) * rough, v - wp.float64(0.04) * rough, wp.float64(3.1), seed)
     bed = wp.max(bed, wp.float64(0.5) * gullies(u, v + wp.float64(0.03) * rough, wp.float64(6.7), seed + wp.uint32(1)))
     carved = bed * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.04), wp.float64(0.2), away)
-    up = cone * (wp.float64(0.35) + wp.float64(0.65) * cone) * (one + wp.float64(0.22) * rough)
+    rise = cone * (wp.float64(0.35) + wp.float64(0.65) * cone) * (one + wp.float64(0.22) * rough)
     crater = smooth(wp.float64(0.085), wp.float64(0.035), away)
-    return height * (up * (one - wp.float64(0.35) * carved) - wp.float64(0.16) * crater)
+    return height * (rise * (one - wp.float64(0.35) * carved) - wp.float64(0.16) * crater)
 
 
 @wp.func
 def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height, metres, of islands and volcanoes in a sea at 0 m that is deep at the square's border.
 
-    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
+    half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))
@@ -126,12 +127,12 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
     wx = x + wp.float64(900.0) * coarse_warp[0] + wp.float64(200.0) * fine_warp[0]
     wy = y + wp.float64(900.0) * coarse_warp[2] + wp.float64(200.0) * fine_warp[2]
     arc = noise(wx / wp.float64(9500.0), wy / wp.float64(5600.0), seed + wp.uint32(63))[2]
-    away = wp.max(wp.abs(x), wp.abs(y)) / half_side
-    open = smooth(wp.float64(0.6), wp.float64(1.0), away + wp.float64(0.1) * coarse_warp[2])
+    from_centre = wp.max(wp.abs(x), wp.abs(y)) / half_side
+    open_sea = smooth(wp.float64(0.6), wp.float64(1.0), from_centre + wp.float64(0.1) * coarse_warp[2])
     land = (
         wp.float64(0.75) * arc + wp.float64(0.45) * coarse_warp[2] + wp.float64(0.16) * fine_warp[2] - wp.float64(0.12)
     )
-    land = land - wp.float64(1.2) * open
+    land = land - wp.float64(1.2) * open_sea
     dry = smooth(wp.float64(-0.12), wp.float64(0.05), land)
     rough = relief(wx / wp.float64(2600.0), wy / wp.float64(2600.0), dry, seed)
     inland = land + wp.float64(0.06) * rough
@@ -141,7 +142,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
     cell = wp.float64(7000.0)
     i = wp.floor(x / cell)
     j = wp.floor(y / cell)
-    fire = wp.float64(0.0)
+    volcanoes = wp.float64(0.0)
     for dj in range(-1, 2):
         for di in range(-1, 2):
             ci = i + wp.float64(di)
@@ -157,8 +158,8 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
                 reach = wp.float64(1900.0) + wp.float64(3300.0) * strength
                 high = wp.float64(450.0) + wp.float64(1650.0) * strength
                 cell_seed = scramble(wp.uint32(wp.int32(ci)) + scramble(wp.uint32(wp.int32(cj)) + seed + wp.uint32(65)))
-                fire = wp.max(fire, volcano(wx - vx, wy - vy, reach, high, rough, cell_seed))
-    height = wp.max(height, wp.float64(0.35) * height) + fire * wp.float64(0.9)
+                volcanoes = wp.max(volcanoes, volcano(wx - vx, wy - vy, reach, high, rough, cell_seed))
+    height = wp.max(height, wp.float64(0.35) * height) + volcanoes * wp.float64(0.9)
     beach = wp.float64(12.0)
     if height > -beach and height < beach:
         t = height / beach

@@ -39,13 +39,13 @@ class ReliefNoise:
 
 @wp.struct
 class Window:
-    """Samples in rows: their numbers and spacing in metres, row and column of the first in the whole level."""
+    """Samples in rows, a part of a level."""
 
     width: wp.int32
     height: wp.int32
-    row: wp.int32
+    row: wp.int32  # of the first sample in the whole level
     column: wp.int32
-    step_x: wp.float64
+    step_x: wp.float64  # metres between samples
     step_y: wp.float64
     reach_x: wp.int32  # samples over which slope and curvature are measured
     reach_y: wp.int32
@@ -128,9 +128,10 @@ def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: w
     """
     fold = gradient_noise(x / FOLD_LENGTH, y / FOLD_LENGTH, k.seed + FOLD_SEED)
     t = (wp.float64(z) - x * k.dip[0] - y * k.dip[1]) / wp.float64(k.bed) + wp.float64(0.8 * fold[2])
-    foot = wp.floor(t)
-    f = wp.float32(t - foot)
+    foot = wp.floor(t)  # number of the bed
+    f = wp.float32(t - foot)  # how far up in it, 0 .. 1
     bed_hash = scramble(wp.uint32(wp.int64(foot)) + k.seed + BED_SEED)
+    # The hard bed's cliff is at the fraction `middle` of its height.
     middle = 0.2 + 0.6 * wp.float32(bed_hash & wp.uint32(0xFFFF)) / 65535.0
     hard = wp.float32(bed_hash >> wp.uint32(16)) / 32767.5 - 1.0
     if hard <= 0.0:
@@ -156,10 +157,10 @@ def sum_octaves(
     total = wp.float32(0.0)
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
-    sharp = 3.0 * k.wave * curvature
-    crest = k.ridge * (0.5 + 0.5 * sharp / (1.0 + wp.abs(sharp)))
+    convexity = 3.0 * k.wave * curvature
+    crest = k.ridge * (0.5 + 0.5 * convexity / (1.0 + wp.abs(convexity)))
     wave = k.wave
-    size = 0.5 * k.wave * (k.plain + (k.rough - k.plain) * slope)
+    amplitude = 0.5 * k.wave * (k.plain + (k.rough - k.plain) * slope)
     px = x / wp.float64(wave)
     py = y / wp.float64(wave)
     seed = k.seed
@@ -170,12 +171,12 @@ def sum_octaves(
             # The slope of -|n| without its jump, which damping would transfer to the ground.
             folded = wp.clamp(-8.0 * n[2], -1.0, 1.0) * crest
             value = n[2] * (1.0 - crest) + crest * (0.35 - wp.abs(n[2]))
-            total += fade * size * value / (1.0 + DAMP * (gx * gx + gy * gy))
-            gx += size / wave * n[0] * (1.0 - crest + folded)
-            gy += size / wave * n[1] * (1.0 - crest + folded)
-            size *= k.gain
+            total += fade * amplitude * value / (1.0 + DAMP * (gx * gx + gy * gy))
+            gx += amplitude / wave * n[0] * (1.0 - crest + folded)
+            gy += amplitude / wave * n[1] * (1.0 - crest + folded)
+            amplitude *= k.gain
             wave *= 0.5
-            # Rotation by the angle of the triangle (3, 4, 5) hides the lattice.
+            # Twice a rotation by the angle of the triangle (3, 4, 5), which hides the lattice, and a shift.
             turned = wp.float64(1.6) * px - wp.float64(1.2) * py + wp.float64(0.37109375)
             py = wp.float64(1.2) * px + wp.float64(1.6) * py + wp.float64(0.71484375)
             px = turned
@@ -202,8 +203,8 @@ def add_relief(
     for column in range(w.width):
         x = wp.float64(w.column + column) * w.step_x
         form = slope_and_curvature(w, h, row, column)
-        at = row * w.width + column
+        entry = row * w.width + column
         added = sum_octaves(k, x, y, spacing, form[0], form[1])
         if k.bed > 0.0:
-            added += ledges(k, x, y, h[at], form[0])
-        out[at] = added
+            added += ledges(k, x, y, h[entry], form[0])
+        out[entry] = added

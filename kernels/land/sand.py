@@ -45,13 +45,14 @@ def fast_angle(c: wp.float32, s: wp.float32) -> wp.float32:
 @wp.func
 def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
     """Return phase (turns, 0 .. 1) and coherence (0 .. 1) of phasor noise at (x, y): waves of length 1 along x."""
+    # Cells of 2 by 3 waves; a patch reaches one cell from its middle, so those of 3 by 3 cells are summed.
     u = x * wp.float64(0.5)
     v = y * wp.float64(0.33)
     i = wp.floor(u)
     j = wp.floor(v)
     fu = wp.float32(u - i)
     fv = wp.float32(v - j)
-    c = wp.float32(0.0)
+    c = wp.float32(0.0)  # the sum of waves is the vector (c, s): its angle is the phase
     s = wp.float32(0.0)
     sum = wp.float32(1e-9)
     for dj in range(-1, 2):
@@ -62,12 +63,12 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
                 h = scramble(h + wp.uint32(1))
                 px = fu - wp.float32(di) - wp.float32(h & wp.uint32(0xFFFF)) * PART
                 py = fv - wp.float32(dj) - wp.float32(h >> wp.uint32(16)) * PART
-                near = 1.0 - px * px - py * py
-                if near > 0.0:
+                inside = 1.0 - px * px - py * py
+                if inside > 0.0:
                     g = scramble(h)
-                    lean = wp.float32(g & wp.uint32(0xFFFF)) * PART - 0.5
-                    phase = 2.0 * px + 1.5 * lean * py + wp.float32(g >> wp.uint32(16)) * PART
-                    weight = near * near
+                    tilt = wp.float32(g & wp.uint32(0xFFFF)) * PART - 0.5
+                    phase = 2.0 * px + 1.5 * tilt * py + wp.float32(g >> wp.uint32(16)) * PART
+                    weight = inside * inside
                     c += weight * fast_sine(phase + 0.25)
                     s += weight * fast_sine(phase)
                     sum += weight
@@ -84,8 +85,8 @@ def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp
     brink = one - high / (REPOSE * length)
     if phase < brink:
         u = phase / brink
-        round = u * u * (wp.float64(3.0) - wp.float64(2.0) * u)
-        return wp.vec2d(high * (wp.float64(0.45) * u + wp.float64(0.55) * round), wp.float64(0.0))
+        smooth_step = u * u * (wp.float64(3.0) - wp.float64(2.0) * u)
+        return wp.vec2d(high * (wp.float64(0.45) * u + wp.float64(0.55) * smooth_step), wp.float64(0.0))
     return wp.vec2d(high * (one - phase) / (one - brink), one)
 
 
@@ -93,35 +94,36 @@ def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp
 def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of the dunes at (x, y), metres; the wind blows to the east."""
     one = wp.float64(1.0)
+    # Index 2 of a noise is its value; indices 0 and 1 are its slopes.
     wide = noise(x / wp.float64(2900.0), y / wp.float64(2900.0), seed + wp.uint32(11))
-    bent = noise(x / wp.float64(1100.0), y / wp.float64(700.0), seed + wp.uint32(12))
+    medium = noise(x / wp.float64(1100.0), y / wp.float64(700.0), seed + wp.uint32(12))
     curl = noise(x / wp.float64(420.0), y / wp.float64(300.0), seed + wp.uint32(13))
-    ground = wp.float64(28.0) * wide[2] + wp.float64(6.0) * bent[2]
+    ground = wp.float64(28.0) * wide[2] + wp.float64(6.0) * medium[2]
 
     length = wp.float64(430.0)
     # Horns, which point downwind, are sharper than the bays between them.
     horn = noise(x / wp.float64(1300.0), y / wp.float64(330.0), seed + wp.uint32(14))[2]
     bays = wp.float64(220.0) * wp.sqrt(horn * horn + wp.float64(0.004))
-    wx = x + wp.float64(150.0) * bent[2] + wp.float64(30.0) * curl[2] + wp.float64(220.0) * wide[2] + bays
+    wx = x + wp.float64(150.0) * medium[2] + wp.float64(30.0) * curl[2] + wp.float64(220.0) * wide[2] + bays
     large = crests(wx / length, y / length, seed)
-    supply = smooth(wp.float64(-0.55), wp.float64(0.35), wide[2] + wp.float64(0.35) * bent[2])
-    agreed = smooth(wp.float64(0.05), wp.float64(0.55), large[1])
-    high = wp.float64(62.0) * (wp.float64(0.25) + wp.float64(0.75) * supply) * agreed
-    dune = ridge_of_sand(large[0], high, length)
+    supply = smooth(wp.float64(-0.55), wp.float64(0.35), wide[2] + wp.float64(0.35) * medium[2])
+    coherent = smooth(wp.float64(0.05), wp.float64(0.55), large[1])
+    height = wp.float64(62.0) * (wp.float64(0.25) + wp.float64(0.75) * supply) * coherent
+    dune = ridge_of_sand(large[0], height, length)
 
     # Small dunes are on the gentle side of large ones and in the pans between them.
     length = wp.float64(58.0)
     across = y + wp.float64(0.35) * x + wp.float64(9.0) * curl[0]
     along = x - wp.float64(0.35) * y + wp.float64(0.35) * dune[0] + wp.float64(22.0) * curl[2]
     small = crests(along / length, across / length, seed + wp.uint32(21))
-    up = dune[0] / wp.float64(62.0)
-    calm = (one - dune[1]) * (one - wp.float64(0.8) * up)
+    height_fraction = dune[0] / wp.float64(62.0)
+    small_fraction = (one - dune[1]) * (one - wp.float64(0.8) * height_fraction)
     # None near the brink, which stays sharp.
-    calm = calm * smooth(wp.float64(0.0), wp.float64(0.12), large[0])
-    patchy = smooth(wp.float64(-0.3), wp.float64(0.3), curl[2] - wp.float64(0.5) * bent[2])
-    low = wp.float64(3.6) * smooth(wp.float64(0.1), wp.float64(0.7), small[1]) * (wp.float64(0.15) + patchy)
-    ripple = ridge_of_sand(small[0], low, length)
-    return ground + dune[0] + calm * ripple[0]
+    small_fraction = small_fraction * smooth(wp.float64(0.0), wp.float64(0.12), large[0])
+    patchy = smooth(wp.float64(-0.3), wp.float64(0.3), curl[2] - wp.float64(0.5) * medium[2])
+    small_height = wp.float64(3.6) * smooth(wp.float64(0.1), wp.float64(0.7), small[1]) * (wp.float64(0.15) + patchy)
+    ripple = ridge_of_sand(small[0], small_height, length)
+    return ground + dune[0] + small_fraction * ripple[0]
 
 
 @wp.kernel

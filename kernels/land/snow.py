@@ -19,9 +19,9 @@ CLINGS, LESS_CLINGS, NONE_CLINGS = (wp.constant(wp.float64(v)) for v in (0.35, 0
 class Weather:
     """The weather over a raster.
 
-    `line`: height in metres where rain turns to snow. `fall`: metres of snow on open, level ground far above it.
-    `aspect`: kelvin between sun and shade. `sun`: sine and cosine of the noon sun's height, the cosine positive for a
-    sun in the south. `per_x`, `per_y`: 1 / spacing in 1/m.
+    `width`, `height`: samples. `per_x`, `per_y`: 1 / spacing in 1/m. `line`: height in metres where rain turns to snow.
+    `fall`: metres of snow on open, level ground far above it. `aspect`: kelvin between ground that faces the noon sun
+    and ground in its shade. `sun`: sine and cosine of that sun's height, the cosine positive for a sun in the south.
     """
 
     width: wp.int32
@@ -63,31 +63,32 @@ def fall(
         to_east = wp.float64(heights[row + east] - heights[row + west]) * weather.per_x / wp.float64(east - west)
         to_north = wp.float64(heights[north * weather.width + x] - heights[south * weather.width + x])
         to_north *= weather.per_y / wp.float64(north - south)
-        steep = to_east * to_east + to_north * to_north
-        lit = wp.clamp((to_north * weather.sun[1] + weather.sun[0]) / wp.sqrt(one + steep), wp.float64(0.0), one)
-        warm = (weather.line - wp.float64(heights[i])) * LAPSE + weather.aspect * (lit - weather.sun[0])
-        cold = one / (one + exponential(wp.clamp(warm / BLEND, wp.float64(-50.0), wp.float64(50.0))))
+        slope2 = to_east * to_east + to_north * to_north
+        facing = wp.clamp((to_north * weather.sun[1] + weather.sun[0]) / wp.sqrt(one + slope2), wp.float64(0.0), one)
+        # Above the temperature at which rain turns to snow; level ground has none of the aspect.
+        kelvin = (weather.line - wp.float64(heights[i])) * LAPSE + weather.aspect * (facing - weather.sun[0])
+        cold = one / (one + exponential(wp.clamp(kelvin / BLEND, wp.float64(-50.0), wp.float64(50.0))))
         cold = wp.max(cold - MELTS, wp.float64(0.0)) / (one - MELTS)
         drift = STEEPENING * wp.float64(lee[i])
         drift = wp.clamp(one + SHELTER * drift / wp.sqrt(one + drift * drift), wp.float64(0.1), wp.float64(2.0))
-        open = UNDER_COVER + (one - UNDER_COVER) * wp.float64(sky[i])
-        snow = weather.fall * cold * open * drift
+        exposure = UNDER_COVER + (one - UNDER_COVER) * wp.float64(sky[i])
+        snow = weather.fall * cold * exposure * drift
         if bare[i] != wp.uint8(0):
             snow = wp.float64(0.0)
-        holds = (NONE_CLINGS - wp.sqrt(steep)) / (NONE_CLINGS - LESS_CLINGS)
+        holds = (NONE_CLINGS - wp.sqrt(slope2)) / (NONE_CLINGS - LESS_CLINGS)
         fallen[i] = wp.float32(snow)
         stuck[i] = wp.min(fallen[i], wp.float32(CLINGS * wp.clamp(holds, wp.float64(0.0), one)))
 
 
 @wp.struct
 class Slides:
-    """Loose snow on a bed. `falls`: largest stable differences in metres (east, north, diagonal) of two surfaces."""
+    """Loose snow on a bed, samples in rows."""
 
     width: wp.int32
     height: wp.int32
-    falls: wp.vec3f
-    bed: wp.array(dtype=wp.float32)
-    snow: wp.array(dtype=wp.float32)
+    falls: wp.vec3f  # largest stable differences of two neighbours' surfaces, metres: to the east, north, diagonally
+    bed: wp.array(dtype=wp.float32)  # metres, NaN at walls, which no snow passes
+    snow: wp.array(dtype=wp.float32)  # metres on the bed
 
 
 # Each pair exchanges snow, which conserves it; C code, eight pairs at once.
@@ -127,10 +128,10 @@ _SLIDE = """
 
 @wp.func_native(_SLIDE)
 def slide_slab(slides: Slides, y: int, along: int, turn: int):
-    """Move loose snow between pairs of samples in rows y and y + 1 until the surfaces differ by at most `slides.falls`.
+    """Move loose snow between pairs of samples in rows y and y + 1, so that a pair differs by at most `slides.falls`.
 
-    along: 1 to settle pairs along the rows first, from those whose western column has the parity of `turn`; 0 to settle
-    only pairs across and along the diagonals.
+    A pair that is settled later may undo that for an earlier one. along: 1 to settle pairs along the rows first, from
+    those whose western column has the parity of `turn`; 0 to settle only pairs across and along the diagonals.
     """
     ...
 
@@ -139,7 +140,7 @@ def slide_slab(slides: Slides, y: int, along: int, turn: int):
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
     """Settle the loose snow of slab `offset + tid`: rows first + 2 * (offset + tid) and the next.
 
-    Afterwards the surfaces of a pair of samples differ by at most `slides.falls`. along: 1 to settle pairs along the
+    See `slide_slab`. along: 1 to settle pairs along the
     rows, too, first those whose western column has the parity of `turn`. Slabs share no row.
     """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

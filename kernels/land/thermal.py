@@ -173,7 +173,9 @@ SETTLE_SLAB = """
 def settle_slab(s0: Slope, y: int, along: int, turn: int):
     """Move rock and scree down between samples in rows y and y + 1 where they are steeper than their angles of repose.
 
-    along: 1 to settle pairs along the rows, too, first those whose western column has the parity of `turn`.
+    Of each pair the scree moves first. Then rock of the upper sample breaks off and becomes scree of the lower one, the
+    less the more scree covers it, and none under 1 m. Beds differ less in faces higher than a bed. along: 1 to
+    settle pairs along the rows, too, first those whose western column has the parity of `turn`.
     """
     ...
 

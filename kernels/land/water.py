@@ -19,23 +19,23 @@ MIN_DISCHARGE = wp.constant(wp.float64(1.0e-12))
 
 @wp.struct
 class SteadyRain:
-    """A raster with a runoff in m^3/s of each sample, Manning's coefficient and the height of the sea in metres."""
+    """A raster, its drainage, and the water that steady rain makes."""
 
     width: wp.int32
     height: wp.int32
-    step_x: wp.float64
+    step_x: wp.float64  # metres between samples
     step_y: wp.float64
-    runoff: wp.float64
-    rough: wp.float64
-    sea: wp.float32
-    heights: wp.array(dtype=wp.float32)
-    filled: wp.array(dtype=wp.float32)  # surface with filled depressions
-    dry: wp.array(dtype=wp.uint8)
+    runoff: wp.float64  # of a sample, m^3/s
+    rough: wp.float64  # Manning's coefficient
+    sea: wp.float32  # height of the sea, metres
+    heights: wp.array(dtype=wp.float32)  # metres
+    filled: wp.array(dtype=wp.float32)  # surface with filled depressions, metres
+    dry: wp.array(dtype=wp.uint8)  # not 0: a sample without water
     area: wp.array(dtype=wp.float64)  # samples that drain through each
     normal: wp.array(dtype=wp.float32)  # metres, depth of uniform flow
-    surface: wp.array(dtype=wp.float32)
-    speed: wp.array(dtype=wp.float32)
-    discharge: wp.array(dtype=wp.float32)
+    surface: wp.array(dtype=wp.float32)  # of the water, metres; `measure_water` replaces it by the depth
+    speed: wp.array(dtype=wp.float32)  # m/s
+    discharge: wp.array(dtype=wp.float32)  # m^3/s
 
 
 @wp.func
@@ -65,18 +65,18 @@ def flow_uniformly(offset: int, rain: SteadyRain):
     for x in range(rain.width):
         i = y * rain.width + x
         discharge = rain.area[i] * rain.runoff
-        deep = wp.float64(0.0)
+        depth = wp.float64(0.0)
         if discharge > MIN_DISCHARGE:
-            steep = wp.sqrt(wp.max(slope(rain, x, y), MIN_SLOPE))
-            # The width does not depend on the spacing, so that the depth is the same at every level.
-            sheet = rain.rough * wp.sqrt(discharge) / (WIDTH * steep)
-            deep = exponential(wp.float64(0.6) * natural_log(sheet))
-        rain.normal[i] = wp.float32(deep)
+            root_slope = wp.sqrt(wp.max(slope(rain, x, y), MIN_SLOPE))
+            # h^(5/3) = n Q / (w S^(1/2)). The width w is not the spacing, so the depth is the same at every level.
+            depth_power = rain.rough * wp.sqrt(discharge) / (WIDTH * root_slope)
+            depth = exponential(wp.float64(0.6) * natural_log(depth_power))
+        rain.normal[i] = wp.float32(depth)
         rain.surface[i] = rain.heights[i]
         if rain.heights[i] <= rain.sea:
             rain.surface[i] = rain.sea
         elif rain.filled[i] <= rain.heights[i]:
-            rain.surface[i] = wp.float32(wp.float64(rain.heights[i]) + deep)
+            rain.surface[i] = wp.float32(wp.float64(rain.heights[i]) + depth)
 
 
 @wp.kernel
@@ -87,19 +87,19 @@ def measure_water(offset: int, rain: SteadyRain):
     ratio of the depths, and so is the shallow border of a lake, which carries hardly any of its water.
     """
     i = offset + wp.tid()
-    through = rain.area[i] * rain.runoff
-    deep = rain.surface[i] - rain.heights[i]
+    discharge = rain.area[i] * rain.runoff
+    depth = rain.surface[i] - rain.heights[i]
     if rain.heights[i] > rain.sea and rain.filled[i] <= rain.heights[i]:
         if rain.surface[i] <= wp.float32(wp.float64(rain.heights[i]) + wp.float64(rain.normal[i])):
-            deep = rain.normal[i]  # without the rounding of the height
-    fast = wp.float64(0.0)
-    if through > MIN_DISCHARGE and deep > 0.0:
-        ratio = wp.float64(rain.normal[i]) / wp.float64(deep)
-        fast = wp.sqrt(through) / (WIDTH * wp.float64(rain.normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
+            depth = rain.normal[i]  # without the rounding of the height
+    speed = wp.float64(0.0)
+    if discharge > MIN_DISCHARGE and depth > 0.0:
+        ratio = wp.float64(rain.normal[i]) / wp.float64(depth)
+        speed = wp.sqrt(discharge) / (WIDTH * wp.float64(rain.normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
     if rain.dry[i] != wp.uint8(0):
-        through = wp.float64(0.0)
-        fast = wp.float64(0.0)
-        deep = wp.float32(0.0)
-    rain.surface[i] = deep
-    rain.speed[i] = wp.float32(fast)
-    rain.discharge[i] = wp.float32(through)
+        discharge = wp.float64(0.0)
+        speed = wp.float64(0.0)
+        depth = wp.float32(0.0)
+    rain.surface[i] = depth
+    rain.speed[i] = wp.float32(speed)
+    rain.discharge[i] = wp.float32(discharge)

@@ -42,7 +42,6 @@ from .tile_import import (
     do_part,
     is_tiled,
     open_work,
-    sample_bytes_of,
 )
 from .tile_tasks import TileSource
 
@@ -125,7 +124,7 @@ def import_raster(
             return do_part(part, path, folder, source, lattice, digest, doubt)
         reader, crew = HeightReader(raster, settings), crew or Crew()
         by_tile = land is not None or is_tiled(raster, lattice)
-        with open_work(path, folder, lattice, digest, by_tile, doubt, sample_bytes_of(source)) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, by_tile, doubt) as (draft, work):
             begin = 0.0
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)

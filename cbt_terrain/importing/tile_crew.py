@@ -28,7 +28,8 @@ from ..rasters.raster import ImportSettings, Raster
 from ..run import child, launch, memory, stopping
 from ..sandbox.guard import VARIABLES, guard_import
 from ..sandbox.store_job import FREE_MEMORY
-from ..tiling.tile_work import READ, TileWork, work_in
+from ..tiling.tile_records import READ
+from ..tiling.tile_work import TileWork, work_in
 from .build_store import place_of
 from .refining import coarse_land, refined
 from .source_list import INDEX_SUFFIXES, files_of, names_several
@@ -156,7 +157,7 @@ def _do_tasks(process: subprocess.Popen, waiting: TaskQueue) -> None:
             answer = json.loads(process.stdout.readline())
         except (OSError, ValueError):
             what = "A process of the import ended before its work was done"
-            answer = {"error": TerrainError(what, fix=FREE_MEMORY).to_json()}
+            answer = {"error": TerrainError(what, fix="free some memory and disk space, and try again").to_json()}
         waiting.put(answer)
         if "error" in answer:
             return

@@ -27,7 +27,8 @@ from ..sandbox.store_job import READING
 from ..tiling import tile_steps
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TILE_BITS, TileGrid
-from ..tiling.tile_work import MEASURED, READ, StoredHeights, TileWork, work_in
+from ..tiling.tile_records import MEASURED, READ
+from ..tiling.tile_work import StoredHeights, TileWork, work_in
 from . import refining
 from .drafts import open_draft
 from .height_reader import HeightReader, scaling_of
@@ -85,41 +86,58 @@ class Crew:
 
 @contextmanager
 def open_work(
-    path: Path, folder: str, lattice: Lattice, digest: str, by_tile: bool, doubt: str, sample_bytes: int = 4
+    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, by_tile: bool, doubt: str
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
 
     path: the store's folder. folder: name of the new folder of arrays in it. by_tile: whether work is continued, and
     left by a block that fails. doubt: a further remedy in errors if the store is implausibly large.
     """
-    work = _continued(path, folder, digest) if by_tile else None
+    work = _continued(_work_of(path / folder, source, lattice, digest)) if by_tile else None
     if by_tile and path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
     begun = work is not None
     with open_draft(
-        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=sample_bytes
+        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=_sample_bytes_of(source)
     ) as draft:
         yield draft, work
 
 
-def _continued(path: Path, folder: str, digest: str) -> TileWork | None:
-    """Return the work that a killed import with this digest has left in a store, moved to `folder`; None for none."""
-    work = _find_work(path, digest)
+def _work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return the work of an import before anything is done. folder: of its arrays."""
+    bits = TILE_BITS if source.coarse is None else refining.BITS
+    return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest)
+
+
+def _continued(wanted: TileWork) -> TileWork | None:
+    """Return the work that a killed import of the same has left in a store, moved to the wanted folder.
+
+    Return None if there is none.
+    """
+    work = _find_work(wanted)
     if work is None:
         return None
-    os.rename(work.folder, path / folder)
-    return work_in(path / folder)
+    os.rename(work.folder, wanted.folder)
+    return work_in(wanted.folder)
 
 
-def _find_work(path: Path, digest: str) -> TileWork | None:
-    """Return work with this digest in a store that no process has locked; None for none."""
+def _find_work(wanted: TileWork) -> TileWork | None:
+    """Return the work of the same import in a store that no process has locked; None for none."""
+    path = wanted.folder.parent
     for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
         with suppress(OSError):
             if store_folder.is_array_folder(found) and found != store_folder.named_folder(path):
                 work = None if partial_files.is_in_use(found) else work_in(found)
-                if work is not None and work.digest == digest:
-                    return work
+                if work is not None and work.digest == wanted.digest and _has_same_tiles(work, wanted):
+                    if work.can_be_continued():
+                        return work
     return None
+
+
+def _has_same_tiles(work: TileWork, wanted: TileWork) -> bool:
+    """Return whether a work has the tiles and the kind of samples of another, or floats instead of these."""
+    is_same = (work.grid, work.holes) == (wanted.grid, wanted.holes)
+    return is_same and (work.steps is None or work.steps == wanted.steps)
 
 
 def do_part(
@@ -131,7 +149,7 @@ def do_part(
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, lattice, digest, True, doubt, sample_bytes_of(source)) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, True, doubt) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = _started(work, draft, source, lattice, digest)
@@ -143,7 +161,7 @@ def do_part(
                 if limits.missing:
                     tile_steps.fill(work, launch.default_threads())
             return {"tiles": len(work.grid)}
-    work = _find_work(path, digest)
+    work = _find_work(_work_of(path / folder, source, lattice, digest))
     if work is None:
         raise _not_begun(path)
     if part.step == READ_TILES:
@@ -206,7 +224,7 @@ def build_by_tile(
     return _completed(work, draft, limits, source_max(reader), on_progress, source.coarse)
 
 
-def sample_bytes_of(source: TileSource) -> int:
+def _sample_bytes_of(source: TileSource) -> int:
     """Return the bytes of a sample as it will probably be stored."""
     return 4 if _steps_of(source) is None else 2
 
@@ -220,9 +238,7 @@ def _steps_of(source: TileSource) -> codes.Steps | None:
 
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
     """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles."""
-    settings, coarse, steps = source.settings, source.coarse, _steps_of(source)
-    bits = TILE_BITS if coarse is None else refining.BITS
-    work = TileWork(draft.folder, TileGrid(lattice, bits), steps, settings.holes, digest)
+    work = _work_of(draft.folder, source, lattice, digest)
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
     if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
@@ -246,11 +262,17 @@ def _read_units(
     numbers: those of the units to read, None for all.
     """
     before, tasks = work.records(READ), []
-    for number in _chosen(unit_count(work.grid, source), numbers):
+    chosen = _chosen(unit_count(work.grid, source), numbers)
+    for number in chosen:
         inputs = _inputs(work, source, number)
         if number not in before or before[number]["inputs"] != inputs:
             tasks.append(TileTask(READ, number, inputs))
-    return crew.run(work, source, tasks, on_progress)
+    if not crew.run(work, source, tasks, on_progress):
+        return False
+    if tasks and not work.records(READ).keys() >= set(chosen):
+        what = f"The records of the import in {work.folder} were damaged while it ran"
+        raise TerrainError(what, fix="check the disk, and import again")
+    return True
 
 
 def _inputs(work: TileWork, source: TileSource, number: int) -> str:

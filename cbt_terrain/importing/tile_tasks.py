@@ -12,7 +12,8 @@ from ..rasters.raster import ImportSettings, Raster
 from ..tiling import tile_steps
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TileBox, TileGrid
-from ..tiling.tile_work import MEASURED, READ, NotNumberedError, TileWork
+from ..tiling.tile_records import MEASURED, READ
+from ..tiling.tile_work import NotNumberedError, TileWork
 from .height_reader import HeightReader
 
 MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place

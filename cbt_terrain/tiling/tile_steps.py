@@ -25,7 +25,8 @@ from .measure_tile import (
     measure_ranges,
 )
 from .tile_grid import TileGrid, halved, put, translate
-from .tile_work import MEASURED, READ, TileWork
+from .tile_records import MEASURED, READ
+from .tile_work import TileWork
 
 
 class TerrainLimits(NamedTuple):

@@ -5,7 +5,7 @@
     samples.npy, error.npy, ranges.npy    as in a store (store.py)
     missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed at the end
     borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
-    tiles-*.jsonl         records of finished parts, a line each; each process writes its own file
+    tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
     tiles.jsonl           all records of a store
 
 A part is finished when its record is written, so a killed process loses one part. Every array is mapped anew for each
@@ -15,6 +15,7 @@ part, because its pages count as memory of the process.
 import functools
 import hashlib
 import json
+import math
 import os
 import time
 import zlib
@@ -34,13 +35,13 @@ from ..field.store import Draft
 from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular, read_regular
-from .tile_grid import TileBox, TileGrid
+from .tile_grid import TILE_BITS, TileBox, TileGrid
+from .tile_records import MEASURED, READ, line_of, record_of
 
-VERSION = 2
+VERSION = 3
 STORED = ("samples", "error", "ranges", "borders")
 RECORDS_NAME, PREFIX = "tiles.jsonl", "tiles-"
 MAX_RECORDS = 1 << 30  # bytes
-READ, MEASURED = "read", "measured"  # kinds of records
 
 
 class NotNumberedError(Exception):
@@ -81,6 +82,14 @@ class TileWork:
         for name in STORED:
             draft.allocate(name, *self.arrays()[name])
 
+    def can_be_continued(self) -> bool:
+        """Return whether an import may go on to write in the folder: all arrays are there, and no file is a hard link.
+
+        Raises OSError.
+        """
+        files = [entry for entry in self.folder.iterdir() if owned_files.is_real_file(entry)]
+        return self.has_array("missing") and all(os.lstat(file).st_nlink <= 1 for file in files)
+
     def describe(self) -> None:
         """Describe the terrain in a file. From now on the work can be continued."""
         lattice = self.grid.lattice
@@ -92,7 +101,7 @@ class TileWork:
             "steps": self.steps and [self.steps.first, self.steps.scale, self.steps.offset],
             "lattice": [lattice.width, lattice.height, lattice.step_x, lattice.step_y],
         }
-        self._write(store_folder.WORK_NAME, json.dumps(content))
+        self._write(store_folder.WORK_NAME, json.dumps(content | {"sum": _sum_of(content)}))
 
     def start_again(self, draft: Draft) -> None:
         """Forget everything, and store heights as floats."""
@@ -146,9 +155,21 @@ class TileWork:
     def make_sparse(self, name: str) -> None:
         """Make a file of zeros that takes room only where something else is written."""
         shape, dtype = self.arrays()[name]
-        with (self.folder / f"{name}.npy").open("wb") as file:
+        with suppress(FileNotFoundError):
+            self.remove(name)
+        with (self.folder / f"{name}.npy").open("xb") as file:
             file.write(header(shape, dtype))
             file.truncate(file_bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize))
+
+    def has_array(self, name: str) -> bool:
+        """Return whether the file of an array has the header and the size of one. Raises OSError."""
+        shape, dtype = self.arrays()[name]
+        file = self.folder / f"{name}.npy"
+        size = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
+        if not owned_files.is_real_file(file) or os.lstat(file).st_size != size:
+            return False
+        with open_regular(file) as reader:
+            return reader.read(PAGE_BYTES) == header(shape, dtype)
 
     def remove(self, name: str) -> None:
         """Remove the file of an array."""
@@ -202,7 +223,7 @@ class TileWork:
 
     def note(self, kind: str, number: int, **values: Any) -> None:
         """Write the record of a finished part."""
-        line = json.dumps({"kind": kind, "number": number, "at": time.time_ns(), **values}) + "\n"
+        line = line_of({"kind": kind, "number": number, "at": time.time_ns(), **values})
         with (self.folder / _log_name()).open("a", encoding="utf-8") as file:
             file.write(line)
 
@@ -217,12 +238,9 @@ class TileWork:
     def _all_records(self) -> Iterator[dict]:
         """Return the whole records of all processes that worked on tiles."""
         for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
-            for line in read_regular(file, MAX_RECORDS, links=False).splitlines():
-                try:
-                    record = json.loads(line)
-                except ValueError:
-                    continue  # its process was killed while it wrote
-                if isinstance(record, dict) and isinstance(record.get("at"), int) and "kind" in record:
+            for line in read_regular(file, MAX_RECORDS, links=False).split(b"\n"):
+                record = record_of(line, self.grid)
+                if record is not None:
                     yield record
 
     def keep_records(self) -> None:
@@ -246,27 +264,31 @@ def _sum_line(lines: bytes) -> bytes:
 
 
 def _lines(records: list[dict]) -> str:
-    return "".join(f"{json.dumps(record)}\n" for record in records)
+    return "".join(map(line_of, records))
+
+
+def _sum_of(content: dict) -> str:
+    """Return the checksum of a work's description, a hex digest."""
+    return hashlib.blake2b(json.dumps(content, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
 def work_in(folder: Path) -> TileWork | None:
     """Return the work in a folder of arrays; None if there is none that can be used."""
     try:
         content = json.loads(read_regular(folder / store_folder.WORK_NAME, 1 << 16, links=False))
+        if content["version"] != VERSION or content.pop("sum") != _sum_of(content):
+            return None
         width, height, step_x, step_y = content["lattice"]
         lattice = lattice_for(int(width), int(height), float(step_x), float(step_y))
+        bits, holes, digest = content["bits"], content["holes"], content["digest"]
         steps = codes.Steps(*content["steps"]) if content["steps"] else None
-        work = TileWork(folder, TileGrid(lattice, content["bits"]), steps, content["holes"], content["digest"])
-        is_whole = all(_has_size(folder / f"{name}.npy", *work.arrays()[name]) for name in STORED)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError, TerrainError):
+        if (type(bits), type(holes), type(digest)) != (int, bool, str) or not 0 < bits <= TILE_BITS:
+            return None
+        work = TileWork(folder, TileGrid(lattice, bits), steps, holes, digest)
+        is_whole = all(work.has_array(name) for name in STORED)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, ArithmeticError, TerrainError):
         return None
-    return work if is_whole and content["version"] == VERSION else None
-
-
-def _has_size(file: Path, shape: tuple, dtype: DTypeLike) -> bool:
-    """Return whether a file has the size of an array."""
-    size = file_bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize)
-    return owned_files.is_real_file(file) and os.lstat(file).st_size == size
+    return work if is_whole else None
 
 
 class StoredHeights:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Imports by tile in several processes, after a kill, and after a part of the sources has changed."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,13 +10,15 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
+from adaptive_terrain.cbt_terrain.field.lattice import lattice_for
 from adaptive_terrain.cbt_terrain.importing import tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.tiling import tile_steps
-from adaptive_terrain.cbt_terrain.tiling.tile_work import MEASURED, READ
+from adaptive_terrain.cbt_terrain.tiling import tile_steps, tile_work
+from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
+from adaptive_terrain.cbt_terrain.tiling.tile_records import MEASURED, READ, line_of, record_of
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasters import hills
 from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
@@ -136,6 +139,62 @@ def test_another_import_removes_what_was_left(tmp_path, tiled):  # noqa: F811
     crew = CountingCrew()
     run_import(ImportSettings(str(tmp_path / "a.npy"), height_scale=2.0), tmp_path / "store", crew=crew)
     assert len(crew.read) == 1 and not left.exists()
+
+
+def damage_work(folder, kind, user_file):
+    """Damage the work of a killed import, with valid checksums."""
+    if kind == "no marks":
+        (folder / "missing.npy").unlink()
+    elif kind == "header":
+        text = (folder / "error.npy").read_bytes()
+        (folder / "error.npy").write_bytes(text.replace(b"|u1", b"|O8", 1))
+    elif kind == "hard link":
+        user_file.write_bytes((folder / "samples.npy").read_bytes())
+        (folder / "samples.npy").unlink()
+        os.link(user_file, folder / "samples.npy")
+    elif kind == "other tiles":
+        content = json.loads((folder / "work.json").read_text()) | {"bits": 4}
+        del content["sum"]
+        (folder / "work.json").write_text(json.dumps(content | {"sum": tile_work._sum_of(content)}))
+    else:
+        [log] = folder.glob("tiles-*.jsonl")
+        records = [json.loads(line)["record"] for line in log.read_text().splitlines()]
+        for record in records:
+            if kind == "figures":
+                record["figures"] = "none" if record["kind"] == READ else record.get("figures")
+            elif kind == "number":
+                record["number"] = 10**9 if record["kind"] == MEASURED else [record["number"]]
+            elif "above" in record:
+                record["above"][1] = [[-5, 1 << 40, 99, 1.0]]
+        log.write_text("".join(map(line_of, records)))
+
+
+@pytest.mark.parametrize("kind", ["no marks", "header", "hard link", "other tiles", "figures", "number", "vertices"])
+def test_a_damaged_work_is_not_continued(tmp_path, tiled, kind):  # noqa: F811
+    np.save(tmp_path / "a.npy", hills(100, 90))
+    settings, store = ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store"
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    tiled(5)
+    with pytest.raises(KeyboardInterrupt):
+        run_import(settings, store, crew=CountingCrew(8))
+    [left] = store.glob("data-*")
+    damage_work(left, kind, tmp_path / "user.npy")
+    before = (tmp_path / "user.npy").read_bytes() if kind == "hard link" else None
+    run_import(settings, store)
+    assert_same(store, tmp_path / "whole")
+    assert before is None or (tmp_path / "user.npy").read_bytes() == before
+
+
+def test_a_cut_or_changed_record_is_none():
+    grid = TileGrid(lattice_for(100, 90), 5)
+    figures = {"largest": 1.0, "converted": 0.0, "moved": 0.0, "shifted": 0.0, "marks": [], "values": [1.0, 2.0]}
+    record = {"kind": READ, "number": 0, "at": 5, "inputs": "", "missing": 0, "limits": [1.0, 2.0], "figures": figures}
+    line = line_of(record).encode().rstrip(b"\n")
+    assert record_of(line, grid) == record
+    assert all(record_of(line[:end], grid) is None for end in range(len(line)))
+    for at in range(len(line)):
+        assert record_of(line[:at] + bytes([line[at] ^ 1]) + line[at + 1 :], grid) is None
 
 
 def import_twice(tmp_path, tiled, change, **more):  # noqa: F811

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Records of the finished parts of an import by tile: lines of JSON with a checksum each.
+
+A line that is incomplete or damaged counts as none, and its part is made again. An attacker can write valid checksums,
+so every entry that numbers are computed from is checked, too.
+"""
+
+import json
+import math
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..field.codes import MAX_EXPONENT, MIN_EXPONENT
+from .tile_grid import LatticeVertices, TileGrid, exist
+
+READ, MEASURED = "read", "measured"  # kinds of records
+FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, metres
+STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"  # of a measured tile
+
+
+def line_of(record: dict) -> str:
+    """Return a record as a line with its checksum."""
+    return _signed(json.dumps(record).encode()).decode() + "\n"
+
+
+def record_of(line: bytes, grid: TileGrid) -> dict | None:
+    """Return the record in a line without its end; None for a damaged one. grid: tiles of the terrain."""
+    text = line[len(_signed(b"")) - 1 : -1]
+    if line != _signed(text):
+        return None
+    try:
+        record = json.loads(text)
+        return record if _is_record(record, grid) else None
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return None
+
+
+def _signed(text: bytes) -> bytes:
+    """Return the JSON of a record inside an object with its checksum."""
+    return b'{"sum": "%08x", "record": %s}' % (zlib.crc32(text), text)
+
+
+def _is_record(record: Any, grid: TileGrid) -> bool:
+    """Return whether a JSON value is a record of a part of a terrain. Raises KeyError and others for invalid types."""
+    if not _is_count(record["at"]) or not _is_count(record["number"]):
+        return False
+    if record["kind"] == READ:
+        return _is_read(record, grid)
+    is_tile = record["kind"] == MEASURED and record["number"] < len(grid)
+    return is_tile and (not record.keys() & set(STATE) or _is_measured(record, grid))
+
+
+def _is_read(record: dict, grid: TileGrid) -> bool:
+    """Return whether the record of a unit has valid entries."""
+    lattice, figures, limits = grid.lattice, record["figures"], record["limits"]
+    low, high = figures["values"]
+    return (
+        isinstance(record["inputs"], str)
+        and _is_count(record["missing"], lattice.width * lattice.height)
+        and (limits is None or (len(limits) == 2 and _are_metres(limits) and limits[0] <= limits[1]))
+        and _are_metres([figures[name] for name in FIGURES], 0.0)
+        and all(_is_number(value) and _is_count(count) for value, count in figures["marks"])
+        and _is_number(low)
+        and _is_number(high)
+    )
+
+
+def _is_measured(record: dict, grid: TileGrid) -> bool:
+    """Return whether the record of a measured tile has valid entries."""
+    groups = grid.local(grid.box(record["number"])).groups
+    around, large = record["above"]
+    exponents = record["exponents"]
+    return (
+        all(isinstance(text, str) for text in (record["errors"], record["ranges"], around))
+        and len(record["largest"]) == len(exponents) == groups + 1
+        and len(record["climbs"]) == 2
+        and _are_metres([*record["largest"], *record["climbs"]], 0.0)
+        and all(type(number) is int and MIN_EXPONENT <= number <= MAX_EXPONENT for number in exponents)
+        and _are_vertices([item[:3] for item in large], grid)
+        and _are_metres([error for _, _, _, error in large], 0.0)
+    )
+
+
+def _are_vertices(found: Sequence, grid: TileGrid) -> bool:
+    """Return whether all items are x, y and level of a vertex of the terrain's lattice."""
+    if not all(_is_count(value, 1 << 31) for item in found for value in item):
+        return False
+    x, y, level = np.array(found, np.int64).reshape(-1, 3).T
+    return bool((level < grid.lattice.levels).all() and exist(grid.lattice, LatticeVertices(x, y, level)).all())
+
+
+def _is_count(value: Any, max_count: int = 1 << 63) -> bool:
+    return type(value) is int and 0 <= value <= max_count
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value is a number, perhaps infinite, but not NaN."""
+    return type(value) in (int, float) and value == value
+
+
+def _are_metres(values: Sequence, min_value: float = -math.inf) -> bool:
+    """Return whether all values are finite numbers of metres that float32 holds, and none is below `min_value`."""
+    largest = float(np.finfo(np.float32).max)
+    return all(_is_number(value) and max(min_value, -largest) <= value <= largest for value in values)

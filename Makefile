@@ -67,6 +67,7 @@ fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_interrupted_work.py
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases -k "damaged_files_are or hostile_project_folder"
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/hard_cases/test_damaged_stores.py tests/blender/test_damaged_stores.py
+	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/cbt_terrain/mosaic/test_damaged_catalogues.py
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/blender/test_long_runs.py -s
 
 hard-cases: $(READY)

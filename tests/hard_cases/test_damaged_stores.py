@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 64: damaged stores. `make fuzz` tries 2,000; tests/blender runs the same script in the program."""
+"""Hard case 64: damaged stores. `make fuzz` tries 2,000; tests/blender runs the same script in the program.
+
+It also tries imports into 1,000 damaged stores and works of imports by tile.
+"""
 
 import json
 import os
@@ -7,7 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 TESTS = Path(__file__).parents[1] / "support"
+WORKS = max(20, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 ROUNDS = 2000 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else 40
 
 
@@ -22,3 +28,17 @@ def test_case_64_a_damaged_store_is_a_mesh_or_one_error(tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     outcomes = json.loads(done.stdout)
     assert outcomes["mesh"] + outcomes["sentence"] == 2 * ROUNDS and outcomes["sentence"] > ROUNDS / 3
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links, pipes and forks are those of POSIX")
+def test_case_64_an_import_into_damage_is_a_store_or_one_error(tmp_path):
+    """Imports by tile into damaged stores and works end with the undamaged arrays or one error, and touch no user file.
+
+    Damage with valid checksums may also change heights.
+    """
+    script = [sys.executable, str(TESTS / "damaged_works.py"), str(tmp_path / "works"), "0", str(WORKS)]
+    done = subprocess.run(script, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-4000:]
+    ends = json.loads(done.stdout.splitlines()[-1])
+    fine = sum(number for name, number in ends.items() if name.endswith("fine"))
+    assert sum(ends.values()) == WORKS and WORKS / 3 < fine < WORKS

@@ -56,8 +56,8 @@ def main(folder: str, first: str, count: str) -> None:
         if not os.path.lexists(work / "gift" / "st" / "store.json"):
             writable.add(work / "gift" / "st")  # a verb may import the store again, and remove its old arrays
         before = _contents(work, kind, writable)
-        status, text, seconds = _in_fork(lambda a=arguments, p=prepare: _run(p, a))
-        fault = _fault(status, text, seconds)
+        status, text, seconds = in_fork(lambda a=arguments, p=prepare: _run(p, a))
+        fault = fault_of(status, text, seconds)
         if fault is None and _contents(work, kind, writable) != before:
             fault = "changed files that are not its own"
         if fault is not None:
@@ -98,7 +98,7 @@ def _make_project(folder: Path) -> str:
     (folder / "points.csv").write_text("x,y\n0,0\n100,-200\n")
     frames = [{"frame": 1, "eye": [0, -5000, 2000], "target": [0, 0, 0]}]
     (folder / "flight.json").write_text(json.dumps({"fov": 50, "keyframes": frames}))
-    status, text, _ = _in_fork(lambda: _run(None, _export(folder)))
+    status, text, _ = in_fork(lambda: _run(None, _export(folder)))
     assert status == 0, text
     return "gift/x.blend"
 
@@ -110,7 +110,7 @@ def _export(work: Path) -> list[str]:
 def _land(work: Path, scene: str, rng: random.Random):
     """Replace or damage up to three things in the land's folder or the store's."""
     found = [p for top in ("st_land", "st") for p in (work / "gift" / top, *sorted((work / "gift" / top).rglob("*")))]
-    done = "; ".join(_replace(rng.choice(found), work / "precious", rng) for _ in range(rng.choice((1, 1, 2, 3))))
+    done = "; ".join(replace_entry(rng.choice(found), work / "precious", rng) for _ in range(rng.choice((1, 1, 2, 3))))
     verbs = [
         [*_export(work), "--pixel-error", "5"],
         ["prepare", "--scene", f"{work}/{scene}"],
@@ -176,7 +176,7 @@ SETTABLE = ("STRING", "BOOLEAN", "FLOAT", "INT")
 def _summary(work: Path, scene: str, rng: random.Random):
     """Damage the summary of a frame, or its mesh."""
     file = work / "out" / rng.choice(["frame_0001.json", "frame_0001.json", "T_0001.npz"])
-    done = _damage_text(file, rng) if rng.random() < 0.7 else _replace(file, work / "precious", rng)
+    done = damage_text(file, rng) if rng.random() < 0.7 else replace_entry(file, work / "precious", rng)
     verify = ["verify", f"{work}/out", "--frames", "1"]
     return done, rng.choice([verify, [*_export(work), "--resume"]]), None
 
@@ -193,14 +193,14 @@ def _file(work: Path, scene: str, rng: random.Random):
     }
     name = rng.choice(sorted(verbs))
     file = work / name
-    done = _damage_text(file, rng) if rng.random() < 0.8 else _replace(file, work / "precious", rng)
+    done = damage_text(file, rng) if rng.random() < 0.8 else replace_entry(file, work / "precious", rng)
     return done, verbs[name], None
 
 
 MUTATIONS = {"land": _land, "scene": _scene, "summary": _summary, "file": _file}
 
 
-def _replace(path: Path, precious: Path, rng: random.Random) -> str:
+def replace_entry(path: Path, precious: Path, rng: random.Random) -> str:
     """Put a link, a pipe, a folder or other bytes in the place of `path`."""
     if not os.path.lexists(path) or any(parent.is_symlink() for parent in path.parents):
         return f"{path.name} was gone"
@@ -231,7 +231,7 @@ def _replace(path: Path, precious: Path, rng: random.Random) -> str:
     return f"{path.name} {how}"
 
 
-def _damage_text(file: Path, rng: random.Random) -> str:
+def damage_text(file: Path, rng: random.Random) -> str:
     """Change bytes, an entry or the structure of a text file."""
     raw = bytearray(file.read_bytes())
     how = rng.choice(["bytes", "cut", "twice", "entry", "entry", "deep", "nothing", "codes"])
@@ -299,7 +299,7 @@ def _run(prepare, arguments: list[str]) -> int:
     return command_line.main(arguments)
 
 
-def _in_fork(do) -> tuple[int, str, float]:
+def in_fork(do) -> tuple[int, str, float]:
     """Return the exit status of `do` in a fork (-1 after LIMIT_S), its output and its seconds."""
     read, write = os.pipe()
     start = time.monotonic()
@@ -339,7 +339,7 @@ def _in_fork(do) -> tuple[int, str, float]:
     return status, text.decode(errors="replace"), time.monotonic() - start
 
 
-def _fault(status: int, text: str, seconds: float) -> str | None:
+def fault_of(status: int, text: str, seconds: float) -> str | None:
     if seconds > LIMIT_S:
         return "hangs"
     if status not in (0, 1, 2):

@@ -62,6 +62,7 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
     form = format_of(path)
     assert form is not None, "the file has the suffix of a format"
     driver = form.driver
+    check_utf8(path)
     try:
         return _open_raster(path.absolute(), form, settings)
     except TerrainError:
@@ -70,6 +71,17 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         raise TerrainError(
             f"{shown(path)} cannot be read as {driver} ({cause(reason)})", **content_hint(path, driver)
         ) from reason
+
+
+def check_utf8(path: Path) -> None:
+    """Raise TerrainError for a path whose bytes are no UTF-8 text, which GDAL's bindings cannot pass on."""
+    wrong = [part for part in path.parts if part != part.encode(errors="ignore").decode()]
+    if wrong:
+        raise TerrainError(
+            f"{shown(path)} has the name {shown(wrong[-1])!r}, which is no UTF-8 text",
+            expected="a name of letters that UTF-8 can write",
+            fix="rename the file or the folder",
+        )
 
 
 def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:

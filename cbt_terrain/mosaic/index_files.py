@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from ..errors import TerrainError, shown
 from ..importing.source_list import MAX_FILES
 from ..rasters.source_formats import FORMATS
-from ..run.named_file import open_regular, read_regular
+from ..run.named_file import cause, open_regular, read_regular
 
 MAX_XML_BYTES = 1 << 20
 SQLITE, XML = b"SQLite format 3\0", b"<"
@@ -26,7 +26,7 @@ def paths_in(path: Path) -> list[Path]:
     try:
         names, base, column = _names_in(path, "")
     except (OSError, ValueError, sqlite3.Error, struct.error, ElementTree.ParseError) as reason:
-        what = f"{shown(path)} cannot be read as a tile index ({shown(reason)})"
+        what = f"{shown(path)} cannot be read as a tile index ({cause(reason)})"
         raise TerrainError(what, expected="a GeoPackage, a shapefile or XML of GDAL's gti format") from reason
     found = dict.fromkeys(base.parent / name for name in names if name)
     for source in found:
@@ -50,6 +50,8 @@ def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
             raise ValueError(f"its IndexDataset {shown(inner)} is no index beside it")
         return _names_in(inner, (root.findtext("LocationField") or "").strip())
     table = path.with_suffix(".dbf") if path.suffix.lower() == ".shp" else path
+    if not table.exists():
+        raise ValueError(f"its table {shown(table.name)} is not beside it")
     return _names_in_table(table, column), path, column
 
 
@@ -96,6 +98,8 @@ def _names_in_table(path: Path, column: str) -> list[str]:
     """Return the paths in a dBASE table, the attributes of a shapefile."""
     with open_regular(path, links=True) as file:
         head = file.read(FIELD_BYTES)
+        if len(head) < FIELD_BYTES:
+            raise ValueError("it is empty" if not head else "it ends within its header")
         count, head_bytes, row_bytes = struct.unpack("<4xIHH20x", head)
         fields = file.read(max(0, head_bytes - FIELD_BYTES))
         names, sizes = [], []

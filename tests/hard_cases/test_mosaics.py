@@ -124,9 +124,9 @@ def test_case_79_links_count_as_the_files_that_they_lead_to(tmp_path):
     assert [Path(tile.path).name for tile in composite.tiles] == ["a.tif", "link.tif"]
 
 
-@pytest.mark.parametrize("change", ["rewritten", "linked", "removed", "piped"])
+@pytest.mark.parametrize("change", ["rewritten", "linked", "removed", "piped", "grown", "emptied", "folder"])
 def test_case_80_a_file_that_changes_meanwhile_is_one_error(tmp_path, change):
-    """A file that is rewritten, swapped for a link or a pipe, or removed meanwhile ends the import without a store."""
+    """A file that is rewritten, longer, empty, removed, a link, a pipe or a folder meanwhile ends the import."""
     whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 20)
     files = [whole.write(tmp_path / f"{n}.tif", first_column=20 * n, columns=20) for n in range(2)]
     other = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20, shift=9.0).write(tmp_path / "other" / "o.tif")
@@ -141,12 +141,16 @@ def test_case_80_a_file_that_changes_meanwhile_is_one_error(tmp_path, change):
         changed.append(file)
         if change == "rewritten":
             file.write_bytes(other.read_bytes())
+        elif change in ("grown", "emptied"):
+            file.write_bytes(file.read_bytes() + bytes(9999) if change == "grown" else b"")
         else:
             file.unlink()
             if change == "linked":
                 file.symlink_to(other)
             elif change == "piped":
                 os.mkfifo(file)
+            elif change == "folder":
+                file.mkdir()
 
     with pytest.raises(TerrainError, match="1.tif has changed while it was imported; expected the file as it was"):
         run_mosaic_import(settings_of(*files), tmp_path / "store", act)
@@ -335,7 +339,9 @@ def test_case_89_names_with_odd_characters_are_names(tmp_path):
     strange = os.fsencode(tmp_path / "tiles") + b"/\xff.tif"
     os.rename(os.fsencode(files[0]), strange)
     said = refusal(tmp_path / "tiles", folder=tmp_path / "other")
-    assert "?.tif" in said and "name" in said
+    assert "?.tif has the name '?.tif', which is no UTF-8 text" in said and said.endswith(
+        "rename the file or the folder."
+    )
 
 
 def test_case_90_an_index_reaches_known_files_alone(tmp_path):
@@ -357,4 +363,9 @@ def test_case_90_an_index_reaches_known_files_alone(tmp_path):
     assert np.array_equal(composed(index("link.tif", "./a.tif", "link.tif"))[1], whole.heights)
     for name in ("pipe.tif", ".", "z.zip", "0.gpkg", "../missing.tif", "\0.tif", "http://localhost/a.tif"):
         assert "names the source" in refusal(index("a.tif", name), folder=tmp_path)
+    empty = [tmp_path / f"empty{suffix}" for suffix in (".gti", ".gpkg", ".shp")]
+    for path in empty:
+        path.write_bytes(b"")
+    said = [refusal(path, folder=tmp_path) for path in empty]
+    assert all("(it is empty)" in text for text in said[:2]) and "its table empty.dbf is not beside it" in said[2]
     assert "names more than 1,000,000 files" in refusal(index(*["a.tif"] * 1_000_001), folder=tmp_path)

@@ -185,7 +185,8 @@ class ChildJob:
         how = f"exit code {code}" + (f" ({shown(printed[-1], 2000)})" if printed else "")
         if code < 0:
             how = f"signal {signal.Signals(-code).name}"
-        return TerrainError(f"{self._what} ended with {how} before it was done{self._consequence}", fix=self._fix)
+        what = f"{self._what} ended with {how} before it was done{self._consequence}"
+        return TerrainError(what, fix=fix_of_end(code, self._fix))
 
     def _finish(self) -> None:
         """Set the outcome of a child that has ended: a report, an error, or a kill just after its work was done."""
@@ -209,6 +210,13 @@ class ChildJob:
 
     def _discard(self) -> None:
         """Remove incomplete output of the child."""
+
+
+def fix_of_end(code: int | None, usual: str) -> str:
+    """Return the remedy for a process that ended with a code. usual: that of most codes."""
+    # The system sends SIGBUS where a mapped file has no page: the disk is full, or another program has cut the file.
+    is_bus = hasattr(signal, "SIGBUS") and code == -signal.SIGBUS
+    return "make room on the disk, and check that nothing else writes the files" if is_bus else usual
 
 
 class StoreJob(ChildJob):

@@ -118,15 +118,16 @@ def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_a_killed_import_is_an_error_that_names_the_signal(previous):
+@pytest.mark.parametrize(("name", "remedy"), [("SIGKILL", "memory"), ("SIGBUS", "make room on the disk")])
+def test_a_killed_import_is_an_error_that_names_the_signal(previous, name, remedy):
     before = snapshot(previous)
     job = ImportJob(LONG, previous)
     wait_until_working(job)
-    os.kill(job._process.pid, signal.SIGKILL)
+    os.kill(job._process.pid, signal.Signals[name])
     while not job.poll().done:
         time.sleep(0.01)
     error = job.poll().error
-    assert "signal SIGKILL" in error.what and "the store is as it was before" in error.what and "memory" in error.fix
+    assert f"signal {name}" in error.what and "the store is as it was before" in error.what and remedy in error.fix
     assert snapshot(previous) == before and len(list(previous.glob("data-*"))) == 1
 
 

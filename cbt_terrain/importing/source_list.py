@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The files that the sources of an import name: files, folders, patterns and tile indexes."""
 
+import errno
 import glob
+import itertools
 import os
 from pathlib import Path
 
@@ -79,6 +81,7 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
             )
         return found
     if _is_pattern(source):
+        _check_right(Path(*itertools.takewhile(lambda part: not glob.has_magic(part), Path(source).parts)))
         names = sorted(glob.glob(source, recursive=True))
         found = [Path(name).absolute() for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
         if not found:
@@ -93,14 +96,25 @@ def _files_in(folder: Path, step: float | None) -> list[Path]:
 
     Inner folders are searched for web map tiles, if there is nothing else. A link counts as the file that it leads to.
     """
+    _check_right(folder)
     try:
         with os.scandir(folder) as entries:
             names = {entry.name for entry in entries if _suffix(entry.name) and os.path.isfile(entry.path)}
     except OSError as reason:
-        what = f"The folder {shown(folder)} cannot be read ({reason.strerror or reason})"
-        raise TerrainError(what, fix="change its permissions") from reason
+        raise _unreadable(folder, reason.strerror or str(reason)) from reason
     lower = {name.lower() for name in names}
     return [folder / name for name in sorted(names) if _is_tile(name, lower)] or _web_tiles(folder, step)
+
+
+def _check_right(folder: Path) -> None:
+    """Raise TerrainError for a folder whose files this user may not list or not open, which would look empty."""
+    if os.path.isdir(folder) and not os.access(folder, os.R_OK | os.X_OK):
+        raise _unreadable(folder, os.strerror(errno.EACCES))
+
+
+def _unreadable(folder: Path, reason: str) -> TerrainError:
+    """Return the error for a folder that cannot be read."""
+    return TerrainError(f"The folder {shown(folder)} cannot be read ({reason})", fix="change its permissions")
 
 
 def _web_tiles(folder: Path, step: float | None) -> list[Path]:

@@ -309,6 +309,17 @@ def test_case_88_a_bad_file_in_a_folder_is_named(tmp_path, kind):
     assert said.startswith(str(tmp_path / "tiles" / "1.t")) and "Traceback" not in said
 
 
+def test_case_88_a_folder_without_rights_is_named(tmp_path, monkeypatch):
+    """A folder that this user may list, but whose files it may not open, is no empty folder, also in a pattern."""
+    folder = tmp_path / "tiles"
+    sheet(UTM32, EAST, NORTH, 10.0, 10.0, 10, 10).write(folder / "a.tif")
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder and access(path, mode))
+    for source in (folder, folder / "*.tif"):
+        said = refusal(source, folder=tmp_path)
+        assert said == f"The folder {folder} cannot be read (Permission denied): change its permissions."
+
+
 ODD_NAMES = [
     " a.tif",
     "b b.tif",

@@ -22,7 +22,7 @@ from ..field.holes import holes_leave_ground
 from ..field.lattice import Lattice
 from ..field.store import Draft
 from ..rasters.raster import Raster
-from ..run import launch, partial_files
+from ..run import launch, owned_files, partial_files
 from ..sandbox.store_job import READING
 from ..tiling import tile_steps
 from ..tiling.coarse_land import CoarseLand
@@ -270,8 +270,7 @@ def _read_units(
     if not crew.run(work, source, tasks, on_progress):
         return False
     if tasks and not work.records(READ).keys() >= set(chosen):
-        what = f"The records of the import in {work.folder} were damaged while it ran"
-        raise TerrainError(what, fix="check the disk, and import again")
+        raise _given_up(work)
     return True
 
 
@@ -309,6 +308,16 @@ def _measure_tiles(
     chosen = _chosen(len(work.grid), numbers)
     tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
     crew.run(work, source, tasks, on_progress)
+    measured = work.records(MEASURED)
+    if not all("errors" in measured.get(number, ()) for number in chosen):  # a sample that no source has
+        raise _given_up(work)
+
+
+def _given_up(work: TileWork) -> TerrainError:
+    """Return the error for a work with damaged arrays or records, which is not continued any more."""
+    owned_files.remove_file(work.folder / store_folder.WORK_NAME)
+    what = f"What an earlier import has left in {work.folder} is damaged, and is removed"
+    return TerrainError(what, fix="check the disk, and import again")
 
 
 def _chosen(count: int, numbers: Collection[int] | None) -> list[int]:

@@ -186,6 +186,22 @@ def test_a_damaged_work_is_not_continued(tmp_path, tiled, kind):  # noqa: F811
     assert before is None or (tmp_path / "user.npy").read_bytes() == before
 
 
+def test_a_work_with_impossible_heights_is_removed(tmp_path, tiled):  # noqa: F811
+    np.save(tmp_path / "a.npy", hills(100, 90))
+    settings, store = ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store"
+    tiled(5)
+    with pytest.raises(KeyboardInterrupt):
+        run_import(settings, store, crew=CountingCrew(8))
+    [left] = store.glob("data-*/samples.npy")
+    np.load(left, mmap_mode="r+")[-1, ::2] = np.inf
+    with pytest.raises(TerrainError, match="is damaged, and is removed: check the disk, and import again"):
+        run_import(settings, store)
+    run_import(settings, store)
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    assert_same(store, tmp_path / "whole")
+
+
 def test_a_cut_or_changed_record_is_none():
     grid = TileGrid(lattice_for(100, 90), 5)
     figures = {"largest": 1.0, "converted": 0.0, "moved": 0.0, "shifted": 0.0, "marks": [], "values": [1.0, 2.0]}

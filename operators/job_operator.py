@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The base of operators that run a job (jobs.py)."""
+"""The bases of operators that run a job (jobs.py)."""
 
 import time
 
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
 from . import jobs
 from .session import session
-from .session.polls import on_terrain
+from .session.polls import cancelled_by_errors, invoke_with_file, on_terrain
 
 
 class JobOperator:
@@ -130,3 +134,31 @@ class JobOperator:
             return self.fail(obj, job.error)
         self.report({"INFO"}, f"{self.kind.title} was cancelled; {self.kind.stays}")
         return {"CANCELLED"}
+
+
+class FileJobOperator(JobOperator, ExportHelper):
+    """Base of operators that ask for a file and write it in a job.
+
+    A subclass also has `propose(context)`, which proposes a file to the dialog and may raise TerrainError.
+    """
+
+    shows_error_on_panel = False
+
+    is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context, event):
+        """Ask for a file, or start the job once the file is chosen."""
+        if self.is_chosen:
+            return JobOperator.invoke(self, context, event)
+        try:
+            self.propose(context)
+        except TerrainError as error:
+            return self.fail(context.object, str(error))
+        return ExportHelper.invoke(self, context, event)
+
+    @cancelled_by_errors
+    def execute(self, context):
+        """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
+        if not self.options.is_invoke:
+            return JobOperator.execute(self, context)
+        return invoke_with_file(self, context)

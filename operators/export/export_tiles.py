@@ -4,13 +4,11 @@
 from pathlib import Path
 
 import bpy
-from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import kernels_of
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.attributes.splat import NAMES as SPLATS
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.exporting.height_tiles import PATTERN, HeightTiles, export_height_tiles
 from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
@@ -21,11 +19,11 @@ from .. import jobs
 from ..attributes.request import gather_effects
 from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import propose_file
-from ..job_operator import JobOperator
+from ..job_operator import FileJobOperator
 from ..land.bake_land import shaped_field
 from ..land.shape_land import check_is_shaped
 from ..session import session
-from ..session.polls import cancelled_by_errors, invoke_with_file, on_terrain_object, remember_object
+from ..session.polls import on_terrain_object, remember_object
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
 from .exporting import check_target
@@ -51,7 +49,7 @@ def mask_requests(obj, depsgraph, field) -> tuple:
     )
 
 
-class LandExport(JobOperator, ExportHelper):
+class LandExport(FileJobOperator):
     """Base of operators that write a terrain's shaped land to files beside the window.
 
     A subclass has `prepare(obj, depsgraph, field)`, which returns the modules of kernels that the export needs and a
@@ -60,36 +58,20 @@ class LandExport(JobOperator, ExportHelper):
     """
 
     kind = jobs.EXPORT
-    shows_error_on_panel = False
     name_end = ""
-
-    is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
     def poll(cls, context):
         return on_terrain_object(cls, context) and super().poll(context)
 
-    def invoke(self, context, event):
-        """Ask for a file, or start the job once the file is chosen.
+    def propose(self, context) -> None:
+        """Propose a file with the terrain's name.
 
         Refuse land that is not shaped yet: its shaping has its own job.
         """
-        if self.is_chosen:
-            return JobOperator.invoke(self, context, event)
-        try:
-            check_is_shaped(context.object, context.evaluated_depsgraph_get())
-        except TerrainError as error:
-            return self.fail(context.object, str(error))
+        check_is_shaped(context.object, context.evaluated_depsgraph_get())
         remember_object(self, context)
         propose_file(self, context.object, self.name_end)
-        return ExportHelper.invoke(self, context, event)
-
-    @cancelled_by_errors
-    def execute(self, context):
-        """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
-        if not self.options.is_invoke:
-            return JobOperator.execute(self, context)
-        return invoke_with_file(self, context)
 
     def check_file(self) -> None:
         """Raise TerrainError, before any work, if the chosen file cannot be written."""

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.exporting.pictures import WORLD_FILES, write_geotiffs, write_world_file
@@ -23,9 +22,8 @@ from .. import jobs
 from ..bridge.camera import render_resolution
 from ..bridge.scene_paths import absolute_path, propose_file
 from ..importing.imported import imported_of
-from ..job_operator import JobOperator
+from ..job_operator import FileJobOperator
 from ..session import session, stale_renders
-from ..session.polls import cancelled_by_errors, invoke_with_file
 from ..text.translations import phrase
 from .exporting import check_target
 from .file_outputs import escape_braces
@@ -185,16 +183,13 @@ def _temporarily_set(owner, values: dict):
             setattr(owner, name, value)
 
 
-class RenderMap(JobOperator, bpy.types.Operator, ExportHelper):
+class RenderMap(FileJobOperator, bpy.types.Operator):
     """Render the picture of the map camera, whole or in tiles, with files that give map programs its place on Earth"""
 
     bl_idname = "adaptive_terrain.render_map"
     bl_label = "Render Map"
 
     kind = jobs.MAP
-    shows_error_on_panel = False
-
-    is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
     filename_ext = ".png"
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{s}" for s in WORLD_FILES), options={"HIDDEN"})
@@ -219,20 +214,10 @@ class RenderMap(JobOperator, bpy.types.Operator, ExportHelper):
         cls.poll_message_set("A map is rendered already: wait for it, or cancel it beside its progress bar")
         return jobs.find(jobs.MAP) is None
 
-    def invoke(self, context, event):
-        """Ask for a file, with the name of the terrain that the panels show, or start the job once it is chosen."""
-        if self.is_chosen:
-            return JobOperator.invoke(self, context, event)
+    def propose(self, context) -> None:
+        """Propose a file with the name of the terrain that the panels show."""
         if (terrain := session.shown_terrain(context)) is not None:
             propose_file(self, terrain, "_map")
-        return ExportHelper.invoke(self, context, event)
-
-    @cancelled_by_errors
-    def execute(self, context):
-        """Render before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
-        if not self.options.is_invoke:
-            return JobOperator.execute(self, context)
-        return invoke_with_file(self, context)
 
     def subject(self, _context) -> None:
         """Return None: a map is a job of the scene."""

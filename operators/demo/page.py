@@ -63,7 +63,6 @@ def write_page(
     frames = [{"frame": summary["frame"], **summary["terrains"][0]} for summary in summaries]
     by_frame = {frame["frame"]: frame for frame in frames}
     (first, first_name), *others = pictures
-    drawn = f"Frame {levels['frame']} at {levels['error_px']:g} pixels, {levels['triangles']:,} triangles"
     blocks = [
         Lead(
             f"A camera flies over {size * size / 1e6:.1f} million samples. In each of its {len(frames)} frames the "
@@ -78,27 +77,8 @@ def write_page(
             "half shows the edges of the triangles."
         ),
         *(PagePicture(name, _frame_text(by_frame[frame], resolution)) for frame, name in others),
-        Heading("Where the triangles are"),
-        Text(
-            "Each triangle has the colour of its level, from pale (coarse) through blue to red (fine). Fine triangles "
-            "are near the camera, in view and on rough ground. Ground outside the picture stays coarse, and levels "
-            "meet without cracks."
-        ),
-        PictureStrip(
-            [
-                PagePicture("levels.png", f"{drawn}, from the camera."),
-                PagePicture("plan.png", "The same mesh from above; the red lines bound the camera's view."),
-            ],
-            first_wide=True,
-        ),
-        Heading("What the material reads"),
-        Text(
-            "The colours are layers by rules of height, slope, scree and snow; rivers and lakes are a separate mesh. "
-            "Colours, normals and sky visibility are baked maps with the resolution of the flight, so shading does "
-            "not depend on the triangles. The material reads the depth of snow at the vertices. It does not read the "
-            f"other attributes there, so they are not computed: {', '.join(_skipped(effects))}."
-        ),
-        _effects_table(effects),
+        *_level_blocks(levels),
+        *_material_blocks(effects),
         Heading("Frame by frame"),
         Plot(
             "frames.svg",
@@ -122,6 +102,36 @@ def write_page(
         ),
     ]
     write_text(path, as_html(TITLE, blocks))
+
+
+def _level_blocks(levels: dict) -> list:
+    """Return the section on the sizes of triangles, with the two drawings by level."""
+    drawn = f"Frame {levels['frame']} at {levels['error_px']:g} pixels, {levels['triangles']:,} triangles"
+    from_camera = PagePicture("levels.png", f"{drawn}, from the camera.")
+    from_above = PagePicture("plan.png", "The same mesh from above; the red lines bound the camera's view.")
+    return [
+        Heading("Where the triangles are"),
+        Text(
+            "Each triangle has the colour of its level, from pale (coarse) through blue to red (fine). Fine triangles "
+            "are near the camera, in view and on rough ground. Ground outside the picture stays coarse, and levels "
+            "meet without cracks."
+        ),
+        PictureStrip([from_camera, from_above], first_wide=True),
+    ]
+
+
+def _material_blocks(effects: dict[int, dict]) -> list:
+    """Return the section on the maps and attributes of the material, with the table of computed attributes."""
+    return [
+        Heading("What the material reads"),
+        Text(
+            "The colours are layers by rules of height, slope, scree and snow; rivers and lakes are a separate mesh. "
+            "Colours, normals and sky visibility are baked maps with the resolution of the flight, so shading does "
+            "not depend on the triangles. The material reads the depth of snow at the vertices. It does not read the "
+            f"other attributes there, so they are not computed: {', '.join(_skipped(effects))}."
+        ),
+        _effects_table(effects),
+    ]
 
 
 def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, str]]:

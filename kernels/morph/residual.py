@@ -242,6 +242,32 @@ def no_ends() -> Ends:
 
 
 @wp.func
+def give_to_waiting(memory: Memory, first: wp.int32, last: wp.int32, point: MorphedPoint, own_ends: Ends):
+    """Add a known point to the one that waits for it on the stack. If that has both ends now, compute it, and repeat.
+
+    first, last: entries of the stack, which is empty if last < first. own_ends: sums over the known point's ends.
+    Return the point that was computed last, the sums over its ends, and the new last entry.
+    """
+    morphed = point
+    ends = own_ends
+    top = last
+    is_known = wp.bool(True)
+    while is_known and top >= first:
+        waiting = memory.pending[top]
+        ends = add_end(waiting.ends, morphed)
+        waiting.ends = ends
+        waiting.seen += 1
+        is_known = waiting.seen == 2
+        if is_known:
+            morphed = morph_between(waiting.target, waiting.weight, ends)
+            memory.points[memory_slot(memory, morphed.point)] = morphed
+            top -= 1
+        else:
+            memory.pending[top] = waiting
+    return morphed, ends, top
+
+
+@wp.func
 def morphed_point(
     domain: Domain,
     morphing: Morphing,
@@ -311,18 +337,8 @@ def morphed_point(
                 vertex_surface = surface
                 is_settled = weight >= wp.float64(1.0)
             is_vertex = False
-        while is_known and top >= first:
-            waiting = memory.pending[top]
-            ends = add_end(waiting.ends, morphed)
-            waiting.ends = ends
-            waiting.seen += 1
-            is_known = waiting.seen == 2
-            if is_known:
-                morphed = morph_between(waiting.target, waiting.weight, ends)
-                memory.points[memory_slot(memory, morphed.point)] = morphed
-                top -= 1
-            else:
-                memory.pending[top] = waiting
+        if is_known:
+            morphed, ends, top = give_to_waiting(memory, first, top, morphed, ends)
         is_waiting = top >= first
         if is_waiting:
             point = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)

@@ -130,6 +130,25 @@ def fill_words(
 
 
 @wp.func
+def fill_below(
+    t: Bitfield, run: LeafRun, level: wp.int32, page: wp.int32, bit: wp.int32, k: wp.int64, next_same: wp.int64
+):
+    """Store the whole words below the bits of a word of `level` from `bit` on; return their leaves, and how many words.
+
+    page: that of the words. k: leaf of the run with which they begin. next_same: leaf at which they end at the latest.
+    """
+    first = run.first + k
+    count = next_same - k
+    readable = run.count - k
+    deepest = run.cell_depth - WORD_BITS * (level - 1)
+    slot = 64 * page + bit
+    packed = fill_words(
+        run.codes, first, count, readable, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
+    )
+    return packed >> wp.int64(8), wp.int32(packed & wp.int64(255))
+
+
+@wp.func
 def close_word(
     t: Bitfield,
     run: LeafRun,
@@ -210,20 +229,11 @@ def set_leaves(t: Bitfield, run: LeafRun):
                 if page == 0:
                     return
                 bit = bit_of(cell, level)
-                slot = 64 * page + bit
-                codes = run.codes
-                first = run.first + k
-                count = next_same - k
-                readable = run.count - k
-                deepest = run.cell_depth - WORD_BITS * (level - 1)
-                packed = fill_words(
-                    codes, first, count, readable, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
-                )
-                num_filled = wp.int32(packed & wp.int64(255))
+                num_leaves, num_filled = fill_below(t, run, level, page, bit, k, next_same)
                 filled_bits = bits_below(bit + num_filled) & ~bits_below(bit)
                 bits[level] = bits[level] | filled_bits
                 entered[level] = entered[level] | filled_bits
-                k += packed >> wp.int64(8)
+                k += num_leaves
                 cell += wp.uint64(num_filled) << wp.uint64(WORD_BITS * level)
         if num_filled == 0:
             # Down, until a leaf, or a node whose leaves are the same, is not smaller than a bit.

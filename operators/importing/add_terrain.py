@@ -10,6 +10,7 @@ from ..land.entries import PRESETS
 from ..layers.properties import add_default_layers
 from ..session import session
 from ..terrain.properties import ISLAND, built_in_land, land_items
+from .import_terrain import start_import
 
 
 class AddTerrain(bpy.types.Operator, AddObjectHelper):
@@ -74,14 +75,8 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         settings.height_scale = size / land.side  # the land keeps its shape
         if self._is_shaped(land):
             bpy.ops.adaptive_terrain.land_preset(filepath=bpy.utils.preset_find(land.preset, PRESETS, ext=".json"))
-        # The import runs beside the window if there is one; else this waits for it.
-        try:
-            bpy.ops.adaptive_terrain.import_added("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
-        except RuntimeError as error:  # reported by the nested operator
-            mesh = obj.data
-            bpy.data.objects.remove(obj)
-            bpy.data.meshes.remove(mesh)
-            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        if start_import(self, bpy.ops.adaptive_terrain.import_added) == {"CANCELLED"}:
+            bpy.data.batch_remove([obj, obj.data])
             return {"CANCELLED"}
         if session.terrains_of(context.scene) == [obj]:
             self._lock_interface(context.scene)

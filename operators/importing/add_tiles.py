@@ -12,7 +12,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session.polls import cancelled_by_errors, remember_object, remembered_object
 from ..terrain.properties import FILE
-from .import_terrain import ImportOperator
+from .import_terrain import ImportOperator, start_import
 
 FILTER = ";".join(f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES))
 
@@ -81,14 +81,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
             self.report({"ERROR"}, "No new file is chosen: choose height maps that the terrain does not have")
             return {"CANCELLED"}
         tiles = [{"name": path} for path in reversed(new.values())]
-        try:  # beside the window if there is one
-            bpy.ops.adaptive_terrain.import_tiles(
-                "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", tiles=tiles
-            )
-        except RuntimeError as error:  # reported by the nested operator
-            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return start_import(self, bpy.ops.adaptive_terrain.import_tiles, tiles=tiles)
 
 
 class ImportTiles(ImportOperator, bpy.types.Operator):

@@ -121,6 +121,19 @@ def _size_of(obj) -> float:
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
+def start_import(operator, run, **properties) -> set[str]:
+    """Run an import operator inside another one: beside the window if there is one, else to its end.
+
+    run: its function in bpy.ops. Return CANCELLED if it refuses, with its report, else FINISHED.
+    """
+    try:
+        run("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", **properties)
+    except RuntimeError as error:  # reported by the nested operator
+        operator.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        return {"CANCELLED"}
+    return {"FINISHED"}
+
+
 class ImportOperator(JobOperator):
     """Base of the operators that import."""
 

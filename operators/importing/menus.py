@@ -6,6 +6,7 @@ import bpy
 from ...cbt_terrain.rasters.source_formats import FORMATS
 from ..layers.properties import add_default_layers
 from .add_tiles import ChosenFiles, name_of
+from .import_terrain import start_import
 
 SUFFIXES = ";".join(FORMATS)
 LABEL = "Terrain from File"
@@ -65,13 +66,10 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         if self.use_heights:
             settings.use_heights, settings.lowest, settings.highest = True, self.lowest, self.highest
         context.scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites it would crash
-        try:  # beside the window if there is one
-            bpy.ops.adaptive_terrain.import_added("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
-        except RuntimeError as error:  # reported by the nested operator
+        result = start_import(self, bpy.ops.adaptive_terrain.import_added)
+        if result == {"CANCELLED"}:
             bpy.data.batch_remove([obj, obj.data])
-            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return result
 
 
 def draw_import_entry(self, _context):

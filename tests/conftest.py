@@ -22,6 +22,12 @@ gc.disable()
 _exit_status = 0
 
 
+@pytest.fixture
+def eager_threads(monkeypatch):
+    """Cut even the smallest job into slices, so that threads share it."""
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.run.launch.SLICE_ITEMS", 2)
+
+
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()

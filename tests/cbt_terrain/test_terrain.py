@@ -18,8 +18,7 @@ VIEWS = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in np.linspace(0, 20, 12
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
-def test_a_warm_frame_allocates_nothing_that_grows_with_the_mesh(meshlet, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_a_warm_frame_allocates_nothing_that_grows_with_the_mesh(meshlet, eager_threads):
     terrain = Terrain(rough(129, 129), 2)
     criterion = Criterion(error_px=0.1, meshlet=meshlet)
     for view in (*VIEWS, *VIEWS):  # the first frame is one slice, all others two
@@ -60,9 +59,8 @@ def test_a_budget_counts_twice_while_the_camera_moves_slowly(monkeypatch):
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("step", ["refine", "weld", "displace"])
-def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, step, threads):
+def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, eager_threads, step, threads):
     """Ctrl-C when a step has just run: later updates, of the view before it and others, are those of new terrains."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field, criterion = rough(65, 65), Criterion(error_px=1.0, max_depth=14)
     views = [View.look((x, -300.0, 200.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 60.0, 61.0)]
     terrain, slices = Terrain(field, threads), launch.slices

@@ -5,7 +5,6 @@ import os
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.spans import as_seen, slants_of, whole_of
@@ -21,12 +20,6 @@ ROUNDS = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "200"))
 @pytest.fixture(scope="module")
 def field():
     return rough(65, 65)
-
-
-@pytest.fixture
-def eager_threads(monkeypatch):
-    """Cut even the smallest job into slices."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
 
 
 def checked(terrain, criterion, views, **placed):
@@ -162,9 +155,8 @@ def test_case_43_a_teleport_converges_in_one_call(field):
         assert jumped == arrays(Terrain(field, 1).update(criterion, [view]).surface)
 
 
-def test_case_46_random_views_keep_all_invariants(monkeypatch):
+def test_case_46_random_views_keep_all_invariants(eager_threads):
     """Random sizes, depths, lenses, budgets and scales keep the budget; one and two threads give the same bytes."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng = np.random.default_rng(46)
     shapes = [(2, 2), (3, 3), (5, 9), (33, 33), (17, 49), (65, 33), (7, 40), (33, 129)]
     terrains = [(f, Terrain(f, 1), Terrain(f, 2)) for f in (rough(*s, seed=i) for i, s in enumerate(shapes))]

@@ -87,11 +87,7 @@ def test_case_72_drivers_that_read_the_mesh(terrain):
 
 def test_case_72_computed_names_are_everything_with_a_reason(terrain):
     """A computed attribute name makes everything computed, and the panel shows the reason."""
-    moved = Moved(terrain)
-    node, join = moved.named(""), moved.tree.nodes.new("GeometryNodeStringJoin")
-    moved.tree.links.new(moved.given.outputs["Name"], join.inputs[1])
-    moved.tree.links.new(join.outputs[0], node.inputs["Name"])
-    moved.tree.links.new(node.outputs[0], moved.offset)
+    Moved(terrain).reads_computed()
     session.update_object(terrain)
     statuses = session.record_of(terrain).status.effects
     assert all(not status.skipped for status in statuses.values())

@@ -16,16 +16,11 @@ from adaptive_terrain.cbt_terrain.mosaic import composite as composites
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
-from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, settings_of, sheet
 from rasterio.transform import from_origin
 from rasters import write_raster
 
 MANY = 2_500 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else 320  # files; more than stay open
-
-
-def settings_of(*sources, **more):
-    return ImportSettings(str(sources[0]), more_sources=tuple(map(str, sources[1:])), **more)
 
 
 def composed(*sources, **more):

@@ -11,7 +11,6 @@ from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.history.drift import move
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise
@@ -21,17 +20,11 @@ from adaptive_terrain.kernels.refine.coherence import FADED, Motion, Subtree
 from adaptive_terrain.kernels.refine.local_view import CLEAR, LocalView
 from adaptive_terrain.kernels.refine.pixels import CriterionArrays
 from fields import extent, rough
-from invariants import arrays
+from invariants import arrays, reused_leaves
 from twins import load
 
 FRAMES = 8
 MANY_LEAVES = 100_000  # a flight with more has two frames
-
-
-def taken(terrain: Terrain) -> int:
-    """Return the number of leaves that the last update reused from the frame before."""
-    history = terrain.history
-    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def a_field(rng):
@@ -94,9 +87,8 @@ def result(terrain: Terrain, criterion: Criterion, view: View, scale: float, off
     return update.leaves, bounds, parts, terrain.tree.cells().tobytes(), arrays(update.surface)
 
 
-def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):
+def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(eager_threads):
     """30 random flights: mesh, tree, bounds and what they are made of, to the bit, from one thread and from two."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     leaves = from_last = 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -108,7 +100,7 @@ def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):
             assert found == result(Terrain(field, 1), criterion, view, scale, offset), seed
             if criterion.hidden_factor == 1:  # else each frame has another map
                 leaves += found[0]
-                from_last += taken(flown)
+                from_last += reused_leaves(flown)
             if found[0] > MANY_LEAVES and frame == 1:
                 break
     assert from_last > 0.2 * leaves, (from_last, leaves)
@@ -151,7 +143,7 @@ def test_a_kept_subtree_bounds_what_its_band_leaves_in_doubt():
         scale = np.diag([0.002067294784540973 * zoom, 0.003675190728072841 * zoom, -2e-7, 1.0])
         view = View(world_to_camera, scale, (960, 540), ORTHOGRAPHIC, (0.1, 1e7))
         found = result(flown, criterion, view, 1.0, 0.0)
-    assert taken(flown) > 0 and found == result(fresh, criterion, view, 1.0, 0.0)
+    assert reused_leaves(flown) > 0 and found == result(fresh, criterion, view, 1.0, 0.0)
 
 
 def test_ground_entering_the_frame_is_refined_after_a_turn():
@@ -163,7 +155,7 @@ def test_ground_entering_the_frame_is_refined_after_a_turn():
         view = View.look((0, 0, 60), (np.cos(angle), np.sin(angle), 59.7), fov_deg=30, resolution=(960, 540))
         found = result(flown, criterion, view, 1.0, 0.0)
         assert found == result(Terrain(field, 1), criterion, view, 1.0, 0.0), angle
-        from_last += taken(flown)
+        from_last += reused_leaves(flown)
     assert from_last > 0
 
 
@@ -229,4 +221,4 @@ def test_subtrees_in_the_fringe_are_reused():
         view = View.look((0.01 * frame, -60.0, 40.0), (0.0, 0.0, 0.0), fov_deg=50.0, resolution=(960, 540))
         found = result(flown, criterion, view, 1.0, 0.0)
     assert found == result(Terrain(field, 1), criterion, view, 1.0, 0.0)
-    assert taken(flown) > 0.75 * found[0], (taken(flown), found[0])
+    assert reused_leaves(flown) > 0.75 * found[0], (reused_leaves(flown), found[0])

@@ -85,8 +85,7 @@ def test_snippets_of_the_walk_write_the_bytes_of_plain_warp(tmp_path):
     assert walked(load("refine.walk_snippets", source)) == walked(load(f"refine.{path.stem}", path))
 
 
-def test_snippets_write_the_bytes_of_plain_warp(request, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_snippets_write_the_bytes_of_plain_warp(request, eager_threads):
     fast = updates()
     request.getfixturevalue("in_warp_alone")
     assert updates() == fast

@@ -230,9 +230,7 @@ def names_that_are_given(demand):
     moved.put("Name", "given")
     yield "a name from the modifier", demand(obj), {"given"}
     obj.driver_add(f'modifiers["{moved.modifier.name}"].show_viewport')
-    join = moved.tree.nodes.new("GeometryNodeStringJoin")
-    moved.tree.links.new(moved.given.outputs["Name"], join.inputs[1])
-    moved.tree.links.new(join.outputs[0], node.inputs["Name"])
+    moved.compute_name(node)
     yield "a name that is computed", demand(obj), {ALL}
     obj, _, _ = worn()
     moved = Moved(obj)

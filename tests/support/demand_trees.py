@@ -101,6 +101,17 @@ class Moved:
         node.inputs["Name"].default_value = name
         return node
 
+    def compute_name(self, node):
+        """Let the name of the attribute that a node reads be computed from the group's input."""
+        join = self.tree.nodes.new("GeometryNodeStringJoin")
+        self.tree.links.new(self.given.outputs["Name"], join.inputs[1])
+        self.tree.links.new(join.outputs[0], node.inputs["Name"])
+
+    def reads_computed(self):
+        node = self.named("")
+        self.compute_name(node)
+        self.tree.links.new(node.outputs[0], self.offset)
+
     def reads(self, name):
         self.tree.links.new(self.named(name).outputs[0], self.offset)
 

@@ -58,14 +58,19 @@ def _bumps(place):
     return numbers, np.where(off < 1, (4 - 6 * off**2 + 3 * off**3) / 6, np.maximum(2 - off, 0) ** 3 / 6)
 
 
-def mask_values(mask, lattice, plane):
-    """Return the value of a mask at points [n, 2]."""
-    m = mask.values / 255.0
+def bilinear(lattice, values: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Interpolate values of a raster's samples at points [n, 2]."""
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
     i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
     s, t = s - i, t - j
-    return (m[j, i] * (1 - s) + m[j, i + 1] * s) * (1 - t) + (m[j + 1, i] * (1 - s) + m[j + 1, i + 1] * s) * t
+    low = values[j, i] * (1 - s) + values[j, i + 1] * s
+    return low * (1 - t) + (values[j + 1, i] * (1 - s) + values[j + 1, i + 1] * s) * t
+
+
+def mask_values(mask, lattice, plane):
+    """Return the value of a mask at points [n, 2]."""
+    return bilinear(lattice, mask.values / 255.0, plane)
 
 
 def ground_heights(field, plane):

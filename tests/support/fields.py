@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from detail_surface import ground_heights
+from detail_surface import bilinear, ground_heights
 from diamond_entries import range_index
 from matplotlib.tri import Triangulation
 
@@ -111,13 +111,7 @@ def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
         return reference_heights(plain, plane) + ground_heights(field, plane)
     if field.interpolation == "bicubic":
         return bezier_heights(field, plane)
-    lattice = field.lattice
-    s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
-    t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
-    i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
-    s, t, h = s - i, t - j, np.asarray(field.heights(), np.float64)
-    low = h[j, i] * (1 - s) + h[j, i + 1] * s
-    return low * (1 - t) + (h[j + 1, i] * (1 - s) + h[j + 1, i + 1] * s) * t
+    return bilinear(field.lattice, np.asarray(field.heights(), np.float64), plane)
 
 
 # Four samples in a row to the control heights of the cubic between the middle two.

@@ -7,6 +7,7 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+from adaptive_terrain.cbt_terrain.terrain import Terrain
 
 
 def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> None:
@@ -82,6 +83,12 @@ def with_arrays(surface: Surface, **arrays) -> Surface:
 def arrays(surface: Surface) -> dict[str, bytes]:
     """Return the bytes of each array, to compare meshes that must be equal."""
     return {name: array.tobytes() for name, array in surface.arrays().items()}
+
+
+def reused_leaves(terrain: Terrain) -> int:
+    """Return the number of leaves that the last update reused from the frame before."""
+    history = terrain.history
+    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def assert_blender_invariants(obj, meshlet: int = 0) -> None:

@@ -7,12 +7,18 @@ The sampler knows the arrays that tiles were cut from, and takes every position 
 from dataclasses import dataclass
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasterio.transform import from_origin
 from rasterio.warp import transform
 from rasters import write_raster
 
 UTM32, UTM33, DEGREES = "EPSG:32632", "EPSG:32633", "EPSG:4326"
 EAST, NORTH = 572_000.0, 5_540_500.0  # a place at 50 degrees north in UTM zone 32
+
+
+def settings_of(*sources, **more) -> ImportSettings:
+    """Return the settings for one terrain from several files."""
+    return ImportSettings(str(sources[0]), more_sources=tuple(map(str, sources[1:])), **more)
 
 
 def land(x, y):

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Height map files for tests."""
 
+import struct
 import warnings
+import zlib
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -34,6 +36,10 @@ def write_raster(path, heights, **options):
         with rasterio.open(path, "w", **(shape | options)) as file:
             file.write(heights, 1)
     return path
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def write_exr(path, **channels):

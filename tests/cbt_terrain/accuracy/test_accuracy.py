@@ -9,7 +9,6 @@ from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, 
 from adaptive_terrain.cbt_terrain.accuracy.mesh import MeasuredMesh, MeshGround, errors_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
@@ -165,8 +164,7 @@ def test_a_mesh_that_leaves_samples_uncovered_is_refused():
         measure(field, broken)
 
 
-def test_the_same_bytes_for_any_number_of_threads(monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_the_same_bytes_for_any_number_of_threads(eager_threads):
     field = rough(17, 33)
     surface = mesh_of(field, 1.0, meshlet=1)
     view = View.look((0, -150, 120), (0, 0, 0), resolution=(64, 48))

@@ -23,7 +23,7 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from detail_scenes import WEIGHTS, check, ground_view, places_in
-from detail_surface import detail_heights, value_noise
+from detail_surface import bilinear, detail_heights, value_noise
 from fields import bezier, extent, project, reference_heights, rough
 from invariants import arrays, assert_invariants
 
@@ -229,16 +229,7 @@ def raster_slopes(field, plane):
         return bezier(with_detail(field, None), plane)[1]
     h, lattice = field.heights().astype(np.float64), field.lattice
     gy, gx = np.gradient(h, lattice.step_y, lattice.step_x)
-    s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
-    t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
-    i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
-    s, t = s - i, t - j
-
-    def mixed(g):
-        south = g[j, i] * (1 - s) + g[j, i + 1] * s
-        return south * (1 - t) + (g[j + 1, i] * (1 - s) + g[j + 1, i + 1] * s) * t
-
-    return np.stack([mixed(gx), mixed(gy)], 1)
+    return np.stack([bilinear(lattice, g, plane) for g in (gx, gy)], 1)
 
 
 def test_no_amplitude_is_no_detail():

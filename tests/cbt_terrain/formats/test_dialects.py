@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
-from rasters import hills, imported, write_raster
+from rasters import hills, imported, png_chunk, write_raster
 
 SIZE = {"extent": (390.0, 290.0)}
 HEADER = ["ncols 40", "nrows 30", "xllcorner 1000", "yllcorner 2000", "cellsize 5"]
@@ -87,14 +87,14 @@ def test_decimals_after_rows_of_whole_numbers_are_kept(tmp_path):
 
 def write_png(path, samples, color_type, extra=b""):
     """Write a PNG of 16 bits by hand; extra: chunks before the samples."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in samples)
     header = struct.pack(">IIBBBBB", samples.shape[1], samples.shape[0], 16, color_type, 0, 0, 0)
-    chunks = chunk(b"IHDR", header) + b"".join(chunk(*item) for item in extra) + chunk(b"IDAT", zlib.compress(rows))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks + chunk(b"IEND", b""))
+    chunks = (
+        png_chunk(b"IHDR", header)
+        + b"".join(png_chunk(*item) for item in extra)
+        + png_chunk(b"IDAT", zlib.compress(rows))
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks + png_chunk(b"IEND", b""))
     return path
 
 

@@ -145,10 +145,9 @@ def interrupted_at_line(number: int):
 
 
 @pytest.mark.parametrize("seed", range(FLIGHTS))
-def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
+def test_any_history_gives_the_bytes_of_none(seed, monkeypatch, eager_threads):
     """A real history, an empty one, and one that an interrupt discarded half-way: meshes, trees, bounds, values of
     effects and scattered points, from one, two or three threads."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng = np.random.default_rng(seed)
     ground, criterion = a_field(rng), a_criterion(rng)
     scatter = Scatter(spacing=9.0, full_until=200.0, where=Layer("Flat", (Rule("slope", low=0.0, high=0.8),)))
@@ -213,9 +212,8 @@ def test_a_request_that_is_refused_leaves_the_last_frame():
     assert not again.changed and again.surface is update.surface
 
 
-def test_an_unchanged_frame_keeps_vertices_for_the_next(monkeypatch):
+def test_an_unchanged_frame_keeps_vertices_for_the_next(eager_threads):
     """Of a mesh that did not change, the next frame still copies vertices."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     terrain, criterion = Terrain(rough(65, 65, relief=30.0), 2), Criterion(error_px=0.3)
     for x in (0.0, 1e-6, 2e-6):
         unchanged = terrain.update(criterion, [View.look((x, -200.0, 90.0), (0, 0, 0), resolution=(320, 180))])

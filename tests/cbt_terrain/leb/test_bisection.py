@@ -8,7 +8,6 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 from adaptive_terrain.cbt_terrain.leb import bisection
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
 from reference_bisection import (
     ReferenceMesh,
@@ -71,9 +70,8 @@ def test_neighbours_share_the_edge_that_they_are_named_for(grid, depth):
 
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("grid", GRIDS)
-def test_many_edits_at_once_equal_the_brute_force(grid, threads, monkeypatch):
+def test_many_edits_at_once_equal_the_brute_force(grid, threads, eager_threads):
     """Splits force others in neighbours that other threads split; merges take whole diamonds or nothing."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     lattice, rng = Lattice(*grid, 0), random.Random(threads)
     tree = ConcurrentBinaryTree(MAX_DEPTH + lattice.square_bits, threads)
     bisection.plant(tree, lattice)

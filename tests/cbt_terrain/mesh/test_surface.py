@@ -88,9 +88,8 @@ def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
-def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch):
+def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch, eager_threads):
     """Also where a caller still has the surface of the update before, as in every loop."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     build, peaks = terrains.build_surface, []
 
     def measured(*arguments):
@@ -123,9 +122,8 @@ def flown(field, meshlet=0, threads=2):
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("meshlet", [0, 1, 3])
-def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkeypatch):
+def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, eager_threads):
     """Positions that change unseen between two frames stay changed where points were taken from the last frame."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field = interpolated(rough(129, 129), interpolation)
     terrain, asked, views = flown(field, meshlet)
     terrain.history.last.arrays.numpy("positions")[:, 2] += 1000.0
@@ -137,9 +135,8 @@ def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkey
     assert np.array_equal(heights, np.where(raised, fresh + np.float32(1000.0), fresh))
 
 
-def test_meshlets_that_follow_others_are_those_of_a_single_frame(monkeypatch):
+def test_meshlets_that_follow_others_are_those_of_a_single_frame(eager_threads):
     """Another level, another scale, a frame without meshlets: nothing of the last frame fits then."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field = rough(65, 129)
     terrain, asked, views = flown(field, meshlet=2)
     for meshlet, scale in ((2, 1.0), (2, 1.0), (3, 1.0), (3, 2.0), (3, 2.0), (0, 2.0), (2, 2.0), (2, 2.0), (1, 2.0)):
@@ -151,8 +148,7 @@ def test_meshlets_that_follow_others_are_those_of_a_single_frame(monkeypatch):
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
-def test_an_interrupted_displacement_is_no_ones_last_frame(meshlet, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_an_interrupted_displacement_is_no_ones_last_frame(meshlet, monkeypatch, eager_threads):
     terrain, asked, views = flown(rough(129, 129), meshlet)
 
     slices = launch.slices

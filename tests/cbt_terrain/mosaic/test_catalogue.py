@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.index_files import paths_in
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import DEGREES, EAST, NORTH, UTM32, sheet
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, settings_of, sheet
 from rasters import hills, write_raster
 
 
@@ -27,10 +27,6 @@ def tiles(folder, count=3, crs=UTM32):
     """Write tiles from west to east."""
     whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20 * count, 20)
     return [whole.write(folder / f"t{n}.tif", first_column=20 * n, columns=20, crs=crs) for n in range(count)]
-
-
-def settings_of(*sources, **more):
-    return ImportSettings(str(sources[0]), more_sources=tuple(map(str, sources[1:])), **more)
 
 
 def test_a_folder_gives_its_height_maps_by_name(tmp_path):

@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.mosaic.composite import Composite
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import DEGREES, EAST, NORTH, UTM32, UTM33, land, moved, sheet, top
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, UTM33, land, moved, settings_of, sheet, top
 from rasterio.transform import Affine, from_origin
 from rasters import hills, write_raster
 
@@ -30,17 +30,13 @@ def three(tmp_path_factory):
     return files, sheets
 
 
-def settings_of(files, **more):
-    return ImportSettings(files[0], more_sources=tuple(files[1:]), **more)
-
-
 @pytest.mark.parametrize("project", ["", "EPSG:3035"])
 def test_any_window_has_the_bits_of_the_whole(three, project):
     files, _ = three
-    whole = open_composite(settings_of(files, project=project), None)
+    whole = open_composite(settings_of(*files, project=project), None)
     heights, _ = whole.read(0, whole.grid.height)
     random = np.random.default_rng(4)
-    parts = open_composite(settings_of(files, project=project), None)
+    parts = open_composite(settings_of(*files, project=project), None)
     for _ in range(40):
         row, column = random.integers(0, whole.grid.height), random.integers(0, whole.grid.width)
         rows = min(random.integers(1, 200), whole.grid.height - row)
@@ -53,7 +49,7 @@ def test_any_window_has_the_bits_of_the_whole(three, project):
 @pytest.mark.parametrize("project", ["", "EPSG:3035"])
 def test_heights_are_those_of_an_exact_sampler(three, project):
     files, sheets = three
-    composite = open_composite(settings_of(files, project=project, blend=False), None)
+    composite = open_composite(settings_of(*files, project=project, blend=False), None)
     heights, bound = composite.read(0, composite.grid.height)
     x, y = composite.grid.positions(
         *np.meshgrid(
@@ -77,7 +73,7 @@ def test_heights_are_those_of_an_exact_sampler(three, project):
 
 def test_interpolated_positions_are_within_their_error(three):
     files, _ = three
-    composite = open_composite(settings_of(files), None)
+    composite = open_composite(settings_of(*files), None)
     grid = composite.grid
     lattice = next(one for one in composite.lattices if one.crs == DEGREES)
     nodes = positions.nodes_of(lattice, grid, grid.column // 1024, grid.row // 1024)
@@ -119,7 +115,7 @@ def test_a_store_does_not_depend_on_the_windows_that_are_read(three, tmp_path, m
     for rows in (1, 37, 128):
         monkeypatch.setattr(mosaic_source, "BLOCK_ROWS", rows)
         monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 1)
-        run_mosaic_import(settings_of(files, step=20.0), tmp_path / str(rows))
+        run_mosaic_import(settings_of(*files, step=20.0), tmp_path / str(rows))
         digests.add(open_store(tmp_path / str(rows)).raster.digest)
     assert len(digests) == 1
 
@@ -130,7 +126,7 @@ def test_neighbours_have_no_gap_with_or_without_a_shared_row(tmp_path, shared):
     west = whole.write(tmp_path / "west.tif", columns=30 + shared)
     east = whole.write(tmp_path / "east.tif", first_column=30)
     for step in (None, 7.0):
-        composite = open_composite(settings_of([str(west), str(east)], step=step), None)
+        composite = open_composite(settings_of(west, east, step=step), None)
         heights, _ = composite.read(0, composite.grid.height)
         grid = composite.grid
         x, y = grid.positions(*np.meshgrid(grid.column + np.arange(grid.width), grid.row + np.arange(grid.height)))
@@ -144,7 +140,7 @@ def test_bands_of_other_widths_have_no_gap(tmp_path):
     north = sheet(DEGREES, west, 50.02 + step / 2, 1.5 * step, step, 48, 72)
     south = sheet(DEGREES, west, 50.0 + step / 2, step, step, 72, 72)
     files = [str(north.write(tmp_path / "n.tif")), str(south.write(tmp_path / "s.tif"))]
-    composite = open_composite(settings_of(files, project="EPSG:32632", step=9.0), None)
+    composite = open_composite(settings_of(*files, project="EPSG:32632", step=9.0), None)
     heights, bound = composite.read(0, composite.grid.height)
     grid = composite.grid
     x, y = grid.positions(*np.meshgrid(grid.column + np.arange(grid.width), grid.row + np.arange(grid.height)))
@@ -162,7 +158,7 @@ def test_bands_of_other_widths_have_no_gap(tmp_path):
 
 def test_a_coarse_step_reads_a_few_samples(tmp_path):
     whole = sheet(UTM32, EAST, NORTH, 1.0, 1.0, 500, 400)
-    composite = open_composite(settings_of([str(whole.write(tmp_path / "a.tif"))] * 2, step=40.0), None)
+    composite = open_composite(settings_of(*[whole.write(tmp_path / "a.tif")] * 2, step=40.0), None)
     heights, bound = composite.read(0, composite.grid.height)
     assert heights.shape == (10, 13) and bound == 0.0
     assert np.array_equal(heights, whole.heights[::40, ::40])
@@ -176,10 +172,10 @@ def test_tiles_meet_across_the_date_line(tmp_path):
         one.heights[:] = np.arange(3600).reshape(60, 60)
     files = [str(west.write(tmp_path / "w.tif")), str(east.write(tmp_path / "e.tif"))]
     for order in (files, files[::-1]):
-        composite = open_composite(settings_of(order), None)
+        composite = open_composite(settings_of(*order), None)
         heights, _ = composite.read(0, composite.grid.height)
         assert np.array_equal(heights, np.concatenate([west.heights, east.heights], axis=1))
-    utm = open_composite(settings_of(files, project="utm"), None)
+    utm = open_composite(settings_of(*files, project="utm"), None)
     heights, _ = utm.read(0, utm.grid.height)
     assert np.isfinite(heights[3:-3, 3:-3]).all()
 
@@ -194,7 +190,7 @@ def test_priority_chooses_among_overlapping_files(tmp_path):
     os.utime(files[1], ns=(10**18 - 10**12, 10**18 - 10**12))
     found = {}
     for priority in ("order", "resolution", "newest"):
-        composite = open_composite(settings_of(files, priority=priority), None)
+        composite = open_composite(settings_of(*files, priority=priority), None)
         heights, _ = composite.read(0, composite.grid.height)
         found[priority] = heights[20, 20]
     assert found["resolution"] == found["newest"] == fine.heights[20, 20]
@@ -207,7 +203,7 @@ def test_a_missing_sample_is_taken_from_the_next_source(tmp_path):
     above.heights[10:20, 5:9] = np.nan
     below.heights[12, 6] = np.nan
     files = [str(below.write(tmp_path / "a.tif")), str(above.write(tmp_path / "b.tif"))]
-    composite = open_composite(settings_of(files), None)
+    composite = open_composite(settings_of(*files), None)
     heights, _ = composite.read(0, composite.grid.height)
     wanted = np.where(np.isnan(above.heights), below.heights, above.heights)
     assert np.array_equal(heights, wanted, equal_nan=True) and np.isnan(heights).sum() == 1
@@ -234,7 +230,7 @@ def test_turned_and_mirrored_files_keep_their_ground(tmp_path):
         'relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="60" '
         'ySize="25"/><DstRect xOff="0" yOff="0" xSize="60" ySize="25"/></SimpleSource></VRTRasterBand></VRTDataset>'
     )
-    composite = open_composite(settings_of([str(south_first), str(turned), str(vrt)]), None)
+    composite = open_composite(settings_of(south_first, turned, vrt), None)
     heights, _ = composite.read(0, composite.grid.height)
     grid = composite.grid
     x, y = grid.positions(*np.meshgrid(grid.column + np.arange(grid.width), grid.row + np.arange(grid.height)))
@@ -256,7 +252,7 @@ def test_files_of_one_row_or_one_sample_fit(tmp_path, west, rows, columns, size)
     whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20)
     small = sheet(UTM32, EAST + west, NORTH - (0 if west else 200), 10.0, 10.0, columns, rows)
     files = [str(whole.write(tmp_path / "a.tif")), str(small.write(tmp_path / "b.tif"))]
-    composite = open_composite(settings_of(files), None)
+    composite = open_composite(settings_of(*files), None)
     heights, _ = composite.read(0, composite.grid.height)
     assert (composite.grid.width, composite.grid.height) == size
     assert np.array_equal(heights[:20, :20], whole.heights)
@@ -268,7 +264,7 @@ def test_a_file_without_any_height_changes_nothing(tmp_path):
     empty = sheet(UTM32, EAST + 50, NORTH - 50, 10.0, 10.0, 10, 10)
     empty.heights[:] = np.nan
     files = [str(whole.write(tmp_path / "a.tif")), str(empty.write(tmp_path / "b.tif"))]
-    composite = open_composite(settings_of(files), None)
+    composite = open_composite(settings_of(*files), None)
     heights, _ = composite.read(0, composite.grid.height)
     assert np.array_equal(heights, whole.heights)
 
@@ -289,10 +285,10 @@ def test_copied_samples_have_the_bits_of_interpolated_ones(tmp_path, monkeypatch
 
     monkeypatch.setattr(Composite, "_copy", copy_and_note)
     windows = [(0, 70, 0, 90), (3, 20, 5, 30), (30, 25, 20, 60)]
-    found = [open_composite(settings_of(files), None).read(*window) for window in windows]
+    found = [open_composite(settings_of(*files), None).read(*window) for window in windows]
     assert copied == ([False, True, False] if gap else [True, True, True])
     monkeypatch.setattr(Composite, "_copy", lambda *_: False)
     for window, (heights, error) in zip(windows, found, strict=True):
-        wanted, largest = open_composite(settings_of(files), None).read(*window)
+        wanted, largest = open_composite(settings_of(*files), None).read(*window)
         assert np.array_equal(heights, wanted, equal_nan=True) and error == largest == 0.0
     assert np.isnan(found[0][0]).sum() == (12 + 90 if gap else 12)

@@ -7,16 +7,11 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
-from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import EAST, NORTH, UTM32, sheet
-
-
-def settings_of(files, **more):
-    return ImportSettings(files[0], more_sources=tuple(files[1:]), **more)
+from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
 
 
 def read(files, **more):
-    composite = open_composite(settings_of(files, **more), None)
+    composite = open_composite(settings_of(*files, **more), None)
     return composite, *composite.read(0, composite.grid.height)
 
 
@@ -119,10 +114,10 @@ def test_blended_heights_have_no_step_at_the_border(inset):
 def test_any_window_of_an_inset_has_the_same_bits(inset):
     files, _, _ = inset
     _, heights, _ = read(files)
-    random, fresh = np.random.default_rng(8), open_composite(settings_of(files), None)
+    random, fresh = np.random.default_rng(8), open_composite(settings_of(*files), None)
     for number in range(40):
         if number % 4 == 0:
-            fresh = open_composite(settings_of(files), None)
+            fresh = open_composite(settings_of(*files), None)
         row, column = random.integers(0, heights.shape[0]), random.integers(0, heights.shape[1])
         rows, columns = (int(random.integers(1, 200)) for _ in range(2))
         wanted = heights[row : row + rows, column : column + columns]
@@ -154,27 +149,27 @@ def test_files_of_one_step_do_not_blend(tmp_path):
     names = {"first": first, "similar": similar, "fine": fine, "small": small}
     paths = {name: str(one.write(tmp_path / f"{name}.tif")) for name, one in names.items()}
     for files in (["first", "similar"], ["fine", "first"], ["first", "small"]):
-        composite = open_composite(settings_of([paths[name] for name in files]), None)
+        composite = open_composite(settings_of(*(paths[name] for name in files)), None)
         assert composite.insets is None
-    assert open_composite(settings_of([paths["first"], paths["fine"]]), None).insets is not None
-    assert open_composite(settings_of([paths["fine"], paths["first"]], priority="resolution"), None).insets is not None
+    assert open_composite(settings_of(paths["first"], paths["fine"]), None).insets is not None
+    assert open_composite(settings_of(paths["fine"], paths["first"], priority="resolution"), None).insets is not None
 
 
 def test_only_stores_with_insets_are_imported_again(inset, tmp_path):
     files, _, _ = inset
-    with_inset, plain = settings_of(files), settings_of(files[1:])
+    with_inset, plain = settings_of(*files), settings_of(*files[1:])
     method = [mosaic_raster(open_composite(one, None), one).method for one in (with_inset, plain)]
     assert method == [1, 0]
     assert source_digest(with_inset) != source_digest(with_inset, (), 1)
-    assert source_digest(with_inset) != source_digest(settings_of(files, blend=False))
-    run_mosaic_import(settings_of(files, step=20.0), tmp_path / "store")
-    assert run_mosaic_import(settings_of(files, step=20.0), tmp_path / "store")["unchanged"]
+    assert source_digest(with_inset) != source_digest(settings_of(*files, blend=False))
+    run_mosaic_import(settings_of(*files, step=20.0), tmp_path / "store")
+    assert run_mosaic_import(settings_of(*files, step=20.0), tmp_path / "store")["unchanged"]
 
 
 def test_the_report_names_the_ring_and_unblended_seams(inset, tmp_path):
     files, _, _ = inset
-    report = run_mosaic_import(settings_of(files, step=4.0), tmp_path / "blended")
-    plain = run_mosaic_import(settings_of(files, step=4.0, blend=False), tmp_path / "plain")
+    report = run_mosaic_import(settings_of(*files, step=4.0), tmp_path / "blended")
+    plain = run_mosaic_import(settings_of(*files, step=4.0, blend=False), tmp_path / "plain")
     assert report["blend_m"] == 320.0 and "blended to coarser ones over 320 m" in report["bounds_against"]
     assert "blend_m" not in plain and "blended" not in plain["bounds_against"]
     assert report["seam_median_m"] == plain["seam_median_m"] == pytest.approx(5.0, abs=0.5)

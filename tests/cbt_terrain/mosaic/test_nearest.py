@@ -13,16 +13,12 @@ from adaptive_terrain.cbt_terrain.mosaic import nearest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import DEGREES, EAST, NORTH, UTM32, land, moved, sheet
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, land, moved, settings_of, sheet
 from rasterio.enums import Resampling
 from rasterio.transform import from_origin
 from rasters import write_raster
 
 ROWS, COLUMNS = np.array([0, 1, 7, 40, 41, 99, 119]), np.array([0, 3, 50, 51, 52, 100, 159])
-
-
-def settings_of(files, **more):
-    return ImportSettings(str(files[0]), more_sources=tuple(map(str, files[1:])), **more)
 
 
 @pytest.fixture
@@ -39,7 +35,7 @@ def tiles(tmp_path):
 
 @pytest.mark.parametrize("priority", ["order", "newest"])
 def test_samples_on_the_grid_are_those_of_the_mosaic(tiles, priority):
-    composite = open_composite(settings_of(tiles, priority=priority), None)
+    composite = open_composite(settings_of(*tiles, priority=priority), None)
     whole, _ = composite.read(0, composite.grid.height)
     assert np.array_equal(
         nearest.nearest_samples(composite, ROWS, COLUMNS), whole[np.ix_(ROWS, COLUMNS)], equal_nan=True
@@ -58,7 +54,7 @@ def test_other_systems_give_the_nearest_sample(tmp_path):
     west, north = (float(v) for v in moved(UTM32, DEGREES, EAST, NORTH))
     degrees = sheet(DEGREES, west, north, 1 / 9000, 1 / 9000, 150, 100)
     files = [degrees.write(tmp_path / "a.tif"), sheet(UTM32, EAST, NORTH, 5.0, 5.0, 20, 20).write(tmp_path / "b.tif")]
-    composite = open_composite(settings_of(files), None)
+    composite = open_composite(settings_of(*files), None)
     rows, columns = np.arange(0, composite.grid.height, 9), np.arange(0, composite.grid.width, 7)
     found = nearest.nearest_samples(composite, rows, columns)
     x, y = composite.grid.positions(*np.meshgrid(composite.grid.column + columns, composite.grid.row + rows))
@@ -73,23 +69,23 @@ def test_other_systems_give_the_nearest_sample(tmp_path):
 
 
 def test_a_quick_mosaic_covers_the_ground_of_the_full_one(tiles, tmp_path):
-    full = import_source(settings_of(tiles), tmp_path / "full")
-    quick = run_mosaic_import(settings_of(tiles, quick=400), tmp_path / "quick")
+    full = import_source(settings_of(*tiles), tmp_path / "full")
+    quick = run_mosaic_import(settings_of(*tiles, quick=400), tmp_path / "quick")
     a, b = open_store(tmp_path / "full"), open_store(tmp_path / "quick")
     assert quick["loaded"] == "to 79.5 m of 10 m"
     assert (
         np.array_equal(a.origin, b.origin) and a.crs == b.crs and quick["extent_m"] == pytest.approx(full["extent_m"])
     )
     assert "seams" not in quick and full["seams"] > 0, "seams are of the complete import"
-    assert import_source(settings_of(tiles, quick=400), tmp_path / "full") == full | {"unchanged": True}
-    again = run_mosaic_import(settings_of(tiles), tmp_path / "quick")
+    assert import_source(settings_of(*tiles, quick=400), tmp_path / "full") == full | {"unchanged": True}
+    again = run_mosaic_import(settings_of(*tiles), tmp_path / "quick")
     assert read_json(tmp_path / "quick")["key"] == read_json(tmp_path / "full")["key"] and "loaded" not in again
 
 
 def test_each_file_is_opened_once_for_samples(tiles, tmp_path, monkeypatch):
     opened, real = [], composites.open_tile
     monkeypatch.setattr(composites, "open_tile", lambda path, settings: opened.append(path) or real(path, settings))
-    run_mosaic_import(settings_of(tiles, quick=400), tmp_path / "store")
+    run_mosaic_import(settings_of(*tiles, quick=400), tmp_path / "store")
     assert sorted(map(str, opened)) == sorted(map(str, tiles))
 
 
@@ -97,7 +93,7 @@ def test_a_mosaic_beyond_a_store_is_loaded_quickly(tmp_path):
     far = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 30, 30)
     corner = sheet(UTM32, EAST + 500_000, NORTH - 500_000, 10.0, 10.0, 30, 30)
     files = [far.write(tmp_path / "a.tif"), corner.write(tmp_path / "b.tif")]
-    report = run_mosaic_import(settings_of(files, quick=10_000), tmp_path / "store")
+    report = run_mosaic_import(settings_of(*files, quick=10_000), tmp_path / "store")
     assert report["full_raster"] == [50_030, 50_030] and report["loaded"] == "to 5,105 m of 10 m"
     assert open_store(tmp_path / "store").heights()[-1, 0] == np.float32(far.heights[0, 0])
     assert open_store(tmp_path / "store").heights()[0, -1] == np.float32(corner.heights[-1, -1])
@@ -113,7 +109,7 @@ def test_overviews_are_read_at_their_places(tmp_path, monkeypatch):
         with rasterio.open(file, "r+") as opened:
             opened.build_overviews([2, 4, 8], Resampling.average)
     monkeypatch.setattr(nearest, "MAX_UNPACKED", 1)
-    report = run_mosaic_import(settings_of(files, quick=100), tmp_path / "store")
+    report = run_mosaic_import(settings_of(*files, quick=100), tmp_path / "store")
     heights = open_store(tmp_path / "store").heights()[::-1]
     assert report["loaded_from"] == "overviews" and heights.shape == (9, 9)
     at = np.rint(np.arange(9) * 511 / 8)

@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.mosaic.catalogue import FILE_NAME
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from mosaic_files import EAST, NORTH, UTM32, sheet
+from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
 from rasters import write_raster
 
 
@@ -54,12 +54,12 @@ def test_packed_tiles_give_the_store_of_plain_ones(packed, tmp_path, monkeypatch
     monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1)
     unpacks, real = [], archives._unpack
     monkeypatch.setattr(archives, "_unpack", lambda path, *more: unpacks.append(path.name) or real(path, *more))
-    run_mosaic_import(ImportSettings(names[0], more_sources=tuple(names[1:])), tmp_path / "three")
+    run_mosaic_import(settings_of(*names), tmp_path / "three")
     assert open_store(tmp_path / "three").raster.digest == wanted.raster.digest
     assert len(unpacks) > 4, "files that were removed are unpacked again"
     assert len(list((tmp_path / "three").iterdir())) == 2
     unpacks.clear()
-    again = run_mosaic_import(ImportSettings(names[0], more_sources=tuple(names[1:])), tmp_path / "three")
+    again = run_mosaic_import(settings_of(*names), tmp_path / "three")
     assert again["unchanged"] and not unpacks, "the kept catalogue has the headers"
 
 

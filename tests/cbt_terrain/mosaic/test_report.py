@@ -8,13 +8,12 @@ import pytest
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import coverage, datum_warnings
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
-from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line
-from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, sheet
+from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, settings_of, sheet
 
 
 def opened(*files, **more):
-    return open_composite(ImportSettings(str(files[0]), more_sources=tuple(map(str, files[1:])), **more), None)
+    return open_composite(settings_of(*files, **more), None)
 
 
 @pytest.fixture

@@ -102,9 +102,8 @@ def walked(terrain: Terrain, request: RefinementRequest, step: int) -> int:
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_step_is_the_finest_that_fits(monkeypatch, threads, called):
+def test_the_step_is_the_finest_that_fits(eager_threads, threads, called):
     """By the walk: 60 scenes, their counts at the step, at the one before it, and far from both."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     coarsened = 0
     for seed in range(60):
         field, views, criterion, most = scene(seed)
@@ -136,9 +135,8 @@ def test_the_answer_does_not_depend_on_what_came_before():
             assert arrays(update.surface) == arrays(fresh.surface)
 
 
-def test_level_ground_is_counted_as_it_is_walked(monkeypatch, called):
+def test_level_ground_is_counted_as_it_is_walked(eager_threads, called):
     """Windows of many and of few steps, where whole cells are counted at once: the first step that fits, and splits."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng, fitted = np.random.default_rng(3), 0
     for field, criterion, views, scale in level_scenes():
         terrain = Terrain(field, 2)

@@ -16,7 +16,6 @@ from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill_horizons, place_rings
 from adaptive_terrain.cbt_terrain.refine.request import pack
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -170,9 +169,8 @@ def test_without_an_error_or_with_holes_nothing_is_hidden():
         assert arrays(plain.surface) == arrays(hiding.surface)
 
 
-def test_a_hidden_mesh_is_a_function_of_the_view_alone(monkeypatch):
+def test_a_hidden_mesh_is_a_function_of_the_view_alone(eager_threads):
     """There and back, from one thread and from three: the same bytes; with a triangle limit, too."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     for number, (field, criterion, views, placement, heights) in enumerate(scenes(5, 24, 2)):
         asked = replace(criterion, hidden_factor=8.0, max_triangles=(None, 2000, 300)[number % 3])
         first, second = [views[0]], [views[1]]

@@ -6,7 +6,6 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.refinement import _cuts
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
@@ -204,9 +203,8 @@ def test_axes_in_one_plane_are_refused():
         Terrain(rough(9, 9), 1).update(Criterion(), [View.look((0, -100, 50), (0, 0, 0))], flat)
 
 
-def test_threads_share_the_curve_by_cost(monkeypatch):
+def test_threads_share_the_curve_by_cost(eager_threads):
     """Where the last slices cost 3 to 1 a leaf, the next cut is within the first of them."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field, view = rough(65, 129), View.look((0.0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
     terrain = Terrain(field, 2)
     leaves = terrain.update(Criterion(error_px=1.0), [view]).leaves

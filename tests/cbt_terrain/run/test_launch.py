@@ -38,9 +38,8 @@ def store_each(first: wp.int32, value: wp.int32, depth: Depth, out: wp.array(dty
 
 
 @pytest.mark.parametrize("recorded", [None, {}])
-def test_items_of_a_recorded_launch_are_those_of_the_call(recorded, monkeypatch):
+def test_items_of_a_recorded_launch_are_those_of_the_call(recorded, eager_threads):
     """Other counts and threads, values, fields and arrays than before."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     depth, found, wanted = Depth(), np.zeros((2, 11), np.int32), np.zeros((2, 11), np.int64)
     outs = [shared(row, wp.int32) for row in found]
     for value, (count, threads) in enumerate([(11, 3), (10, 1), (11, 2), (5, 3), (11, 3), (0, 2)], 1):

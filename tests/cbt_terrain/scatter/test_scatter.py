@@ -49,11 +49,6 @@ def by_hand(field):
     return places_by_hand(field, SCATTER)
 
 
-@pytest.fixture
-def eager_threads(monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-
-
 def arrays(points):
     parts = points.positions, points.normals, points.size, points.id, points.variant, points.rotation
     return [part.tobytes() for part in parts]

@@ -8,7 +8,6 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.scatter.points import ScatterPoints
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -125,8 +124,7 @@ def test_objects_that_reach_out_of_their_square_stay():
     assert counts == sorted(counts) and counts[0] < 0.3 and counts[2] > 0.5, counts
 
 
-def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(eager_threads):
     for field, criterion, (first, second), *rest in scenes(175, 5, 2):
         one, other = ((field, criterion, [view], *rest) for view in (first, second))
         scatterer, terrain = scattered(one, 3), Terrain(field, 3)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.refine import slices
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree, LeafPart
@@ -15,7 +14,7 @@ from adaptive_terrain.kernels.tree.bitfield import SameLeaves
 from fields import rough
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from invariants import arrays
+from invariants import arrays, reused_leaves
 
 ERROR, EDGE = Criterion(error_px=0.3, max_depth=18), Criterion(error_px=0.0, edge_px=12.0)
 SQUARES = {"one square": (129, 129), "three squares and a spare one": (65, 193)}
@@ -94,12 +93,6 @@ def test_leaves_in_parts_give_the_tree_of_all_leaves(max_depth, seed, threads):
         assert fresh.to_bytes() == tree.to_bytes()
 
 
-def reused_leaves(terrain: Terrain) -> int:
-    """Return the number of leaves that the last update reused from the frame before."""
-    history = terrain.history
-    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
-
-
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
     """Assert that the next update gives the bytes of a new terrain: mesh and cells."""
     update, fresh = flown.update(criterion, [view]), Terrain(flown.field, 1)
@@ -110,15 +103,13 @@ def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
 @pytest.mark.parametrize("shape", SQUARES.values(), ids=SQUARES)
-def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, eager_threads):
     flown = Terrain(rough(*shape, relief=20.0), threads)
     for frame in range(6):
         assert_as_new(flown, ERROR, over(frame))
 
 
-def test_reused_points_without_room_for_runs_are_displaced_again(monkeypatch):
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+def test_reused_points_without_room_for_runs_are_displaced_again(monkeypatch, eager_threads):
     flown = Terrain(rough(129, 129, relief=20.0), 2)
     for frame, room in enumerate((1000, 2, 1000, 1)):
         monkeypatch.setattr(slices, "room_for", lambda _leaves, room=room: room)
@@ -153,9 +144,8 @@ def test_a_walk_that_is_given_up_changes_nothing():
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_a_flight_skips_the_leaves_that_stay(threads, monkeypatch):
+def test_a_flight_skips_the_leaves_that_stay(threads, monkeypatch, eager_threads):
     """Words of subtrees that the walk takes from the last frame are not written, and the tree is right."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown, skipped, written = Terrain(rough(129, 129, relief=20.0), threads), [], ConcurrentBinaryTree.set_leaves
 
     def noted(tree, parts, *args):

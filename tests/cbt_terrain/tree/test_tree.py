@@ -7,7 +7,6 @@ import zlib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree, depths_of
 from edited_tree import EditedTree
 from hypothesis import given, settings
@@ -193,9 +192,8 @@ def test_what_is_no_tree_or_leaf_of_it_is_refused():
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
-def test_edits_do_not_depend_on_threads_or_their_order(threads, monkeypatch):
+def test_edits_do_not_depend_on_threads_or_their_order(threads, eager_threads):
     """Thousands of splits of neighbours and merges of some, in a pool that has to grow meanwhile: the same leaves."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     for seed in range(6):
         rng, expected, max_depth = np.random.default_rng(seed), np.ones(1, np.uint64), (26, 48)[seed % 2]
         tree = ConcurrentBinaryTree(max_depth, threads)

@@ -11,7 +11,6 @@ from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
-from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH, mean_ramp
@@ -133,9 +132,8 @@ def a_flight(rng):
     return field, criterion, [View.look(eye + step * frame, (0, 0, 0), resolution=(960, 540)) for frame in range(4)]
 
 
-def test_any_frame_alone_is_the_same_frame_in_a_flight(monkeypatch):
+def test_any_frame_alone_is_the_same_frame_in_a_flight(eager_threads):
     """12 random flights, from one to three threads: the bytes, the bounds; and after a frame without a morph."""
-    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     for seed in range(ROUNDS):
         rng = np.random.default_rng(seed)
         field, criterion, views = a_flight(rng)

@@ -162,11 +162,7 @@ def test_geometry_reads_at_one_scale_whatever_the_camera_sees(worn, scene):
 
 
 def test_everything_is_computed_where_nobody_knows_what_is_read(worn):
-    moved = Moved(worn)
-    node, join = moved.named(""), moved.tree.nodes.new("GeometryNodeStringJoin")
-    moved.tree.links.new(moved.given.outputs["Name"], join.inputs[1])
-    moved.tree.links.new(join.outputs[0], node.inputs["Name"])
-    moved.tree.links.new(node.outputs[0], moved.offset)
+    Moved(worn).reads_computed()
     session.update_object(worn)
     assert made(worn) == set(ATTRIBUTES)
     assert statuses(worn)["aspect"].readers == ("modifier Nodes, node Named Attribute (its Name is computed)",)

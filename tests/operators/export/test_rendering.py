@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.export import file_outputs
+from rasters import png_chunk
 from store_exports import run
 
 RED, BLUE, GREEN = b"\xff\0\0", b"\0\0\xff", b"\0\xff\0"
@@ -19,13 +20,11 @@ RED, BLUE, GREEN = b"\xff\0\0", b"\0\0\xff", b"\0\xff\0"
 
 def save_image(path: Path, color: bytes) -> None:
     """Write an 8 x 8 PNG of one colour, not compressed: those of all colours have the same size."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     rows = zlib.compress((b"\0" + color * 8) * 8, 0)
     head = struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", head) + png_chunk(b"IDAT", rows) + png_chunk(b"IEND", b"")
+    )
 
 
 def recolor(path: Path, color: bytes) -> None:

@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Land that stacks shape in Blender: previews, stores, their cache, and the cost for a scene."""
+"""Land that stacks shape in Blender: previews, stores, and the cost for a scene."""
 
-import os
-import shutil
-from pathlib import Path
 from unittest.mock import Mock
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
+from adaptive_terrain.cbt_terrain.height_operators import derived_store
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.operators import handlers, jobs
-from adaptive_terrain.operators.importing.import_terrain import ImportTerrain
-from adaptive_terrain.operators.land import bake_land, shape_land, shaped_land
-from adaptive_terrain.operators.land import cache as land_cache
+from adaptive_terrain.operators.land import shape_land, shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
-from adaptive_terrain.operators.land.bake_land import BakeLand
 from adaptive_terrain.operators.land.panel import NOTE_LINES, shaping_time_text, status_lines
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.request import gather
@@ -25,7 +19,7 @@ from adaptive_terrain.operators.terrain.request_kernels import kernels_for
 from adaptive_terrain.operators.text.numbers import time_text
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
 from land_scenes import add
-from modal_runs import hold, running, to_the_end, turn
+from modal_runs import running, to_the_end, turn
 
 
 def test_an_unwritable_export_fails_before_land_is_shaped(terrain, tmp_path):
@@ -154,136 +148,6 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     assert session.record_of(terrain).field.raster.digest == open_store(shaped_land.store_of(terrain)).raster.digest
 
 
-def other_stores(store: str, *names: str) -> list[str]:
-    """Copy a shaped store, as for other settings; order the ages so that `store` is the oldest, then the first copy."""
-    found = [shutil.copytree(store, Path(store).with_name(name)) for name in names]
-    for age, folder in enumerate((*reversed(found), store), 1):
-        os.utime(folder, (1e9 - age, 1e9 - age))
-    return list(map(str, found))
-
-
-def test_unused_shaped_land_is_removed_when_there_is_too_much(terrain, add_terrain, monkeypatch):
-    """The one that was not used for longest first; never what another terrain of the scene shows."""
-
-    def there() -> set[str]:
-        return {str(folder) for folder, _ in land_folder.shaped_stores(terrain.adaptive_terrain.store)}
-
-    other = add_terrain("Other")
-    other.adaptive_terrain.store = terrain.adaptive_terrain.store
-    bpy.context.view_layer.objects.active = other
-    add("scree")
-    bpy.ops.adaptive_terrain.shape()
-    shown = shaped_land.store_of(other)
-    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_folder.OF_VIEWS)
-    monkeypatch.setattr(derived_store, "MAX_BYTES", int(3.5 * land_folder.bytes_in(Path(first))))
-    bpy.context.view_layer.objects.active = terrain
-    add("scree", depth=10.0)
-    bpy.ops.adaptive_terrain.shape()
-    own = shaped_land.store_of(terrain)
-    assert there() == {shown, second, own}
-    terrain.adaptive_terrain.land.entries[0].scree.depth = 30.0
-    session.update_object(terrain)
-    assert shaped_land.store_of(terrain) == shown, "both terrains share it"
-    monkeypatch.setattr(derived_store, "MAX_BYTES", 0)
-    derived_store.remove_old(derived_store.Land(terrain.adaptive_terrain.store, second, False, None))
-    assert there() == {shown, second}
-
-
-def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
-    add("scree")
-    bpy.ops.adaptive_terrain.shape()
-    shown = shaped_land.store_of(terrain)
-    [other] = other_stores(shown, "0" * 16)
-    beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
-    said = land_cache.describe_cache(terrain.adaptive_terrain.store)
-    assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
-    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-    assert Path(shown).exists() and not Path(other).exists() and not (beside / "tiles").exists()
-    session.update_object(terrain)
-    assert shaped_land.state_of(terrain).shown == "Shaped"
-
-
-def test_the_cache_is_cleared_while_another_object_is_active(terrain):
-    """Blender polls again when the dialog is confirmed, without the button's terrain."""
-    add("scree")
-    bpy.ops.adaptive_terrain.shape()
-    tiles = land_folder.folder_beside(terrain.adaptive_terrain.store) / "tiles"
-    assert tiles.is_dir()
-    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
-    bpy.context.collection.objects.link(cube)
-    bpy.context.view_layer.objects.active = cube
-    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not tiles.exists()
-
-
-def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terrain, tmp_path):
-    """A store behind a link, or by way of another folder, and one that was baked from it."""
-    (tmp_path / "scenes").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path)
-    add("scree")
-    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
-    for between in ("link", "scenes/.."):
-        other = add_terrain()
-        other.adaptive_terrain.store = f"{tmp_path}/{between}/hills"
-        bpy.context.view_layer.objects.active = other
-        add("scree")
-        bpy.ops.adaptive_terrain.shape()
-        derived_store._in_use.pop(terrain.session_uid, None)
-        bpy.context.view_layer.objects.active = terrain
-        assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-        assert Path(shaped_land.store_of(other)).is_dir() and shaped_land.state_of(other).shown == "Shaped"
-        bpy.data.objects.remove(other)
-        derived_store._in_use.clear()
-
-
-def test_the_cache_drops_the_land_of_a_removed_terrain(terrain, add_terrain):
-    add("scree")
-    session.update_object(terrain, mode="RENDER")
-    source, folder = terrain.adaptive_terrain.store, shaped_land.store_of(terrain)
-    other = add_terrain()
-    other.adaptive_terrain.store = source
-    bpy.data.objects.remove(terrain)
-    bpy.context.view_layer.objects.active = other
-    assert land_cache.describe_cache(source)[1].endswith(" 0 MB, stores: 0")
-    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not Path(folder).exists()
-
-
-def test_baked_land_needs_no_stack(terrain):
-    add("scree", depth=80.0)
-    before = open_store(terrain.adaptive_terrain.store).key
-    source = terrain.adaptive_terrain.store
-    assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
-    baked = terrain.adaptive_terrain.store
-    assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
-    assert open_store(source).key == before != open_store(baked).key
-    beside = land_folder.folder_beside(source)
-    assert (beside / "tiles").is_dir() and str(beside) in land_cache.describe_cache(baked), "for Undo"
-    assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-    assert not land_folder.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
-    session.update_object(terrain)
-    assert session.record_of(terrain).field.raster.digest == open_store(baked).raster.digest
-    with pytest.raises(RuntimeError, match="nothing to bake: the list is empty"):
-        bpy.ops.adaptive_terrain.bake_land()
-
-
-def test_an_import_after_a_bake_says_which_land_it_leaves(terrain):
-    add("scree", depth=80.0)
-    bpy.ops.adaptive_terrain.bake_land()
-    baked = terrain.adaptive_terrain.store
-    texts = imported_anew(terrain)
-    message = f"The terrain has its imported heights again; its baked land stays in {baked}"
-    assert terrain.adaptive_terrain.store != baked and [text for text in texts if "baked" in text] == [message]
-    assert texts[-1] == message, "the status bar shows the last message only"
-    assert not any("baked" in text for text in imported_anew(terrain))
-
-
-def imported_anew(terrain) -> list[str]:
-    """Return the messages of an import in a window."""
-    operator = running(ImportTerrain, terrain)
-    if operator.began == {"RUNNING_MODAL"}:  # an import that is up to date may be so at once
-        to_the_end(operator)
-    return [call.args[1] for call in operator.report.call_args_list]
-
-
 def test_the_list_says_which_effects_were_not_computed_again(terrain):
     add("scree", depth=80.0)
     bpy.ops.adaptive_terrain.shape()
@@ -297,65 +161,6 @@ def test_the_list_says_which_effects_were_not_computed_again(terrain):
     assert state.ms[0] is None and state.ms[1] > 0.0
     assert [shaping_time_text(state.ms, number) for number in (0, 1, 2)] == ["Reused", time_text(state.ms[1]), "-"]
     assert status_lines(state)[2] == ("Time", time_text(state.ms[1]))
-
-
-@pytest.fixture
-def bake(terrain, monkeypatch):
-    """Start to bake shaped land in a window; return the operator, and an event that lets it copy."""
-    add("scree", depth=80.0)
-    bpy.ops.adaptive_terrain.shape()
-    event = hold(monkeypatch, bake_land, "copy_store")
-    return running(BakeLand, terrain), event
-
-
-def test_a_window_bakes_land_beside_its_work(bake, terrain):
-    source, (operator, event) = terrain.adaptive_terrain.store, bake
-    assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.BAKE_LAND, terrain) == operator.job
-    assert terrain.adaptive_terrain.land.entries and not BakeLand.poll(operator.context)
-    event.set()
-    assert to_the_end(operator) == {"FINISHED"} and not terrain.adaptive_terrain.land.entries
-    assert open_store(terrain.adaptive_terrain.store).path == Path(source + "_baked")
-
-
-def test_a_cancelled_bake_leaves_list_and_store(bake, terrain):
-    source, (operator, event) = terrain.adaptive_terrain.store, bake
-    operator.job.stop()
-    event.set()
-    assert to_the_end(operator) == {"CANCELLED"} and len(terrain.adaptive_terrain.land.entries) == 1
-    assert terrain.adaptive_terrain.store == source and not Path(source + "_baked").exists()
-
-
-def test_a_list_that_changes_during_a_bake_stays(bake, terrain):
-    source, (operator, event) = terrain.adaptive_terrain.store, bake
-    add("relief")
-    event.set()
-    to_the_end(operator)
-    assert operator.report.call_args.args[0] == {"WARNING"} and len(terrain.adaptive_terrain.land.entries) == 2
-    assert terrain.adaptive_terrain.store == source and open_store(source + "_baked")
-
-
-def test_a_window_refuses_to_bake_unshaped_land(terrain):
-    add("scree")
-    operator = running(BakeLand, terrain)
-    assert operator.began == {"CANCELLED"} and "press Shape Now" in operator.report.call_args.args[1]
-
-
-def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
-    import rasterio
-
-    add("scree", depth=80.0)
-    assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
-    shaped = open_store(land_folder.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
-    with rasterio.open(tmp_path / "land.tif") as file:
-        assert np.array_equal(file.read(1)[::-1], shaped.heights())
-    assert sorted(path.name for path in tmp_path.glob("land_*.tif")) == [f"land_{n}.tif" for n in sorted(shaped.layers)]
-    with pytest.raises(RuntimeError, match="is of no format"):
-        bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.png"))
-
-
-def only_shaped(terrain) -> str:
-    [folder] = {path.parent for path in land_folder.folder_beside(terrain.adaptive_terrain.store).glob("*/store.json")}
-    return folder.name
 
 
 def test_times_are_short():

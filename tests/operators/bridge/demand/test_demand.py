@@ -50,11 +50,7 @@ def test_an_image_on_an_empty_reads_nothing():
 
 def test_everything_is_demanded_with_its_reason():
     obj, _, _ = worn()
-    moved = Moved(obj)
-    node, join = moved.named(""), moved.tree.nodes.new("GeometryNodeStringJoin")
-    moved.tree.links.new(moved.given.outputs["Name"], join.inputs[1])
-    moved.tree.links.new(join.outputs[0], node.inputs["Name"])
-    moved.tree.links.new(node.outputs[0], moved.offset)
+    Moved(obj).reads_computed()
     assert demanded(obj)["*"] == [("modifier Nodes, node Named Attribute (its Name is computed)", "GEOMETRY")]
 
 

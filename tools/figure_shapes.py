@@ -19,13 +19,13 @@ def lines(x: float, y: float, rows: Iterable[str], look: str = "soft small", anc
     return [text(x, y + 18 * i, row, anchor, look) for i, row in enumerate(rows)]
 
 
-def arrow(start: Point, end: Point, stroke: str = SOFT, width: float = 1.6) -> str:
+def arrow(start: Point, end: Point) -> str:
     """Draw a straight arrow."""
     length = math.dist(start, end)
     x, y = (end[0] - start[0]) / length, (end[1] - start[1]) / length
     back = end[0] - 9 * x, end[1] - 9 * y
     head = [(back[0] - 4.5 * y, back[1] + 4.5 * x), end, (back[0] + 4.5 * y, back[1] - 4.5 * x)]
-    return path([start, back], stroke, width) + path(head, stroke, 0, stroke)
+    return path([start, back], SOFT, 1.6) + path(head, SOFT, 0, SOFT)
 
 
 class SquareFrame:

@@ -242,14 +242,14 @@ def no_ends() -> Ends:
 
 
 @wp.func
-def give_to_waiting(memory: Memory, first: wp.int32, last: wp.int32, point: MorphedPoint, own_ends: Ends):
+def give_to_waiting(memory: Memory, first: wp.int32, last: wp.int32, point: MorphedPoint, point_ends: Ends):
     """Add a known point to the one that waits for it on the stack. If that has both ends now, compute it, and repeat.
 
-    first, last: entries of the stack, which is empty if last < first. own_ends: sums over the known point's ends.
+    first, last: entries of the stack, which is empty if last < first. point_ends: sums over the known point's ends.
     Return the point that was computed last, the sums over its ends, and the new last entry.
     """
     morphed = point
-    ends = own_ends
+    ends = point_ends
     top = last
     is_known = wp.bool(True)
     while is_known and top >= first:

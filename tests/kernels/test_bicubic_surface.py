@@ -57,8 +57,8 @@ def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[n
     return found, measured
 
 
-def random_field(shape, seed=0, step=(1.0, 1.0)) -> HeightField:
-    return from_array((100 * np.random.default_rng(seed).standard_normal(shape)).astype(np.float32), *step)
+def random_field(shape, seed=0) -> HeightField:
+    return from_array((100 * np.random.default_rng(seed).standard_normal(shape)).astype(np.float32), 1.0)
 
 
 def to_plane(field, place):

@@ -2,18 +2,15 @@
 """Views of a terrain with detail, and what of its bounds is seen in them."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, View
 from fields import extent, project, reference_heights
 
 
-def ground_view(field, kind=PERSPECTIVE, above=2.0, at=(0.1, -0.2)):
+def ground_view(field, above=2.0, at=(0.1, -0.2)):
     """Return a view along the ground from `above` it."""
     eye = np.array([*(extent(field)[:2] * at), 0.0])
     eye[2] = reference_heights(field, eye[None, :2])[0] + above
-    fov = 360.0 if kind == PANORAMIC else 60.0
-    return View.look(
-        eye, eye + [6, 9, -2.0], kind=kind, fov_deg=fov, ortho_width=12.0, resolution=(480, 270), clip=(0.1, 1e6)
-    )
+    return View.look(eye, eye + [6, 9, -2.0], fov_deg=60.0, resolution=(480, 270), clip=(0.1, 1e6))
 
 
 # Weights of places in a triangle: corners, edges and inside.

@@ -221,13 +221,13 @@ def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
             run_import(replace(wrong, loaded_tiles=(1,)), folder)
 
 
-def camera_at(x, y, z, size=(640, 640)):
+def camera_at(x, y, z):
     """Return the view of a camera that looks down from a point of the world."""
     to_camera = np.eye(4)
     to_camera[:3, 3] = -x, -y, -z
-    zoom = np.diag([2.0, 2.0 * size[0] / size[1], -1.0, 0.0])
+    zoom = np.diag([2.0, 2.0, -1.0, 0.0])
     zoom[3, 2] = -1.0
-    return View(to_camera, zoom, size, clip=(0.1, 1e6))
+    return View(to_camera, zoom, (640, 640), clip=(0.1, 1e6))
 
 
 def test_views_need_the_tiles_below_them(tmp_path, small_tiles):

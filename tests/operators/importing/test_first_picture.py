@@ -206,17 +206,22 @@ def test_a_script_gets_the_complete_store_at_once(terrain, scene, capsys):
     assert "loaded" not in piece.info
 
 
-def test_a_farm_job_completes_the_store_first(incomplete_terrain, tmp_path):
+@pytest.mark.parametrize("tiles, text", [((), LOADED), ((0,), "Loaded to 9.95 m, else 79.6 m")])
+def test_a_farm_job_completes_the_store_first(incomplete_terrain, tmp_path, tiles, text):
     scene, terrain = bpy.context.scene, incomplete_terrain
+    if tiles:
+        run_import(replace(import_terrain.settings_of(terrain), quick=600, loaded_tiles=tiles), store_of(terrain))
     _, notes = submit(
         scene, [terrain], tmp_path / "job", frames=[7], chunk=1, formats=(), extension=None, allow_outside=True
     )
-    assert f"Terrain: {LOADED}; the job imports all of it first" in notes
+    assert f"Terrain: {text}; the job imports all of it first" in notes
     listed = (tmp_path / "job" / "asset_references.yaml").read_text()
-    assert "a.tif" in listed
+    inputs = json.loads(listed)["assetReferences"]["inputs"]
+    assert str(tmp_path / "a.tif") in inputs["filenames"] and str(store_of(terrain)) not in inputs["directories"]
     said = []
     preparing.prepare([terrain], [7], ["stores"], said.append, lambda _done: None)
     assert loaded_text(terrain.adaptive_terrain) == "" and "imported, 200 x 150 samples" in said[0]
+    assert np.array_equal(open_store(store_of(terrain)).heights(), hills(200, 150)[::-1])
     said.clear()
     preparing.prepare([terrain], [7], ["stores"], said.append, lambda _done: None)
     assert said == ["Terrain: its store is there"]

@@ -15,6 +15,7 @@ from .measure_tile import LargeError
 from .tile_grid import LatticeVertices, TileGrid, cell_entries, entries_of, exist, halved
 
 GROUND_AND_HOLE = 3
+ROWS = 1 << 11  # rows of vertices together: Linux maps up to 2 MB of a file around each entry that is read
 Opened = Callable[[], np.ndarray]  # maps an array anew: its pages count as memory of this process until it is closed
 
 
@@ -26,8 +27,8 @@ def pass_depths(grid: TileGrid) -> Iterator[tuple[int, bool]]:
 def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[LatticeVertices]:
     """Yield the vertices of one depth that depend on several tiles; some may come twice.
 
-    They are in parts, one for each line between tiles. level: log2 of half the side of a cell, samples. is_centre: the
-    vertices are centres of such cells, otherwise middles of their sides.
+    They are in parts, each of up to ROWS rows along a line between tiles. level: log2 of half the side of a cell,
+    samples. is_centre: the vertices are centres of such cells, otherwise middles of their sides.
     """
     half = 1 << level
     ends = [min(cells + 4 * half, span) + 1 for cells, span in zip(_cells(grid), grid.lattice.span, strict=True)]
@@ -38,7 +39,8 @@ def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[Lat
         near = np.array([-half, 0, half])
         lines = [(near[near + x >= 0] + x, along[1]) for x in range(0, ends[0], grid.side)]
         lines += [(along[0], near[near + y >= 0] + y) for y in range(0, ends[1], grid.side)]
-    for x, y in lines:
+    parts = ((x, y[row : row + ROWS]) for x, y in lines for row in range(0, len(y), ROWS))
+    for x, y in parts:
         x, y = (values.ravel() for values in np.meshgrid(x, y))
         odd_x, odd_y = x >> level & 1, y >> level & 1
         chosen = (odd_x & odd_y) == 1 if is_centre else (odd_x ^ odd_y) == 1

@@ -42,6 +42,7 @@ VERSION = 3
 STORED = ("samples", "error", "ranges", "borders")
 RECORDS_NAME, PREFIX = "tiles.jsonl", "tiles-"
 MAX_RECORDS = 1 << 30  # bytes
+COPIED_ROWS = 256  # of one mapping: Linux maps up to 2 MB of a file around each row that is read
 
 
 class NotNumberedError(Exception):
@@ -184,7 +185,11 @@ class TileWork:
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
         """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""
-        return self.open(name)[box.y0 : box.y1 + 1, box.x0 : box.x1 + 1].copy()
+        found = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), self.arrays()[name][1])
+        for row in range(0, len(found), COPIED_ROWS):
+            part, y = found[row : row + COPIED_ROWS], box.y0 + row
+            part[:] = self.open(name)[y : y + len(part), box.x0 : box.x1 + 1]
+        return found
 
     def border(self, number: int, kind: int) -> np.ndarray:
         """Return the codes (0) or kinds of cells (1) near the border of a tile, uint8 as `TileGrid.near_border`."""

@@ -4,11 +4,14 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import cleaning
+from adaptive_terrain.cbt_terrain.field.lattice import lattice_for
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.importing import drafts
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.tiling import borders, tile_work
+from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
 from mosaic_files import EAST, NORTH, UTM32
 from rasterio import Affine
 from rasterio.transform import from_origin
@@ -60,6 +63,27 @@ def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name): 
         tiled(cut)
         run_import(settings, tmp_path / store)
     assert_same(tmp_path / "tiled", tmp_path / "whole")
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_few_rows_at_a_time_give_the_same_bytes(tmp_path, tiled, monkeypatch, holes):  # noqa: F811
+    np.save(tmp_path / "a.npy", with_gaps(MOUNTAINS))
+    settings = ImportSettings(str(tmp_path / "a.npy"), extent=(9000.0, 5000.0), holes=holes)
+    for store, cut in ("whole", None), ("tiled", 5):
+        tiled(cut)
+        run_import(settings, tmp_path / store)
+        monkeypatch.setattr(borders, "ROWS", 12)
+        monkeypatch.setattr(tile_work, "COPIED_ROWS", 7)
+    assert_same(tmp_path / "tiled", tmp_path / "whole")
+
+
+def test_few_rows_of_an_array_are_mapped_at_a_time():
+    """Linux may map 2 MB for each row of pages: before, a process held most of an array of 32,768 samples a side."""
+    grid = TileGrid(lattice_for(3000, 20000), 11)
+    for level in range(4):
+        parts = [*borders.shared_vertices(grid, level, True)]
+        rows = [int(part.y.max() - part.y.min()) >> level for part in parts]
+        assert borders.ROWS - 3 <= max(rows) < borders.ROWS == grid.side
 
 
 ORIENTATIONS = {

@@ -148,7 +148,7 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     """Update the terrains after a change of frame: for a render at its frame, for the viewport now or at the
     timer's next turn.
 
-    `failed`: errors of `_settle_objects`. An error cancels a render rather than letting it show an old mesh.
+    `failed`: errors of `_settle_objects`, to which others are added. A render with errors is handled as a stale frame.
     """
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):

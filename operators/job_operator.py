@@ -19,6 +19,12 @@ class JobOperator:
     A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work; and `finish(context, obj, result)`,
     which puts the result into the file. `context` is that of the first step only. One that leaves the terrain as it is
     has `shows_error_on_panel = False`: its errors are only reported, and the panel keeps that of the last update.
+
+    Attributes:
+        job: the BackgroundJob, from the first step on.
+        poll_s: seconds between ticks of the timer.
+        beside_window: whether the operator was invoked.
+        shown, looked: progress when panels were last redrawn, and time when the terrain was last looked for.
     """
 
     poll_s = jobs.POLL_S

@@ -37,8 +37,8 @@ Steps = Generator[None, None, object]
 class JobKind:
     """A kind of job.
 
-    `stays`: name of the thing that a cancelled job leaves unchanged. `alone`: only one job of the kind runs at a time,
-    instead of one a terrain.
+    `title`: its name for the user. `stays`: clause about what a cancelled job leaves unchanged. `alone`: only one job
+    of the kind runs at a time, instead of one a terrain.
     """
 
     name: str
@@ -76,7 +76,10 @@ class BackgroundJob:
         message: present step of the job, "" if its kind suffices.
         result: return value of the steps, None until they have ended well.
         error: why the job failed, "" if it did not.
+        stopped: the job is to end at its next check.
+        is_orphan: its terrain is gone.
         child: the child process that the job waits for, None if there is none.
+        timer: Blender's timer that advances it, None without one.
     """
 
     def __init__(self, kind: JobKind, uid: int | None, steps: Callable[["BackgroundJob"], Steps]):
@@ -181,8 +184,8 @@ def find(kind: JobKind, obj=None) -> BackgroundJob | None:
     `obj`: the terrain whose job it has to be; ignored if the kind runs only one job at a time, None for any
     terrain.
     """
-    anyone = kind.alone or obj is None
-    return next((job for job in running if job.kind is kind and (anyone or job.uid == obj.session_uid)), None)
+    is_any = kind.alone or obj is None
+    return next((job for job in running if job.kind is kind and (is_any or job.uid == obj.session_uid)), None)
 
 
 def progress_shown() -> list[tuple[int, str]]:
@@ -278,7 +281,7 @@ def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
 def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
     """Advance a generator that visits the frames of the scene, a few at a time so that the window responds.
 
-    `visits` yields the fraction done after each frame and the result as its last item, which this returns.
+    visits: yields a float after each frame, the fraction done, and as its last item the result, which this returns.
     """
     with closing(visits):  # the scene is at its frame again
         turn_ends = time.monotonic() + TURN_S

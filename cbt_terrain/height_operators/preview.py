@@ -62,7 +62,7 @@ class Preview:
     field: HeightField
     ms: list[float]
     step_m: float = 0.0
-    without: str = ""
+    left_out_entry: str = ""
     build_ms: float = 0.0
 
 
@@ -123,8 +123,9 @@ def preview(
     layers = _Layers(states[-1].ground.layers, rows, columns)
     result = result.with_raster(digest=digest, layers=layers, place=source.raster.place)
     left = stack.active[len(states) - 1 :]
-    without = (left[0].name or left[0].declaration.label) if left else ""
-    return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without, build_ms)
+    left_out_entry = (left[0].name or left[0].declaration.label) if left else ""
+    ms = [state.ms for state in states[1:]]  # states[0] is the ground before the first entry
+    return Preview(result, ms, max(level.step_x, level.step_y), left_out_entry, build_ms)
 
 
 def _apply_entries(

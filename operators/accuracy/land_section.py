@@ -15,16 +15,17 @@ def land_section(heights: HeightField, of: str) -> list:
 
     of: " of NAME" for headings if the page has several terrains, else "".
     """
-    added = sorted(heights.provenance.get("shaped", {}).get("added", []), key=lambda one: (one["entry"], one["level"]))
+    added = heights.provenance.get("shaped", {}).get("added", [])
+    added = sorted(added, key=lambda record: (record["entry"], record["level"]))
     if not added:
         return []
     lines = [
         [
-            getattr(operator_of(one["effect"]), "label", one["effect"]),
-            *(f"{one[number]:.3g}" for number in ("spacing_m", "rms_m", "most_m")),
-            f"{one['ms']:,.0f}" if one["computed"] else "known before",
+            getattr(operator_of(record["effect"]), "label", record["effect"]),
+            *(f"{record[key]:.3g}" for key in ("spacing_m", "rms_m", "most_m")),
+            f"{record['ms']:,.0f}" if record["computed"] else "known before",
         ]
-        for one in added
+        for record in added
     ]
     return [
         Heading(f"What finer land{of} costs and changes"),
@@ -40,20 +41,20 @@ def land_section(heights: HeightField, of: str) -> list:
 def _finest_level_text(added: list[dict]) -> str:
     """Return a sentence about what would be saved and lost without the finest level; "" if not all times are known.
 
-    added: entries of a shaped store's provenance, one a level and operator.
+    added: records of a shaped store's provenance, one a level and operator.
     """
-    by_level = [list(group) for _, group in groupby(sorted(added, key=_level_of), key=_level_of)]
-    if len(by_level) < 2 or not all(one["computed"] for one in added):
+    by_level = [list(group) for _, group in groupby(sorted(added, key=_level_of), key=_level_of)]  # 0 is the finest
+    if len(by_level) < 2 or not all(record["computed"] for record in added):
         return ""
-    finest, time = by_level[0], sum(one["ms"] for one in added)
-    part = sum(one["ms"] for one in finest) / time if time else 0.0
-    largest = max(finest, key=lambda one: one["rms_m"])
+    finest, ms = by_level[0], sum(record["ms"] for record in added)
+    saved = sum(record["ms"] for record in finest) / ms if ms else 0.0
+    largest = max(finest, key=lambda record: record["rms_m"])
     return (
-        f"Without the finest level, {finest[0]['spacing_m']:.3g} m, it would have taken {part:.0%} less time, and been "
-        f"off by {largest['rms_m']:.2g} m rms and {largest['most_m']:.2g} m at most ({largest['effect']})."
+        f"Without the finest level, {finest[0]['spacing_m']:.3g} m, it would have taken {saved:.0%} less time, and "
+        f"been off by {largest['rms_m']:.2g} m rms and {largest['most_m']:.2g} m at most ({largest['effect']})."
     )
 
 
-def _level_of(one: dict) -> int:
-    """Return the level of an entry, for sorting."""
-    return one["level"]
+def _level_of(record: dict) -> int:
+    """Return the level of a record, for sorting."""
+    return record["level"]

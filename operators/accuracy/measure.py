@@ -25,9 +25,13 @@ DETAIL = {VIEWPORT: "viewport", RENDER: "render"}  # mode -> property group of i
 
 @dataclass(frozen=True)
 class Result:
-    """Of one mode: what errors cost, and the errors of the mesh (named by Request.digest) that its settings give.
+    """What was measured for one mode, viewport or render.
 
-    `curve`: None where runs of the same update differ too much, for the reason `no_curve`.
+    Attributes:
+        curve: what errors cost, None where runs of the same update differ too much.
+        measured: the errors of the mesh that the mode's settings give.
+        digest: that mesh, by Request.digest.
+        no_curve: why there is no curve, "" if there is one.
     """
 
     curve: CostCurve | None
@@ -78,19 +82,20 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 def measure_request(field, request: Request, on_progress) -> Result:
     """Measure what different errors cost on a terrain, and the true errors of the mesh of `request`.
 
-    field: the height field. on_progress: called with the fraction done and a message; may raise to stop. Raises
-    TerrainError if no two errors can be measured.
+    The errors are those of a sweep and the request's own, coarse first, until one needs too many triangles. field: the
+    height field. on_progress: called with the fraction done and a message; may raise to stop. Raises TerrainError if no
+    two errors can be measured.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = requested_unit(request.criterion)
-    name = f"error_{unit}"
+    name = f"error_{unit}"  # of the criterion's field
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)
     swept = PIXELS if unit == "px" else metre_steps(relief_m)
     errors = sorted({getattr(request.criterion, name), *swept}, reverse=True)
     frame = TimedFrame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
-    views = frame.views or [None]
+    views = frame.views or [None]  # None: without a view only heights are measured
     steps = len(errors) + len(views)
-    terrain, points, no_curve = Terrain(field), [], ""
+    terrain, points, no_curve = Terrain(field), [], ""  # points: (error, triangles, milliseconds)
     for i, error in enumerate(errors):
 
         def on_run(_surface=None, done: int = i, error: float = error) -> float:
@@ -101,7 +106,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
         on_run()
         criterion = replace(request.criterion, **{name: error}, max_triangles=MAX_TRIANGLES)
         update = terrain.update(criterion, frame.views, *frame.heights)
-        if update.relaxed > 1:
+        if update.relaxed > 1:  # the limit of triangles holds it back, and would hold back every finer error
             break
         for _ in range(TRIES):
             runs = timed_runs(terrain, criterion, frame, write=on_run)
@@ -121,22 +126,19 @@ def measure_request(field, request: Request, on_progress) -> Result:
     if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
         request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
     surface = terrain.update(request.criterion, frame.views, *frame.heights).surface
-    found = []
+    measurements = []
     for i, view in enumerate(views, len(errors)):
 
         def on_part(fraction: float, done: int = i) -> None:
             on_progress((done + fraction) / steps, "errors")
 
-        found.append(measure(field, surface, view, *frame.heights, on_progress=on_part))
+        measurements.append(measure(field, surface, view, *frame.heights, on_progress=on_part))
     on_progress(1.0, "done")
-    return Result(curve, worst(found), request.digest(field.key), no_curve)
+    return Result(curve, worst(measurements), request.digest(field.key), no_curve)
 
 
 def _measurable_requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
-    """Return the requests that can be measured, by mode, and the errors of the others.
-
-    Raises TerrainError if none can.
-    """
+    """Return the requests that can be measured, by mode, and why the others cannot. Raises TerrainError if none can."""
     requests, problems = {}, []
     for mode in DETAIL:
         try:
@@ -144,7 +146,7 @@ def _measurable_requests(obj, depsgraph) -> tuple[dict[str, Request], list[Terra
             unit = requested_unit(request.criterion)
             if not unit:
                 raise TerrainError("Measure Accuracy has no error to vary", fix="set Screen Error or Vertical Error")
-            # Without its time budget, whose curve is about to be replaced.
+            # The user's own error, not the one that a time budget chose: its curve is about to be replaced.
             detail = getattr(obj.evaluated_get(depsgraph).adaptive_terrain, DETAIL[mode])
             error = {f"error_{unit}": getattr(detail, f"error_{unit}")}
             requests[mode] = replace(request, criterion=replace(request.criterion, **error))

@@ -28,6 +28,7 @@ from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .land_section import land_section
 from .plots import error_plots, pareto_rows, setting_label
+from .subject import AccuracySubject
 from .transitions_section import transitions_section
 from .words import WORDS
 
@@ -80,7 +81,7 @@ def as_json(subjects, machine: dict[str, str]) -> str:
             "name": s.name,
             "height_field": str(s.heights.key),
             "seen": s.seen,
-            "frames": s.numbers,
+            "frames": s.frame_numbers,
             "current": None if s.current is None else setting_label(s.current),
             "notes": s.notes + timing_notes(s),
             "curves": [json.loads(curve.to_json()) for curve in cost_curves(s)],
@@ -97,7 +98,7 @@ def build_page(subjects, machine: dict[str, str]) -> list:
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []
-        blocks += front_blocks(subject, "")
+        blocks += front_blocks(subject)
     for subject in subjects:
         blocks += table_blocks(subject, f" of {subject.title}" if several else "")
     return [*blocks, Heading("What the words mean"), Words(WORDS), measured_on(machine)]
@@ -108,28 +109,29 @@ def measured_on(machine: dict[str, str]) -> Text:
     return Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + ".")
 
 
-def front_blocks(subject, prefix: str) -> list:
+def front_blocks(subject: AccuracySubject) -> list:
     """Return the first part of one terrain's page: five figures, pictures, plots and notes.
 
-    prefix: start of the names of its picture files.
+    The figures are those of the current setting, or else of the first setting that is an error only (`is_plain`).
     """
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
     shown = current or next((row for row in rows if row.setting.is_plain), rows[0])
-    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
+    numbers = subject.frame_numbers
+    frames = f", frame{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
     lattice = subject.heights.lattice
     across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     blocks = [
         Lead(
             f"{across:,.0f} x {up:,.0f} m of ground from {lattice.width:,} x {lattice.height:,} samples, seen "
-            f"{subject.seen}{frames if subject.numbers else ''}."
+            f"{subject.seen}{frames if numbers else ''}."
         ),
         Figures(main_figures(shown)),
-        *picture_strip(subject, prefix),
+        *picture_strip(subject),
         *(Text(sentence) for sentence in cost_sentences(subject)),
     ]
     for unit in dict.fromkeys(row.setting.unit for row in rows):
-        blocks += error_plots(subject, unit, current, prefix)
+        blocks += error_plots(subject, unit, current)
     return blocks + [Text(note) for note in subject.notes + timing_notes(subject)]
 
 
@@ -145,37 +147,35 @@ def main_figures(row: Row) -> list[tuple[str, str]]:
     ]
 
 
-def picture_strip(subject, prefix: str) -> list[PictureStrip]:
-    """Return pictures of the same part of the view at several errors, with the cost of each; [] if none were drawn.
-
-    prefix: start of the names of the picture files.
-    """
+def picture_strip(subject: AccuracySubject) -> list[PictureStrip | Text]:
+    """Return pictures of the same part of the view at several errors, with the cost of each; [] if none were drawn."""
     costs = {row.setting.error: row for row in strip_rows(subject)}
     shown = [
         PagePicture(
-            f"{prefix}{subject.name}_{crop.error_px:g}px.png",
+            f"{subject.name}_{crop.error_px:g}px.png",
             f"{costs[crop.error_px].triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
             f"{crop.error_px:g} px",
             png(crop.pixels),
         )
         for crop in subject.crops
     ]
-    where = f"frame {subject.numbers[0]}" if subject.numbers else "the picture"
+    numbers = subject.frame_numbers
+    where = f"frame {numbers[0]}" if numbers else "the picture"
     text = (
         f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
-        f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
+        f"in its lower left half.{' Triangles and times are medians of all frames.' if numbers[1:] else ''}"
     )
     return [PictureStrip(shown), Text(text)] if shown else []
 
 
-def strip_rows(subject) -> list[Row]:
+def strip_rows(subject: AccuracySubject) -> list[Row]:
     """Return the rows that the strip shows in pictures, the coarsest first."""
     plain = {row.setting: row for row in subject.rows if row.setting.is_plain}
     settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
     return [plain[setting] for setting in settings if setting in plain]
 
 
-def table_blocks(subject, of: str) -> list:
+def table_blocks(subject: AccuracySubject, of: str) -> list:
     """Return the second part of one terrain's page: all figures as tables.
 
     of: " of NAME" for headings if the page has several terrains, else "".
@@ -185,7 +185,9 @@ def table_blocks(subject, of: str) -> list:
     origin = heights.provenance
     source = f" (from {origin['format']}, {origin['stored']})" if {"format", "stored"} <= set(origin) else ""
     several = (
-        " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
+        " Of several frames errors are the largest, triangles and times the median."
+        if subject.frame_numbers[1:]
+        else ""
     )
     between = interpolation(heights)
     return [
@@ -218,10 +220,10 @@ def imported_text(heights) -> str:
     return f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
 
 
-def cost_curves(subject) -> list:
+def cost_curves(subject: AccuracySubject) -> list:
     """Return the cost curve of each unit that has two errors or more within all limits, and steady times."""
-    of_unit = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
-    return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
+    steady = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
+    return [curve_of(rows) for rows in steady if len({row.setting.error for row in curve_rows(rows)}) > 1]
 
 
 def by_unit(rows: list[Row]) -> dict[str, list[Row]]:
@@ -230,7 +232,7 @@ def by_unit(rows: list[Row]) -> dict[str, list[Row]]:
     return {unit: [row for row in rows if row.setting.unit == unit] for unit in units}
 
 
-def timing_notes(subject) -> list[str]:
+def timing_notes(subject: AccuracySubject) -> list[str]:
     """Return a sentence for each unit whose cost curve is left out because its times were not steady."""
     notes = []
     for unit, rows in by_unit(subject.rows).items():
@@ -240,19 +242,22 @@ def timing_notes(subject) -> list[str]:
     return notes
 
 
-def cost_sentences(subject) -> list[str]:
-    """Return sentences on the cost of half and twice the error, at the current setting or amid the sweep."""
+def cost_sentences(subject: AccuracySubject) -> list[str]:
+    """Return sentences on the cost of half and twice the error, at the current setting or amid the sweep.
+
+    curve.error: the measured errors, the largest first.
+    """
     text = []
     for curve in cost_curves(subject):
         unit, error = curve.unit, curve.error[len(curve.error) // 2]
         if subject.current is not None and subject.current.unit == unit:
             error = subject.current.error
-        (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
+        (coarse, coarse_ms), (triangles, ms), (fine, fine_ms) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         text.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
-            f"{difference_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
-            f"to {error * 2:g} {unit} saves {difference_text(ms - faster, ms)} of CPU and "
-            f"{triangles - less:,.0f} triangles."
+            f"{difference_text(fine_ms - ms, ms)} of CPU and {fine - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {difference_text(ms - coarse_ms, ms)} of CPU and "
+            f"{triangles - coarse:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
             text[-1] += " Part of that is extrapolated: it lies beyond what was measured."
@@ -298,6 +303,7 @@ def error_tables(rows: list[Row]) -> list[Table]:
         lines = []
         for row in on_screen:
             seen, hidden, outline, popped = (getattr(row if n == "popping_px" else row.measured, n) for n in names)
+            # The last three are None where they were not measured.
             cells = [seen.max, seen.p95, seen.mean, *(part and part.max for part in (hidden, outline))]
             cells += [outline and outline.p95, popped and popped.max, popped and popped.p95]
             lines.append([setting_label(row.setting), *map(number, cells)])

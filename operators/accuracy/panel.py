@@ -101,7 +101,7 @@ def _draw_measuring(column, operator: str, icon: str) -> None:
 
 
 def _list_bounds(status) -> list[tuple[str, float, str, object]]:
-    """Return label, value, unit and terms of every bound of the last update, the most important first."""
+    """Return label, value, unit and terms (None without) of every bound of the last update, in the order of BOUNDS."""
     bounds = []
     for name, (label, unit) in BOUNDS.items():
         if (value := getattr(status.bounds, name)) is not None:
@@ -180,15 +180,15 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     if not error:
         return []
     triangles, ms = curve.at(error)
-    more, longer = 1.0, 1.0
+    triangle_factor, time_factor = 1.0, 1.0
     if not exact:
-        more = status.triangles / triangles
+        triangle_factor = status.triangles / triangles
         if status.changed and "total" in status.ms:  # the time of a mesh that stayed says nothing
-            longer = status.ms["total"] / ms
+            time_factor = status.ms["total"] / ms
     lines = []
     for other in (error / 2, error * 2):
         triangles, ms = curve.at(other)
-        cost = phrase("~{} triangles, ~{} ms", _two_digits(triangles * more), _two_digits(ms * longer))
+        cost = phrase("~{} triangles, ~{} ms", _two_digits(triangles * triangle_factor), _two_digits(ms * time_factor))
         lines.append(f"{plain(other)} {curve.unit}: {cost}")
     return lines
 

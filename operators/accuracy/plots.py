@@ -15,11 +15,11 @@ SPREAD = " Processor time of all threads. Pale bars: from the fastest to the slo
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 
 
-def error_plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
+def error_plots(subject, unit: str, current: Row | None) -> list[Plot]:
     """Return plots of error against time, unless times are not steady, and against triangles.
 
-    unit: "px" or "m". current: row of the scene's own setting. prefix: start of the files' names. A fit is made
-    once, so it is in no plot of times.
+    subject: an AccuracySubject. unit: "px" or "m". current: row of the scene's own setting. A fit is made once, not a
+    frame, so it is in no plot of times.
     """
     rows = [row for row in subject.rows if row.setting.unit == unit]
     found = []
@@ -30,14 +30,14 @@ def error_plots(subject, unit: str, current: Row | None, prefix: str) -> list[Pl
         drawing = draw(plot_curves(shown, cost, current), axis, f"error, {unit}")
         caption = f"{subject.title}: error in {UNIT_NAMES[unit]} against {axis}, both logarithmic."
         caption += SPREAD if cost == "ms" else ""
-        found.append(Plot(f"{prefix}{subject.name}_{unit}_{cost}.svg", caption, drawing))
+        found.append(Plot(f"{subject.name}_{unit}_{cost}.svg", caption, drawing))
     return found
 
 
 def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     """Return the curves of a plot of rows of one unit; `cost` is "ms" or "triangles".
 
-    The first row has the interpolation that most rows have.
+    The first row has the interpolation that most rows have; rows of the other one have one curve. current: row to mark.
     """
 
     def points(candidates: list[Row], error) -> list[tuple[float, float]]:
@@ -51,11 +51,12 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
 
     def bound(row: Row) -> float:
         """Return the bound of a row, infinity if it has none."""
-        return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
+        return row.bound if row.bound < LARGEST else math.inf  # not drawn
 
     interpolation = rows[0].setting.interpolation
     all_plain = [row for row in rows if row.setting.is_plain]
-    plain, other = ([r for r in all_plain if (r.setting.interpolation == interpolation) == is_] for is_ in (1, 0))
+    plain = [row for row in all_plain if row.setting.interpolation == interpolation]
+    other = [row for row in all_plain if row.setting.interpolation != interpolation]
     fitted = [row for row in rows if row.setting.fitted]
     other_name = other[0].setting.interpolation if other else ""
     front = pareto_rows(rows, cost)

@@ -35,10 +35,14 @@ class AccuracySubject:
     """One terrain that is measured.
 
     Attributes:
-        numbers: numbers of the frames.
-        seen: the camera, in words.
+        name, heights: start of the names of its files, and its height field.
+        frames: what is measured.
+        frame_numbers: numbers of these frames, [] for a single view without one.
+        seen: the camera, as a phrase after "seen".
         current: the setting that the scene (or an export) uses, None if it has no error.
         base: the criterion that gives guard band and culling.
+        rows: the measured settings.
+        notes: sentences for the page.
         crops: pictures of some of the errors.
         called: the object's name, "" for a store.
         effects: the attributes that the scene reads.
@@ -47,7 +51,7 @@ class AccuracySubject:
     name: str
     heights: HeightField
     frames: list[TimedFrame]
-    numbers: list[int]
+    frame_numbers: list[int]
     seen: str
     current: Setting | None
     base: Criterion = field(default_factory=Criterion)
@@ -97,8 +101,9 @@ def store_subject(
         """Return one frame of the path to be measured."""
         return TimedFrame([flight.view(frame, resolution)])
 
-    shown = [TimedFrame(frame_at(n).views, after=frame_at(n + 1) if n + 1 <= last else None) for n in numbers]
-    return AccuracySubject(name, heights, shown, numbers, f"along {Path(path).name}, {size}", current)
+    # Each frame has the next one with it, for measuring popping.
+    timed = [TimedFrame(frame_at(n).views, after=frame_at(n + 1) if n + 1 <= last else None) for n in numbers]
+    return AccuracySubject(name, heights, timed, numbers, f"along {Path(path).name}, {size}", current)
 
 
 def scene_subjects(
@@ -120,26 +125,24 @@ def scene_subjects(
 
 @dataclass(frozen=True)
 class Look:
-    """The request of a terrain at the first of some frames, and the terrain as each frame shows it."""
+    """The Request of a terrain at the first of some frames, and its views and placement in each of them."""
 
     name: str
     request: object
     frames: list[TimedFrame]
-    numbers: list[int]
+    frame_numbers: list[int]
 
     def subject(self, through: str) -> AccuracySubject:
-        """Return the terrain as a subject to be measured.
+        """Return the terrain as a subject to be measured. Any thread may call it, because it uses nothing of Blender.
 
-        Uses nothing of Blender, so any thread may call it.
-
-        through: the camera in words.
+        through: the camera, as a phrase after "through".
         """
         from ..session import session
 
         size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), setting_of_request(request)
-        found = AccuracySubject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
+        found = AccuracySubject(self.name, heights, self.frames, self.frame_numbers, seen, current, request.criterion)
         found.called, found.effects = self.name, plan(request.effects.requests)
         found.notes += omission_notes(request.criterion)
         return found
@@ -208,8 +211,9 @@ def whole_view(heights: HeightField, resolution: tuple[int, int]) -> View:
     x, y = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     radius = 0.5 * math.hypot(x, y, heights.max_height - heights.min_height)
     middle = np.array([0.0, 0.0, 0.5 * (heights.max_height + heights.min_height)])
-    half = math.atan(math.tan(math.radians(FOV_DEG) / 2) * min(resolution) / max(resolution))
-    distance = radius / math.sin(half)
+    # Half of the field of view along the shorter side of the picture, radians.
+    half_angle = math.atan(math.tan(math.radians(FOV_DEG) / 2) * min(resolution) / max(resolution))
+    distance = radius / math.sin(half_angle)
     eye = middle + distance * np.array(LOOK_FROM) / length(LOOK_FROM)
     return View.look(eye, middle, fov_deg=FOV_DEG, resolution=resolution, clip=(1e-3 * distance, 10 * distance))
 

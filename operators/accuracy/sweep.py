@@ -57,7 +57,7 @@ def check_report_name(obj) -> None:
 
 @contextmanager
 def copied_scene(scene, view_layer):
-    """Give the `with` block a copy of the scene, and its view layer, that may go to other frames.
+    """Yield a copy of the scene and its view layer, for a `with` block that visits other frames.
 
     The scene itself stays at its frame, with changes that have no keyframe.
     """
@@ -82,7 +82,7 @@ def readers_of(scene) -> list[str]:
 def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
     """Measure every setting of a sweep on the job's thread; return the subject with its rows.
 
-    Only writing meshes is done on the main thread. through: the camera in words.
+    Only writing meshes is done on the main thread. through: the camera, as a phrase after "through".
     """
     with session.engine_lock:
         subject = look.subject(through)
@@ -90,8 +90,8 @@ def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubjec
 
     def on_progress(fraction: float) -> None:
         """Show the setting that is being measured, from the fraction that is done."""
-        at = min(int(fraction * len(settings)), len(settings) - 1)
-        job.progress(fraction, f"Report: {setting_label(settings[at])}")
+        number = min(int(fraction * len(settings)), len(settings) - 1)
+        job.progress(fraction, f"Report: {setting_label(settings[number])}")
 
     subject.rows = sweep(
         subject.heights,

@@ -74,7 +74,10 @@ def paired_rows(rows: list[Row]) -> list[tuple[Row, Row]]:
 
 
 def _draw_jumps(pairs: list[tuple[Row, Row]]) -> str:
-    """Return the plot of the largest jump and of the 99.9th percentile, with and without geomorph."""
+    """Return the plot of the largest jump and of the 99.9th percentile, without and with geomorph, as SVG.
+
+    pairs: rows without and with it, as of `paired_rows`.
+    """
     curves = []
     for i, (name, colour) in enumerate((("without", RED), ("smooth", BLUE))):
         for part, label, dash in (("max", "largest", ""), ("p999", "99.9 %", "7 4")):

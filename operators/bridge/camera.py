@@ -91,8 +91,8 @@ def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View
 def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> np.ndarray:
     """Return the projection matrix of a camera, float64 [4, 4], as `Object.calc_matrix_camera` does.
 
-    That gives zeros for some clip ranges, depending on the version. Depth is scaled for 0 to infinity: only the
-    frame is of interest here. aspect: width and height of a pixel.
+    That gives zeros for some clip ranges, depending on the version. Depth is scaled for a clip range from 0 to
+    infinity, since only x and y in the frame are used. aspect: width and height of a pixel.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
     sensor, fitted = _fit_sensor(data, width, height)
@@ -174,9 +174,9 @@ def _world_to_camera(name: str, matrix) -> np.ndarray:
 
 
 def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
-    """Return the sensor size that spans the picture, and which of its sides, `width` or `height`, it spans.
+    """Return the sensor size and the side of the picture that it spans, which is `width` or `height`.
 
-    The size is millimetres, or the orthographic scale.
+    The size is in millimetres; for an orthographic camera only the side counts.
     """
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
     return data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width, width if horizontal else height
@@ -185,9 +185,8 @@ def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
 def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
     """Return the smallest angle that a pixel of a panorama spans, as Cycles projects.
 
-    For an unknown lens it is half of a full sphere's.
-
-    Along meridians: near the poles of a panorama, and near the border of a fisheye, a pixel's other side spans less.
+    For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side along the meridians
+    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less.
     """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.
@@ -197,7 +196,7 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         across = lens.longitude_max - lens.longitude_min
         up = lens.latitude_max - lens.latitude_min
         return min(abs(across) / width, abs(up) / height)
-    if panorama == "EQUIANGULAR_CUBEMAP_FACE":  # a quarter of a turn; in the corners a pixel spans two thirds of it
+    if panorama == "EQUIANGULAR_CUBEMAP_FACE":  # pi / 2 a face; a pixel in a corner spans two thirds of the mean
         return math.pi / 3 / max(width, height)
     if panorama == "CENTRAL_CYLINDRICAL":
         ends = lens.central_cylindrical_range_v_min, lens.central_cylindrical_range_v_max
@@ -212,6 +211,7 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
     if panorama == "FISHEYE_EQUISOLID":
         return millimetres / lens.fisheye_lens
     if panorama == "FISHEYE_LENS_POLYNOMIAL":
+        # millimetres from the middle of the sensor to a corner of the picture
         corner = 0.5 * sensor / fitted * math.hypot(width * aspect[0], height * aspect[1])
         radii = np.linspace(0.0, corner, 1025)
         factors = [getattr(lens, f"fisheye_polynomial_k{power}") for power in range(5)]
@@ -238,20 +238,20 @@ def _stereo_views(view: View, stereo) -> list[View]:
     stereo: Blender's stereo settings of the camera.
     """
     distance, convergence = stereo.interocular_distance, stereo.convergence_distance
-    places = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))
+    offsets = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))
     eyes = []
-    for place in places:
+    for offset in offsets:  # metres along the camera's x
         move = np.eye(4)
-        move[0, 3] = -place
+        move[0, 3] = -offset
         projection = None if view.projection is None else view.projection.copy()
         if stereo.convergence_mode == "TOE":
-            angle = math.atan2(place, convergence)
+            angle = math.atan2(offset, convergence)
             turn = np.eye(4)
             turn[0, [0, 2]], turn[2, [0, 2]] = (math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))
             move = product(turn, move)
         elif stereo.convergence_mode == "OFFAXIS" and view.kind == PERSPECTIVE:
             # The point straight ahead at the convergence distance falls on the same pixel for both eyes.
-            projection[0, 2] -= projection[0, 0] * place / convergence
+            projection[0, 2] -= projection[0, 0] * offset / convergence
         eyes.append(
             View(
                 product(move, view.world_to_camera),

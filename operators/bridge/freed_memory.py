@@ -106,7 +106,7 @@ def _hold_glibc() -> bool:
         return False
     if not _glibc_holds:
         _glibc_holds = True
-        if not option(_MMAP, _HELD):
+        if not option(_MMAP, _HELD):  # an older version refuses it
             option(_MMAP, _MMAP_LIMIT)
         option(_TRIM, _HELD)
     return True

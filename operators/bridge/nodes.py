@@ -38,7 +38,8 @@ class Nodes:
     def mix(self, factor, a, b):
         """Add a node that mixes two colours, `a` at factor 0 and `b` at 1; return its output."""
         node = self.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
-        for socket, value in zip((node.inputs[0], node.inputs[6], node.inputs[7]), (factor, a, b), strict=True):
+        colours = node.inputs[6], node.inputs[7]  # A and B; the node has further inputs of other types
+        for socket, value in zip((node.inputs[0], *colours), (factor, a, b), strict=True):
             if isinstance(value, bpy.types.NodeSocket):
                 self.tree.links.new(value, socket)
             else:
@@ -47,7 +48,7 @@ class Nodes:
 
     def arrange(self) -> None:
         """Arrange the nodes in columns, each to the right of the nodes that feed it."""
-        column: dict = {}
+        column: dict = {}  # number of the column by node
         pending = list(self.tree.nodes)
         feeds = {node: {link.from_node for link in self.tree.links if link.to_node == node} for node in pending}
         while pending:
@@ -55,7 +56,7 @@ class Nodes:
             for node in ready:
                 column[node] = 1 + max((column[before] for before in feeds[node]), default=-1)
             pending = [node for node in pending if node not in column]
-        filled: dict[int, int] = {}
-        for node, place in column.items():
-            node.location = 200.0 * place, -180.0 * filled.get(place, 0)
-            filled[place] = filled.get(place, 0) + 1
+        filled: dict[int, int] = {}  # number of placed nodes by column
+        for node, number in column.items():
+            node.location = 200.0 * number, -180.0 * filled.get(number, 0)
+            filled[number] = filled.get(number, 0) + 1

@@ -34,7 +34,7 @@ class SceneOrigin(NamedTuple):
 
 
 def origin_of(scene) -> SceneOrigin | None:
-    """Return the origin of a scene, None if it has none or an incomplete one."""
+    """Return the origin in a scene's custom properties, None if it has none or an incomplete one."""
     crs, x, y = (scene.get(name) for name in (SRID, CRS_X, CRS_Y))
     metres = list(scene.get(METRES, (1.0, 1.0)))
     if crs is None or not all(_is_number(value) for value in (x, y, *metres)) or not all(metres):
@@ -62,7 +62,10 @@ def full_name(crs: str) -> str:
 
 
 def unit_lengths(place: Place) -> tuple[float, float]:
-    """Return the metres in a unit of x and of y of a terrain's coordinate system."""
+    """Return the metres in a unit of x and of y of a coordinate system.
+
+    place: affine map from metres in a terrain's space to the system, three numbers for x and three for y.
+    """
     return 1.0 / math.hypot(place[0], place[1]), 1.0 / math.hypot(place[3], place[4])
 
 

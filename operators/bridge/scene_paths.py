@@ -36,8 +36,8 @@ def store_path(obj) -> str:
 def propose_file(operator, obj, name_end: str = "") -> None:
     """Let the file dialog of an operator propose the terrain's name, unless it has a path already.
 
-    The folder is that of the .blend file, or before it is saved that of the terrain's height map. `name_end`: what
-    follows the name, which keeps a proposal from replacing that height map.
+    The folder is that of the .blend file, or before it is saved that of the terrain's height map. `name_end`: added
+    to the name, which keeps a proposal from replacing that height map.
     """
     import bpy
 

@@ -31,7 +31,10 @@ def may_write() -> bool:
 
 
 def allow_writing(function):
-    """Decorate a function that a timer or a handler calls, so that it may write after any render."""
+    """Decorate a function that a timer or a handler calls, so that it may write after any render.
+
+    Where Blender's flag forbids writing, the function runs inside the update function of a property.
+    """
 
     @wraps(function)
     def allowed(*arguments):

@@ -50,10 +50,10 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         layout.use_property_split = True
         layout.prop(self, "land")
         layout.prop(self, "seed")
-        for name, free in (("shape", land.preset), ("natural_size", not self._is_shaped(land)),
-                           ("size", not self.natural_size and not self._is_shaped(land))):  # fmt: skip
+        for name, has_effect in (("shape", land.preset), ("natural_size", not self._is_shaped(land)),
+                                 ("size", not self.natural_size and not self._is_shaped(land))):  # fmt: skip
             row = layout.row()
-            row.enabled = bool(free)
+            row.enabled = bool(has_effect)
             row.prop(self, name)
         for name in ("align", "location", "rotation"):
             layout.prop(self, name)

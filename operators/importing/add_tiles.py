@@ -74,6 +74,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
     def _add(self, settings):
         """Import the terrain's files and the chosen ones as one; they are in its settings from the start on."""
         known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
+        # Each new file once, at its last place, since later files cover earlier ones; reversed again below.
         new = {
             absolute_path(path): path for path in reversed(self.chosen()) if path and absolute_path(path) not in known
         }

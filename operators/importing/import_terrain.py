@@ -96,7 +96,10 @@ def is_raw(path: str) -> bool:
 
 
 def has_option(path: str, option: str) -> bool:
-    """Return whether an import option of source_formats.py applies to a file; BAND: whether it can name its place."""
+    """Return whether an import option of source_formats.py applies to a file, by the end of its name.
+
+    Files that have BAND can record their position on Earth, too.
+    """
     return path.lower().endswith(suffixes_with(option))
 
 
@@ -135,13 +138,19 @@ def start_import(operator, run, **properties) -> set[str]:
 
 
 class ImportOperator(JobOperator):
-    """Base of the operators that import."""
+    """Base of the operators that import.
+
+    Attributes:
+        shows_first_picture: whether a quick import is shown first.
+        before: Imported of the store that the terrain had before, None without one.
+        baked: path of the baked land that the import replaces, "" for none.
+    """
 
     bl_label = "Import"
 
     kind = jobs.IMPORT
     shows_first_picture = True
-    baked = ""  # path of the baked land that the import replaces
+    baked = ""
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store.
@@ -156,14 +165,14 @@ class ImportOperator(JobOperator):
         folder = store_folder(context.object, settings)
         if not (self.shows_first_picture and self.beside_window):
             return (yield from self._import(job, settings, folder))
-        quick, settings_now = None, dataclasses.replace(settings, quick=QUICK_SAMPLES)
-        if not changed_ns(absolute_path(folder)):
-            quick = yield from self._import(job, settings_now, folder)
-            if "loaded" not in quick[0] or job.terrain() is None:
+        quick, quick_settings = None, dataclasses.replace(settings, quick=QUICK_SAMPLES)
+        if not changed_ns(absolute_path(folder)):  # there is no store yet
+            quick = yield from self._import(job, quick_settings, folder)
+            if "loaded" not in quick[0] or job.terrain() is None:  # the store is complete, or its terrain is gone
                 return quick
             self.finish(bpy.context, job.terrain(), quick)
         try:
-            with view_tiles.loading(job.uid, settings_now, absolute_path(folder)) as loader:
+            with view_tiles.loading(job.uid, quick_settings, absolute_path(folder)) as loader:
                 if quick is not None:
                     yield from self._load_seen(job, loader, folder)
                 return (yield from self._complete(job, loader, settings, folder))
@@ -203,7 +212,7 @@ class ImportOperator(JobOperator):
                 yield
 
     def _import(self, job: jobs.BackgroundJob, settings: ImportSettings, folder: str) -> jobs.Steps:
-        """Import into the store `folder`; return the report and the path."""
+        """Import into the store `folder` in a child process; return the import's report and the path."""
         job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
         yield from jobs.wait_for_kernels(job)  # the end of an import may update the mesh
@@ -214,24 +223,27 @@ class ImportOperator(JobOperator):
         _gone.add(self.job.uid)
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
-        """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
+        """Give the store to the terrain, place it, and report. Frame a terrain that had none, or one of another size.
+
+        result: the import's report and the path of the store.
+        """
         report, folder = result
-        before, anchor = _size_of(obj), anchor_of(obj)
+        size_before, anchor_before = _size_of(obj), anchor_of(obj)
         follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
         imported.tag_object(obj)
-        now = imported.imported_of(obj.adaptive_terrain)
-        shared_origin.keep_anchor_inside(obj, now)
-        shift = shared_origin.origin_shift(obj, self.before, now, anchor)
+        found = imported.imported_of(obj.adaptive_terrain)
+        shared_origin.keep_anchor_inside(obj, found)
+        shift = shared_origin.origin_shift(obj, self.before, found, anchor_before)
         if follows:
-            for note in shared_origin.place_terrain(obj, context.scene, now):
+            for note in shared_origin.place_terrain(obj, context.scene, found):
                 self.report({"WARNING"}, note)
-        shared_origin.keep_ground(obj, shift, follows)
-        self.before = now
+        shared_origin.keep_ground(obj, shift, is_placed=follows)
+        self.before = found
         context.view_layer.update()
-        after = _size_of(obj)
-        if after and not (before and 1 / RESIZED < after / before < RESIZED):
+        size = _size_of(obj)
+        if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
             self._bring_into_view(context, obj)
         self._report_and_update(obj, report)
         if self.baked not in ("", folder):
@@ -241,7 +253,7 @@ class ImportOperator(JobOperator):
             self.baked = ""
 
     def _bring_into_view(self, context, obj):
-        """Frame the terrain in the viewports, and report the changes in words."""
+        """Frame the terrain in the viewports, and report the changes there."""
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
         try:
             done = frame_terrain.frame_terrain(obj, context.evaluated_depsgraph_get(), viewports, always=False)

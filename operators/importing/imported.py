@@ -24,26 +24,20 @@ MAX_WARNINGS, LONGEST_WARNING = 8, 500
 
 @dataclass(frozen=True)
 class Imported:
-    """What a store records about its import.
+    """What a store records about its import. Pairs are along x (east) and y (north) unless they say otherwise."""
 
-    `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
-    and between samples, the lowest and the highest height, the steps of an incomplete store as loaded and in its source
-    (None: complete), the step of its loaded tiles and their number (None: none), the import's warnings, and the place
-    of the raster's middle (georeference.py; None: unknown). `is_shaped`: a stack of land effects has made the heights.
-    """
-
-    settings: dict
-    crs: str
-    origin: tuple[float, float]
-    raster: tuple[int, int]
+    settings: dict  # of the import, {} if unknown
+    crs: str  # coordinate system, "" for none
+    origin: tuple[float, float]  # coordinates of the raster's middle in the CRS's unit
+    raster: tuple[int, int]  # samples
     extent_m: tuple[float, float]
-    step_m: tuple[float, float]
-    heights_m: tuple[float, float]
-    loaded_m: tuple[float, float] | None = None
-    refined_m: tuple[float, int] | None = None
+    step_m: tuple[float, float]  # between samples
+    heights_m: tuple[float, float]  # lowest and highest
+    loaded_m: tuple[float, float] | None = None  # steps of an incomplete store: loaded, and of its source
+    refined_m: tuple[float, int] | None = None  # step and number of tiles that an incomplete store has loaded
     warnings: tuple[str, ...] = ()
-    place: Place | None = None
-    is_shaped: bool = False
+    place: Place | None = None  # affine map from metres about the middle to the CRS, None if unknown
+    is_shaped: bool = False  # a stack of land effects has made the heights
 
 
 def imported_of(settings) -> Imported | None:
@@ -90,8 +84,8 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
 def _pair(report: dict, name: str) -> tuple | None:
     """Return two counts or lengths of an unchecked report; None if they are not valid."""
     value = report.get(name)
-    good = isinstance(value, list) and len(value) == 2
-    return tuple(value) if good and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
+    is_pair = isinstance(value, list) and len(value) == 2
+    return tuple(value) if is_pair and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
 
 
 def info_lines(imported: Imported | None) -> list[tuple[str, str]]:
@@ -130,14 +124,14 @@ def _crs_name(crs: str) -> str:
 
 
 def _coordinate(value: float) -> str:
-    """Return a coordinate with digits down to about a metre, also in degrees."""
+    """Return a coordinate with digits down to about a metre; up to 360 it may be in degrees."""
     return f"{value:.0f}" if abs(value) > 360.0 else f"{value:.5f}"
 
 
 def _join_lengths(texts: list[str]) -> str:
     """Return two lengths as `31.9 x 29.9 km`, with the unit once if it is the same."""
-    (first, unit), (second, other) = (text.rsplit(" ", 1) for text in texts)
-    return f"{first} x {second} {unit}" if unit == other else " x ".join(texts)
+    (first, first_unit), (second, second_unit) = (text.rsplit(" ", 1) for text in texts)
+    return f"{first} x {second} {first_unit}" if first_unit == second_unit else " x ".join(texts)
 
 
 def changed_settings(settings: ImportSettings, imported: Imported | None) -> list[str]:
@@ -158,7 +152,7 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
         elif name == "more_sources":
             before = before if isinstance(before, list | tuple) else ()
             same = len(value) == len(before) and all(map(_same_file, value, before))
-        elif name == "height_scale":  # None and 1 give the same heights but for an image, which older stores took as 1
+        elif name == "height_scale":  # None and 1 differ for an image only, for which older stores recorded 1
             same = (1.0 if value is None else value) == (1.0 if before is None else before)
         elif name == "no_data":  # kept as a text, which NaN is too
             same = str(value) == str(before)

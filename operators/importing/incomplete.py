@@ -12,9 +12,9 @@ from .imported import loaded_text
 
 
 def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
-    """Wait before a render until the tiles that it sees are loaded, or if it needs more detail, the running imports.
+    """Wait before a render until the tiles that it sees are loaded; if it needs finer ones, until imports are complete.
 
-    depsgraph: the render's. Return the error of a wait that the user ends with Esc.
+    depsgraph: the render's. Return the error of a wait that the user ended with Esc, [] if there was none.
     """
     for obj in terrains:
         job = jobs.find(jobs.IMPORT, obj)
@@ -29,7 +29,7 @@ def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
 
 
 def note_incomplete(scene, terrains: list) -> None:
-    """Say in the summary of a render, and on the console, how detailed incomplete terrains are."""
+    """Report in the summary of a render, and on the console, the detail of incomplete terrains."""
     for obj in terrains:
         text = loaded_text(obj.adaptive_terrain)
         if text and not obj.hide_render:

@@ -50,9 +50,9 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
         for other in [other for other in session.all_terrains() if other.session_uid in self.joined]:
             mesh, scatters = other.data, scatters_of(other)
             for child in other.children:
-                place, child.parent = child.matrix_world.copy(), obj
+                in_world, child.parent = child.matrix_world.copy(), obj
                 if child not in scatters:  # those get points of the joined terrain
-                    child.matrix_world = place
+                    child.matrix_world = in_world  # a new parent would move it
             bpy.data.batch_remove([other, *([mesh] if mesh.users == 1 else [])])
 
     def _restore(self, obj) -> None:

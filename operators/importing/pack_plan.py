@@ -42,7 +42,7 @@ class PackPlan:
     maps: dict[str, str] = field(default_factory=dict)
 
     def copies(self) -> list[Callable[[OnProgress], None]]:
-        """Return the functions that make the copies; each takes a function for its fraction done."""
+        """Return the functions that make the copies; each calls its argument with the fraction done."""
         found = [partial(copy_store, source, absolute_path(target)) for source, (target, _) in self.stores.items()]
         found += [partial(_copy_land, source, target) for source, target in self.lands.items()]
         return found + [partial(_copy_maps, source, target) for source, target in self.maps.items()]
@@ -89,7 +89,7 @@ def plan_packing(objects: list) -> PackPlan:
             planned.stores[str(folder)] = _packed_path(obj, folder, content, targets), []
         target, uids = planned.stores[str(folder)]
         uids.append(obj.session_uid)
-        if real_path(absolute_path(target)) != folder:
+        if real_path(absolute_path(target)) != folder:  # else the store is below the .blend file already
             planned.lands |= _lands_of(obj, target)
             planned.maps |= _maps_of(obj, target)
     return planned
@@ -138,7 +138,7 @@ def _packed_path(obj, folder: Path, content: dict, targets: set[str]) -> str:
 
 
 def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
-    """Return `wanted`, or with a number the next path that neither another store has nor `targets`.
+    """Return `wanted`, or `wanted` with the first number whose path no other store has and `targets` lacks.
 
     content: JSON of the store to copy: a folder with the same store counts as free.
     """
@@ -146,25 +146,23 @@ def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
     while True:
         folder = wanted if number == 1 else f"{wanted}_{number}"
         try:
-            there = stores.read_json(Path(absolute_path(folder)))
-            same = (there["key"], there["data"]) == (content["key"], content["data"])
+            existing = stores.read_json(Path(absolute_path(folder)))
+            is_free = (existing["key"], existing["data"]) == (content["key"], content["data"])
         except TerrainError:
-            same = not Path(absolute_path(folder), stores.JSON_NAME).exists()
-        if same and folder not in targets:
+            is_free = not Path(absolute_path(folder), stores.JSON_NAME).exists()  # a damaged store is not replaced
+        if is_free and folder not in targets:
             return folder
         number += 1
 
 
 def room_text(planned: PackPlan) -> str:
-    """Return the size of all that packing copies, for the question to the user.
+    """Return the size of all that packing copies, for the question to the user. Raises OSError.
 
-    Raises OSError.
-
-    On one disk the arrays of a copy take no room.
+    On the same disk the arrays of stores are shared with the copy and take no room; maps always do.
     """
     folders = [*planned.stores, *planned.lands, *planned.maps]
-    here = os.stat(Path(bpy.data.filepath).parent).st_dev
-    arrays = [*planned.stores, *planned.lands]
-    copied = [f for f in folders if f not in arrays or os.stat(f).st_dev != here]
+    disk = os.stat(Path(bpy.data.filepath).parent).st_dev
+    with_arrays = [*planned.stores, *planned.lands]
+    takes_room = [f for f in folders if f not in with_arrays or os.stat(f).st_dev != disk]
     size = f"{plain(sum(bytes_in(Path(folder)) for folder in folders) / 1e6)} MB"
-    return f"{size}, which take no more room on this disk" if not copied else size
+    return f"{size}, which take no more room on this disk" if not takes_room else size

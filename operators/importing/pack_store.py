@@ -71,7 +71,7 @@ class PackStore(JobOperator, bpy.types.Operator):
 
     def finish(self, _context, _obj, planned: PackPlan) -> None:
         """Let the terrains and the images of their maps use the copies; save the file again if this followed a save."""
-        clean = not bpy.data.is_dirty
+        is_saved = not bpy.data.is_dirty  # saving again then saves nothing but the new paths
         self._show_copied_maps(planned)
         targets = {uid: target for target, uids in planned.stores.values() for uid in uids}
         for obj in session.all_terrains():
@@ -81,7 +81,7 @@ class PackStore(JobOperator, bpy.types.Operator):
         more = [f"{len(found)} {what}" for found, what in ((planned.lands, "of shaped land"),
                                                           (planned.maps, "of maps")) if found]  # fmt: skip
         self.report({"INFO"}, f"Beside the file now: {names}" + (f", with folders: {', '.join(more)}" if more else ""))
-        if self.save_again and clean:
+        if self.save_again and is_saved:
             bpy.ops.wm.save_mainfile()
 
     def _show_copied_maps(self, planned: PackPlan) -> None:

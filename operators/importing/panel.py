@@ -59,7 +59,7 @@ class SourcePanel(TerrainSubpanel):
 
 
 def _draw_heights(column, settings) -> None:
-    """Draw the range of heights of a file, or scale and offset."""
+    """Draw the lowest and the highest height if a file is to get them, otherwise scale and offset."""
     if settings.source == FILE:
         column.prop(settings, "use_heights")
     is_range = settings.source == FILE and settings.use_heights

@@ -18,17 +18,19 @@ MAX_GAP_ERROR = 0.25
 def neighbour_notes(obj, others) -> list[str]:
     """Return notes about other terrains of the same coordinate system: a wrong distance, an open cell between both.
 
-    Every terrain is imported to its object's place, so two neighbouring rasters overlap at first.
+    Every terrain is imported to its object's location, so two neighbouring rasters overlap at first. The wrong distance
+    is noted for one other terrain only.
     """
-    notes, on_other = [], False
+    notes, has_noted_distance = [], False
     for other in others:
         if other == obj or not obj.get(SRID) or other.get(SRID) != obj[SRID]:
             continue
-        apart = [obj[name] - other[name] for name in (CRS_X, CRS_Y)]
-        stands = [a - b for a, b in zip(obj.matrix_world.translation, other.matrix_world.translation, strict=True)][:2]
-        if any(apart) and not any(stands) and not on_other:
-            on_other = True
-            east, north = (f"{value:.10g}" for value in apart)
+        crs_offset = [obj[name] - other[name] for name in (CRS_X, CRS_Y)]
+        locations = zip(obj.matrix_world.translation, other.matrix_world.translation, strict=True)
+        offset = [a - b for a, b in locations][:2]  # metres in the scene
+        if any(crs_offset) and not any(offset) and not has_noted_distance:
+            has_noted_distance = True
+            east, north = (f"{value:.10g}" for value in crs_offset)
             notes.append(
                 f"{shown(obj.name)} stands where {shown(other.name)} stands, but in {shown(obj[SRID], 40)} it is "
                 f"{east} further east and {north} further north, in the system's units: change its location by that "
@@ -41,7 +43,7 @@ def neighbour_notes(obj, others) -> list[str]:
             problem = (
                 f"The cells of {both} meet edge to edge, but a mesh ends at the middles of its outermost samples, so "
                 "one cell between them stays open"
-                if gap
+                if gap == 1
                 else f"{both} share a line of samples, where their meshes may be apart by up to the sum of both errors"
             )
             notes.append(
@@ -72,9 +74,9 @@ def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> floa
     """
     gaps = []
     for axis in (0, 1):
-        apart = abs(second.origin[axis] - first.origin[axis]) * metres[axis]
+        distance = abs(second.origin[axis] - first.origin[axis]) * metres[axis]  # of the rasters' middles
         cell = (first.step_m[axis] + second.step_m[axis]) / 2
-        gaps.append((apart - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
+        gaps.append((distance - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
     return max(gaps) if min(gaps) < -MAX_GAP_ERROR else math.inf
 
 

@@ -19,7 +19,7 @@ SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 
 
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
-    """Return whether an import may move a terrain: it is at its coordinates, or was just added.
+    """Return whether an import may move a terrain: it is at its coordinates, or was just added and not moved since.
 
     A scene without an origin gets that of the terrain. before: facts of the terrain's last import, None for the first.
     """
@@ -38,7 +38,7 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
 def keep_anchor_inside(obj, imported: Imported | None) -> None:
     """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster."""
     half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
-    if any(abs(at) > border for at, border in zip(anchor_of(obj), half, strict=True)):
+    if any(abs(offset) > border for offset, border in zip(anchor_of(obj), half, strict=True)):
         obj.adaptive_terrain.anchor = (0.0, 0.0)
 
 
@@ -50,15 +50,16 @@ def origin_shift(obj, before: Imported | None, imported: Imported | None, anchor
     """
     if before is None or imported is None or before.crs != imported.crs or None in (before.place, imported.place):
         return np.zeros(2)
-    there = from_crs(before.place, to_crs(imported.place, np.array([(0.0, 0.0), anchor_of(obj)])))
+    new_points = np.array([(0.0, 0.0), anchor_of(obj)])
+    middle, new_anchor = from_crs(before.place, to_crs(imported.place, new_points))  # metres in the earlier raster
     reach = (np.array(before.extent_m) + imported.extent_m) / 2
-    return there[1] - anchor if (np.abs(there[0]) < reach).all() else np.zeros(2)
+    return new_anchor - anchor if (np.abs(middle) < reach).all() else np.zeros(2)
 
 
 def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
     """Let the ground and the children of a terrain stay in the world although its origin has moved in its raster.
 
-    by: see `origin_shift`. is_placed: whether the object was moved already.
+    by: result of `origin_shift`, metres. is_placed: whether the object itself was moved to its coordinates already.
     """
     if np.abs(by).max() <= SAME:
         return
@@ -90,13 +91,18 @@ def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
 
 
 def _transform_of(obj, origin: SceneOrigin | None, imported: Imported) -> tuple | None:
-    """Return x and y, the rotation about z in radians, and the scales of a terrain; None in another system."""
+    """Return x and y, the rotation about z in radians, and the scales along x and y that a terrain needs in a scene.
+
+    Return None if the terrain has another coordinate system than the scene, or none.
+    """
     if origin is None or imported.place is None or imported.crs != origin.crs:
         return None
     x, y = anchor_of(obj)
-    corners = from_crs(origin.place, to_crs(imported.place, np.array([[x, y], [x + 1.0, y], [x, y + 1.0]])))
-    (ax, ay), (bx, by) = corners[1:] - corners[0]
-    return corners[0].tolist(), math.atan2(ay, ax), (math.hypot(ax, ay), math.hypot(bx, by))
+    # The anchor, and the points one metre east and north of it, in the world.
+    points = from_crs(origin.place, to_crs(imported.place, np.array([[x, y], [x + 1.0, y], [x, y + 1.0]])))
+    (east_x, east_y), (north_x, north_y) = points[1:] - points[0]
+    scales = math.hypot(east_x, east_y), math.hypot(north_x, north_y)
+    return points[0].tolist(), math.atan2(east_y, east_x), scales
 
 
 def _is_plain(obj) -> bool:
@@ -109,8 +115,8 @@ def _begin_origin(obj, scene, imported: Imported) -> None:
     """Give the scene the coordinates of the world's origin by its first terrain, if that is not turned or scaled."""
     if obj.parent is not None or not _is_plain(obj) or not _is_straight(imported.place):
         return
-    at = np.array([anchor_of(obj)]) - np.array([obj.location[:2]])
-    ((x, y),) = to_crs(imported.place, at).tolist()
+    world_origin = np.array([anchor_of(obj)]) - np.array([obj.location[:2]])  # metres from the raster's middle
+    ((x, y),) = to_crs(imported.place, world_origin).tolist()
     origin = SceneOrigin(imported.crs, x, y, unit_lengths(imported.place))
     lengths = [1.0 if abs(metres - 1.0) < SAME else metres for metres in origin.metres]
     try:
@@ -122,7 +128,7 @@ def _begin_origin(obj, scene, imported: Imported) -> None:
 
 
 def _is_straight(place: Place) -> bool:
-    """Return whether a terrain's axes are those of its coordinate system."""
+    """Return whether a terrain's axes are those of its coordinate system: x depends on east only, y on north only."""
     return place[1] == place[3] == 0.0
 
 

@@ -55,7 +55,7 @@ def lies_beside(settings) -> bool:
 
 
 def can_write_beside() -> bool:
-    """Return whether the file is saved, and its folder can be written."""
+    """Return whether the file is saved, and the folder `terrain` beside it can be written or made."""
     if not bpy.data.filepath:
         return False
     folder = Path(bpy.data.filepath).parent

@@ -99,14 +99,14 @@ def find_moved_stores(objects=None) -> None:
 
     objects: terrains to look at, None for all.
     """
-    found = []
+    found = []  # texts about the new paths
     for obj in session.all_terrains() if objects is None else objects:
         settings = obj.adaptive_terrain
         before = absolute_path(settings.store)
         if settings.store and (folder := _new_folder(before)):
             settings.store = folder
             found.append(f"that of {obj.name} in {folder}")
-        elif settings.store and _would_be_deleted(before):
+        elif settings.store and _would_be_deleted(before):  # the next import then writes into the data folder
             settings.store = str(data_folder() / Path(before).name)
     if found:
         _find_moved_images()

@@ -45,7 +45,8 @@ class TileLoader:
         self.child: ImportJob | None = None
         self._has_failed = False
         self._shown: object = self  # key of the last view; no view has this one
-        self._served, self._since = self._shown, 0.0
+        self._since = 0.0  # monotonic seconds since when that view has been shown
+        self._served = self._shown  # key of the last view whose tiles were requested
 
     def start(self, obj, depsgraph, *modes: str) -> ImportJob | None:
         """Start `child` if views lack tiles, and return it; None if they lack none.
@@ -60,12 +61,15 @@ class TileLoader:
         return self.child
 
     def _load(self, tiles: Iterable[int]) -> ImportJob:
-        """Start a child that loads further tiles. Raises TerrainError."""
+        """Start a child that loads further tiles, by their numbers, and those that were loaded. Raises TerrainError."""
         wanted = loaded_tiles(read_json(self._store)["provenance"]).union(tiles)
         return ImportJob(dataclasses.replace(self._settings, loaded_tiles=tuple(sorted(wanted))), self._store)
 
     def turn(self, obj) -> bool:
-        """Load tiles for a view that rests; return whether new ones are there. Call it often on the main thread."""
+        """Load tiles for a view that rests; return whether new ones are there. Call it often on the main thread.
+
+        obj: the terrain, None if it is gone.
+        """
         if self.child is not None:
             progress = self.child.poll()
             if not progress.done:
@@ -114,7 +118,7 @@ class TileLoader:
 
 @contextmanager
 def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoader]:
-    """Yield the TileLoader of a terrain while its import runs. uid: session_uid. Others: as of TileLoader."""
+    """Yield the TileLoader of a terrain while its import runs. uid: session_uid. settings, store: see TileLoader."""
     loader = _loaders[uid] = TileLoader(settings, store)
     try:
         yield loader
@@ -152,9 +156,9 @@ def loaded_here(context, obj) -> str:
 
 
 def _target_of(context, obj) -> tuple[float, float]:
-    """Return where the middle of a viewport, or of the camera without one, meets the terrain; else the eye's place.
+    """Return where the middle of a viewport, or of the camera without one, meets the terrain; else the eye's x and y.
 
-    That is metres from the raster's middle. Raises TerrainError.
+    Both are metres from the raster's middle. Raises TerrainError.
     """
     space = context.space_data
     if space is not None and space.type == "VIEW_3D":
@@ -168,8 +172,8 @@ def _target_of(context, obj) -> tuple[float, float]:
     from_camera, lattice = inverse(product(view.world_to_camera, raster_placement_of(obj))), field.lattice
     eye, ahead = from_camera[:3, 3], -from_camera[:3, 2]
     west, south, east, north = lattice.rectangle()
-    size = np.hypot(east - west, north - south) / np.linalg.norm(ahead)
-    points = eye + ahead * (RAY_DISTANCES * size)[:, None]
+    diagonal = np.hypot(east - west, north - south) / np.linalg.norm(ahead)  # in lengths of `ahead`
+    points = eye + ahead * (RAY_DISTANCES * diagonal)[:, None]
     points = points[((points[:, :2] >= (west, south)) & (points[:, :2] <= (east, north))).all(axis=1)]
     columns = np.rint((points[:, 0] - west) / lattice.step_x).astype(np.int64)
     rows = np.rint((points[:, 1] - south) / lattice.step_y).astype(np.int64)

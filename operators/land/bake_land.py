@@ -26,8 +26,8 @@ from .request import land_of
 def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
     """Return a function that opens the height field of a terrain's shaped land, on any thread.
 
-    It shapes the land first, which takes long, if it is not shaped yet. Without a stack this is the imported height
-    field. Both raise TerrainError.
+    That function shapes the land first, which takes long, if it is not shaped yet. Without a stack it opens the
+    imported height field. Both functions raise TerrainError.
     """
     store, land = store_path(obj), land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     return lambda: derived_store.raster_of(store, land, session.open_field, verified=True)
@@ -69,6 +69,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
         def copy() -> tuple[Land, str]:
             """Check the shaped land, which is shaped first if a script has not done that, and copy it."""
             with stopping.checking(job.raise_if_stopped):
+                # "": the store counts only without land
                 derived_store.raster_of("", land, session.open_field, verified=True)
                 copy_store(land.folder, target, job.progress)
             return land, folder

@@ -9,7 +9,10 @@ PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's preset
 
 
 def add_entry(land, effect: str):
-    """Add an entry at the end of a stack, with a unique name and a seed that no other entry has."""
+    """Add an entry at the end of a stack, with a unique name and a seed that no other entry has.
+
+    land: the LandSettings. effect: name of a height operator; one that this version lacks is named by itself.
+    """
     label = getattr(operator_of(effect), "label", effect)
     used, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
     entry = land.entries.add()
@@ -19,10 +22,10 @@ def add_entry(land, effect: str):
 
 
 def free_name(name: str, used: set[str]) -> str:
-    """Return `name`, or the first free name with a number after it, as Blender numbers."""
+    """Return `name`, or the first free name with a number from .001 to .999 after it, as Blender numbers."""
     if name not in used:
         return name
-    base = name[:-4] if name[-4:-3] == "." and name[-3:].isdigit() else name
+    base = name[:-4] if name[-4:-3] == "." and name[-3:].isdigit() else name  # without an earlier number
     return next(other for number in range(1, 1000) if (other := f"{base}.{number:03}") not in used)
 
 

@@ -16,7 +16,7 @@ from ..bridge.evaluated import anchor_of, evaluated_or_still
 from ..layers.images import painted_of
 
 SHADOW_SIDE = 512  # samples of a shadow along the terrain's longer side
-FINE = 4  # points along a side of each of them, which count alike: its rim is soft
+FINE = 4  # points along a side of each sample, whose covered fraction is its value: the border of a shadow is soft
 
 
 def write_image_mask(image, folder: Path) -> str:
@@ -33,9 +33,9 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
 
     terrain: evaluated object. extent_m: its size in metres, from west to east and from south to north.
     """
-    found, matrix = evaluated_or_still(depsgraph, obj, "mask")
-    triangles = plan_triangles(found, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
-    triangles += anchor_of(terrain)
+    evaluated, matrix = evaluated_or_still(depsgraph, obj, "mask")
+    triangles = plan_triangles(evaluated, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
+    triangles += anchor_of(terrain)  # from metres about the object's origin to metres about the raster's middle
     content = repr(extent_m).encode() + triangles.tobytes()
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
     return _write_once(folder, digest, lambda: rasterize_shadow(triangles, extent_m)[::-1])
@@ -44,7 +44,7 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
 def _write_once(folder: Path, digest: str, make) -> str:
     """Write a float32 array to `folder`/`digest`.npy unless the file exists; return its path.
 
-    make: returns the array; called only if the file is missing. Raises TerrainError.
+    digest: of the array's content. make: returns the array; called only if the file is missing. Raises TerrainError.
     """
     path = folder / f"{digest}.npy"
     if is_real_file(path):
@@ -69,7 +69,7 @@ def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np
     columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)
     covered = np.zeros((rows * FINE, columns * FINE), bool)
     scale = np.array([columns * FINE / extent_m[0], rows * FINE / extent_m[1]])
-    corners = (triangles + np.array(extent_m) / 2) * scale - 0.5  # point [0, 0] lies half a distance inside
+    corners = (triangles + np.array(extent_m) / 2) * scale - 0.5  # point [0, 0] is half a spacing inside the border
     for triangle in corners:
         _mark_inside(covered, triangle)
     return covered.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3), dtype=np.float32)
@@ -77,14 +77,14 @@ def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np
 
 def _mark_inside(covered: np.ndarray, triangle: np.ndarray) -> None:
     """Set the points of a grid, bool [rows, columns], inside a triangle, float64 [3, 2] in columns and rows."""
-    limit = np.array(covered.shape[::-1])
-    low = np.clip(np.ceil(triangle.min(axis=0)), 0, limit).astype(int)
-    high = np.clip(np.floor(triangle.max(axis=0)) + 1, 0, limit).astype(int)
+    shape = np.array(covered.shape[::-1])
+    low = np.clip(np.ceil(triangle.min(axis=0)), 0, shape).astype(int)
+    high = np.clip(np.floor(triangle.max(axis=0)) + 1, 0, shape).astype(int)
     if (low >= high).any():
         return
     x, y = np.arange(low[0], high[0])[None, :], np.arange(low[1], high[1])[:, None]
     sides = []
     for (ax, ay), (bx, by) in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
-        sides.append((bx - ax) * (y - ay) - (by - ay) * (x - ax))
+        sides.append((bx - ax) * (y - ay) - (by - ay) * (x - ax))  # cross product: its sign is the side of the edge
     inside = np.logical_and.reduce([side >= 0 for side in sides]) | np.logical_and.reduce([side <= 0 for side in sides])
     covered[low[1] : high[1], low[0] : high[0]] |= inside

@@ -46,14 +46,14 @@ class LandList(bpy.types.UIList):
 
 
 def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
-    """Return the time that entries took, "Reused" if all their tiles were known before.
+    """Return the time that entries took together, "Reused" if all their tiles were known before.
 
-    ms: milliseconds by the number of the entry, as in LandState. numbers: those of the entries.
+    ms: milliseconds by the number of the entry, None for a reused one, as in LandState. numbers: entries to add up.
     """
-    found = [ms[number] for number in numbers if number in ms]
-    if found and all(one is None for one in found):
+    times = [ms[number] for number in numbers if number in ms]
+    if times and all(time is None for time in times):
         return phrase("Reused")
-    return time_text(sum(one or 0.0 for one in found) if found else None)
+    return time_text(sum(time or 0.0 for time in times) if times else None)
 
 
 class LandPresets(PresetPanel, bpy.types.Panel):
@@ -137,10 +137,10 @@ def _draw_shaping(row, obj, state) -> None:
         row.progress(factor=wait.fraction, text=phrase("Render: {}", wait.brief))
         return
     if job is None:
-        failed = state.active and bool(session.record_of(obj).status.error)
-        row.enabled = wanted = state.wanted or failed
-        text = _shape_button_text(obj) if wanted else "Shaped" if state.active else "Nothing to Shape"
-        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
+        has_failed = state.active and bool(session.record_of(obj).status.error)
+        row.enabled = has_work = state.wanted or has_failed
+        text = _shape_button_text(obj) if has_work else "Shaped" if state.active else "Nothing to Shape"
+        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if has_work else "CHECKMARK")
         return
     row = jobs.draw_progress(row, job)
     row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
@@ -151,7 +151,7 @@ def _shape_button_text(obj) -> str:
     seconds = shaped_land.seconds_to_shape(obj)
     if seconds is None:
         return "Shape Now"
-    rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"
+    rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"  # no more digits than it is good for
     return phrase("Shape Now (about {} s)", rounded)
 
 
@@ -195,7 +195,10 @@ class LandEffectPanel(TerrainSubpanel):
 
 
 def _draw_mask(column, mask) -> None:
-    """Draw the settings of an entry's mask: of an image, an object or rules, whichever it uses."""
+    """Draw the settings of an entry's mask (a LandMask): of an image, an object or rules, whichever it uses.
+
+    Rules are drawn if they are switched on or in ALWAYS; a menu adds others.
+    """
     column.separator()
     column.prop(mask, "kind")
     if mask.kind == BY_IMAGE:

@@ -74,8 +74,8 @@ class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
         if stack.heights is not None and imported is not None:
             designed_for, stack = stack.heights, fitted(stack, *imported.heights_m)
             if stack.heights != designed_for:
-                low, high, *here = (plain(v, 3) for v in (*designed_for, *stack.heights))
-                note = f"Made for land from {low} to {high} m: heights and uplift fitted to {here[0]} to {here[1]} m"
+                low, high, new_low, new_high = (plain(v, 3) for v in (*designed_for, *stack.heights))
+                note = f"Made for land from {low} to {high} m: heights and uplift fitted to {new_low} to {new_high} m"
                 self.report({"INFO"}, note)
         for left_out in land_stack.fill(context.object.adaptive_terrain.land, stack):
             self.report({"WARNING"}, left_out)
@@ -93,7 +93,7 @@ class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
-        """Load a preset, as Blender's operator does for Python and XML files only."""
+        """Save the list as a preset, or delete one if `remove_name` is set; Blender's operator writes no JSON files."""
         name = self.as_filename(self.name)
         if not name:
             return {"FINISHED"}
@@ -112,7 +112,7 @@ class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
         return {"FINISHED"}
 
     def _remove(self, found: str | None):
-        """Remove a preset's file. Raises TerrainError unless it is one of the user's own."""
+        """Remove a preset's file. Raises TerrainError unless it is one of the user's own. found: path, None without."""
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
             raise TerrainError(f"The preset {self.name!r} cannot be removed", expected="one of your own presets")

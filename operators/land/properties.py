@@ -66,22 +66,25 @@ def _to_blender(parameter: Parameter, value: float) -> float:
 
 
 def _make_property(parameter: Parameter):
-    """Return the Blender property for a declared parameter, with its label, unit, range and default."""
-    known, about = UNITS.get(parameter.unit, {}), parameter.about
+    """Return the Blender property for a declared parameter, with its label, unit, range and default.
+
+    A unit that Blender does not know is written into the label, or into the tooltip if the label gets too long.
+    """
+    blender_unit, about = UNITS.get(parameter.unit, {}), parameter.about
     label = parameter.name.replace("_", " ").title()
-    if parameter.unit and not known and parameter.unit != parameter.name:
+    if parameter.unit and not blender_unit and parameter.unit != parameter.name:
         unit = unit_text(parameter.unit)
         with_unit = f"{label} ({unit})"
         label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about} ({unit})")
-    words = {"name": label, "description": about} | STILL
+    options = {"name": label, "description": about} | STILL
     if isinstance(parameter.default, int):
-        return IntProperty(**words, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
+        return IntProperty(**options, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
     low, high, default = (_to_blender(parameter, value) for value in (parameter.min, parameter.max, parameter.default))
     if not parameter.unit and (low, high) == (0.0, 1.0):
-        known = {"subtype": "FACTOR"}
-    # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
-    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or high))))
-    return FloatProperty(**words, default=default, min=low, max=high, precision=digits, **known)
+        blender_unit = {"subtype": "FACTOR"}
+    # Decimals for four significant digits of the default; if that is 0, of the maximum, and then three at least.
+    decimals = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or high))))
+    return FloatProperty(**options, default=default, min=low, max=high, precision=decimals, **blender_unit)
 
 
 def _make_group(effect: HeightOperator) -> type:

@@ -24,7 +24,7 @@ from ..text.translations import phrase
 
 CANCELLED = "land.cancelled"  # code of the error after Esc
 PRINTED_S = 10.0  # between lines on the console
-KNOWN = 0.05  # part of the work after which the time that is left can be told
+MEASURED = 0.05  # fraction of the work after which the remaining time is computed from the time that it took
 POLL_S = 0.05  # between looks at an import that a render waits for
 TEXT_PX, MARGIN_PX = 16, 20
 _handle = None
@@ -32,7 +32,17 @@ _handle = None
 
 @dataclass
 class LandWait:
-    """Shaping that a render waits for. `started`, `printed`: monotonic seconds. `estimate`: seconds expected before."""
+    """Shaping that a render waits for.
+
+    Attributes:
+        folder: store of the land that is shaped, "" for an import.
+        started: monotonic seconds of its start.
+        estimate: seconds that were expected before it started.
+        fraction: done, 0 to 1.
+        message: the present step.
+        printed: monotonic seconds of the last line on the console.
+        is_watched: an operator in each window hears Esc.
+    """
 
     folder: str
     started: float
@@ -51,11 +61,11 @@ class LandWait:
     def brief(self) -> str:
         """Return the fraction done and the estimated seconds left, for a narrow panel."""
         rest = 1.0 - self.fraction
-        left = rest * self.estimate
-        if self.fraction >= KNOWN:  # coarse levels come first and are slower than planned
-            left = min(left, rest * (time.monotonic() - self.started) / self.fraction)
+        seconds = rest * self.estimate
+        if self.fraction >= MEASURED:  # the smaller of both: coarse levels come first and are slower than planned
+            seconds = min(seconds, rest * (time.monotonic() - self.started) / self.fraction)
         done = f"{self.fraction:.0%}"
-        return phrase("{}, about {} s left", done, f"{left:.0f}") if left < math.inf else done
+        return phrase("{}, about {} s left", done, f"{seconds:.0f}") if seconds < math.inf else done
 
 
 @dataclass
@@ -73,7 +83,10 @@ _is_cancelled = False  # by Esc, until the render ends
 
 
 def _on_shaping(land: Land, fraction: float, message: str) -> None:
-    """Note the progress of shaping; on any thread. Raises TerrainError once the user has pressed Esc."""
+    """Update `waiting` by the progress of shaping, and print it in the background; on any thread.
+
+    fraction: done, 1 at the end. message: the present step. Raises TerrainError once the user has pressed Esc.
+    """
     global waiting
     wait = waiting
     if _is_cancelled and fraction < 1.0:
@@ -99,8 +112,8 @@ def wait_for_import(child: ChildJob) -> None:
     global waiting
     wait = waiting = ImportWait("", time.monotonic())
     try:
-        while (reached := child.reached) is not None:
-            wait.fraction, wait.message = reached
+        while (progress := child.reached) is not None:  # None when the child process has ended
+            wait.fraction, wait.message = progress
             if _is_cancelled:
                 raise TerrainError(
                     "The render was cancelled while the height map was imported",

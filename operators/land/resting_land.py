@@ -30,7 +30,7 @@ CHOOSING = "Choosing tiles"
 
 @dataclass
 class _Rest:
-    """A terrain that rests with the request `key` since a time in seconds. `done`: no tile is missing."""
+    """A terrain that rests with the request `key` since a time in monotonic seconds. `done`: no tile is missing."""
 
     key: tuple
     since: float
@@ -39,7 +39,7 @@ class _Rest:
 
 @dataclass
 class _Making:
-    """The land that is being made for a terrain with the request `key`. `begun`: result of `_create_job`."""
+    """The land that is being made for a terrain (`uid`) with the request `key`. `begun`: future of `_create_job`."""
 
     uid: int
     key: tuple
@@ -67,7 +67,10 @@ def has_work() -> bool:
 
 
 def _may_be_finer(uid: int, record: session.Record) -> bool:
-    """Return whether a terrain's land could be shaped more finely than at its last update."""
+    """Return whether a terrain's land could be shaped more finely than at its last update.
+
+    It cannot if the terrain had no live update yet, or if a job for the same request has found no missing tile.
+    """
     request, rest = record.status.request, _rests.get(uid)
     if request is None or record.live_key is None or rest is not None and rest.done and rest.key == record.live_key:
         return False
@@ -157,9 +160,9 @@ def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
 
 
 def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
-    """Return a new job, its tiles and its land, None if all tiles exist. Slow: call it on another thread.
+    """Return a new job, its tiles (None for all) and its land, or None if all tiles exist. Call it on another thread.
 
-    The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
+    It is slow. The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
     """
     wanted = derived_store.wanted_tiles(land, session.open_field)
     if derived_store.has_tiles(land, wanted, session.open_field):
@@ -217,7 +220,7 @@ def _has_new_settings(terrain: tuple) -> bool:
 
 
 def _end_job(making: _Making) -> None:
-    """End the job, even if its child process has not started yet."""
+    """End a job; if its child process is about to start, that is cancelled once it has started."""
     global _making
     _making = None
     making.job.close()

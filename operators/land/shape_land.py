@@ -25,7 +25,8 @@ from .request import land_of
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     """Return the land that Shape Now has to make: everywhere, or only the tiles that `views` see.
 
-    Raises TerrainError if the stack is empty or switched off.
+    views: in the space of `raster_placement_of`; without any, all of the land is fine. Raises TerrainError if the stack
+    is empty or switched off.
     """
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
@@ -59,7 +60,7 @@ def _check_is_visible(obj, depsgraph) -> None:
 
 
 def _visit_views(obj, scene, land: Land, frames: list[int]):
-    """Visit frames if only visible land is to be fine; yield their views at last."""
+    """Visit frames, as `visit_views` does, if only visible land is to be fine; otherwise yield an empty list."""
     if not land.of_views:
         yield []
         return
@@ -93,7 +94,7 @@ class _Shaping(JobOperator):
         return frames_of(scene)
 
     def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
-        """Return whether land has to be shaped, for its views the tiles `wanted`."""
+        """Return whether land has to be shaped: its tiles `wanted`, None for all. Shape Now always shapes."""
         return True
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
@@ -109,7 +110,7 @@ class _Shaping(JobOperator):
         if not self.needs_shaping(land, wanted):
             return land
         child, wanted = derived_store.begin_shaping(land, wanted)
-        derived_store.counts["stores"] += 1
+        derived_store.counts["stores"] += 1  # for tests
         yield from jobs.run_in_child(job, child)
         yield from jobs.wait_for_kernels(job)  # the end of shaping may update the mesh
         derived_store.finish_shaping(land, wanted)
@@ -143,6 +144,7 @@ class ShapeLand(_Shaping, bpy.types.Operator):
             *_, views = _visit_views(
                 obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene)
             )
+            # "": the store counts only without land
             derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self.fail(obj, str(error))

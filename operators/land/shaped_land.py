@@ -45,8 +45,9 @@ class LandState:
         active: any entry is on.
         shown: SOURCE, PREVIEW or SHAPED: the data of the mesh.
         step_m: metres between the samples that the stack was applied to.
-        tiles: number of built and of all tiles.
-        ms: milliseconds by the entries' numbers, None for an entry whose tiles were all known before.
+        tiles: number of built and of all tiles, None for a preview or the source.
+        ms: milliseconds by the entries' positions in the list, None for an entry whose tiles were all known before.
+        note: sentence below the figures, "" for none.
         finished_early: finer levels were not computed.
         seen: only the land in view of a shot is fine, and the shot may have changed.
     """
@@ -124,7 +125,10 @@ def field_of(obj) -> HeightField:
 
 
 def _shaped_store(request) -> str:
-    """Return the store of a request's mesh, "" if the mesh shows a preview of the stack."""
+    """Return the store of a request's mesh, "" if the mesh shows a preview of the stack.
+
+    Land that `waits` is used as shaped land, other land as a preview.
+    """
     if request.land is None:
         return request.store
     return request.land.folder if request.land.waits else ""
@@ -155,15 +159,16 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
     numbers: positions of the active entries in the list.
     """
     request = session.record_of(obj).status.request
-    if request is not None and request.land is not None and not request.land.waits:
-        found = preview_of(request.land)
-        if found is not None:
-            late = phrase(found.without)
-            note = phrase("{} takes too long for a preview: Shape Now", late) if late else phrase(NOTES[PREVIEW])
-            return LandState(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
+    if request is not None and request.land is not None and not request.land.waits:  # the mesh shows a preview
+        preview = preview_of(request.land)
+        if preview is not None:
+            slow = phrase(preview.left_out_entry)
+            note = phrase("{} takes too long for a preview: Shape Now", slow) if slow else phrase(NOTES[PREVIEW])
+            ms = _by_number(numbers, preview.ms)
+            return LandState(active=True, shown=PREVIEW, step_m=preview.step_m, ms=ms, note=note)
     info = _shaping_info(_shaped_store(request)) if request is not None and _shaped_store(request) else None
     if info is None:
-        return LandState(True, note=_why_not_shown(obj))
+        return LandState(active=True, note=_why_not_shown(obj))
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
     if info.doubtful:
         note = phrase(DOUBTFUL, phrase(info.doubtful), f"{MAX_WHOLE:,}")
@@ -172,23 +177,31 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
         note = (
             phrase(LEFT_OUT_BUT, phrase(info.whole_effect), *sizes) if info.whole_effect else phrase(LEFT_OUT, *sizes)
         )
-    return LandState(True, SHAPED, info.step_m, tiles, _by_number(numbers, info.ms), note, info.finished_early)
+    return LandState(
+        active=True,
+        shown=SHAPED,
+        step_m=info.step_m,
+        tiles=tiles,
+        ms=_by_number(numbers, info.ms),
+        note=note,
+        finished_early=info.finished_early,
+    )
 
 
 def _by_number(numbers: list[int], ms) -> dict[int, float | None]:
     """Return milliseconds by the positions of the active entries; entries added since the update have none."""
-    return dict(zip(numbers, ms, strict=False))  # the list may have changed since the update
+    return dict(zip(numbers, ms, strict=False))
 
 
 @dataclass(frozen=True)
 class _ShapingInfo:
-    """The provenance of a shaped store; see Shaped in land/shape.py."""
+    """The provenance of a shaped store, as `Shaped` of height_operators/shape.py wrote it."""
 
-    step_m: float
-    ms: tuple[float | None, ...]
-    tiles: list
-    tile_counts: list
-    left_out_rms_m: float
+    step_m: float  # metres between the samples of its finest level
+    ms: tuple[float | None, ...]  # by active entry, None if all its tiles were reused
+    tiles: list  # the built tiles of each level
+    tile_counts: list  # number of all tiles of each level
+    left_out_rms_m: float  # change of heights that levels which were not computed may make, in metres
     left_out_max_m: float
     finished_early: bool
     doubtful: str  # an effect whose tiles may not fit, or ""
@@ -217,8 +230,8 @@ def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
                 ms[added["entry"]] = (ms[added["entry"]] or 0.0) + added["ms"]
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
-        some = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
-        whole = (_label_of(added["effect"]) for added in shaped["added"] if added["whole"] and added["level"] in some)
+        partial = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
+        whole = (_label_of(step["effect"]) for step in shaped["added"] if step["whole"] and step["level"] in partial)
         doubtful = next((_label_of(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
         return _ShapingInfo(step_m, tuple(ms), *(shaped[name] for name in names), doubtful, next(whole, ""))
     except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything

@@ -54,9 +54,7 @@ def _changed_parameters(entry) -> dict[str, float]:
 
 
 def _mask_of(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
-    """Return the mask of an entry for the engine, None if it acts everywhere.
-
-    Raises TerrainError.
+    """Return the mask of an entry for the engine, None if it acts everywhere. Raises TerrainError.
 
     Images and shadows of objects are written into the folder `masks`.
     """
@@ -95,20 +93,23 @@ def _extent_of(terrain) -> tuple[float, float]:
 
 
 def _rules_of(mask) -> tuple[GroundRule, ...]:
-    """Return the rules of a mask that are switched on; slopes become degrees, limits at the end of their range open."""
-    found = []
-    for of in RULES:
-        band = getattr(mask, of)
+    """Return the rules of a mask that are switched on; slopes become degrees, limits at the end of their range open.
+
+    The rule of aspect has the cosine of the largest angle from its direction as its low limit.
+    """
+    rules = []
+    for quantity in RULES:
+        band = getattr(mask, quantity)
         if band.use:
-            limits, turn = band.bl_rna.properties["low"], _slope_degrees if of == SLOPE else float
-            low = -math.inf if band.low <= limits.hard_min else turn(band.low)
-            high = math.inf if band.high >= limits.hard_max else turn(band.high)
-            found.append(GroundRule(of, low, high, turn(band.edge)))
+            limits, convert = band.bl_rna.properties["low"], _slope_degrees if quantity == SLOPE else float
+            low = -math.inf if band.low <= limits.hard_min else convert(band.low)
+            high = math.inf if band.high >= limits.hard_max else convert(band.high)
+            rules.append(GroundRule(quantity, low, high, convert(band.edge)))
     if mask.aspect.use:
         aspect = mask.aspect
         direction = math.degrees(aspect.direction)
-        found.append(GroundRule(ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=direction))
-    return tuple(found)
+        rules.append(GroundRule(ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=direction))
+    return tuple(rules)
 
 
 def _slope_degrees(radians: float) -> float:
@@ -119,9 +120,9 @@ def _slope_degrees(radians: float) -> float:
 def preset_of(land) -> Stack:
     """Return the whole stack of a terrain's settings for a file.
 
-    It has entries that are off, and no masks by objects.
+    It includes entries that are off, but no masks by objects. Raises TerrainError.
     """
-    found = []
+    entries = []
     for entry in land.entries:
         if operator_of(entry.effect) is None:
             raise unknown_operator(entry.effect)
@@ -137,8 +138,8 @@ def preset_of(land) -> Stack:
             mask = HeightMask(image, (), entry.mask.factor)
         elif kind == BY_RULE:
             mask = HeightMask("", _rules_of(entry.mask), entry.mask.factor)
-        found.append(Entry(entry.effect, _changed_parameters(entry), entry.seed, entry.on, mask, entry.name))
-    stack = Stack(tuple(found))
+        entries.append(Entry(entry.effect, _changed_parameters(entry), entry.seed, entry.on, mask, entry.name))
+    stack = Stack(tuple(entries))
     stack.check()
     return stack
 
@@ -150,48 +151,48 @@ def fill(land, stack: Stack) -> list[str]:
     """
     land.entries.clear()
     left_out = []
-    for number, given in enumerate(stack.entries, 1):
-        entry = add_entry(land, given.effect)
-        entry.on, entry.seed = given.on, given.seed
-        if given.name:
-            entry.name = given.name
-        for parameter in given.declaration.parameters:
-            if parameter.name in given.parameters:
-                set_number(parameter, getattr(entry, given.effect), given.parameters[parameter.name])
-        if given.mask is not None:
-            left_out += [f"Entry {number}, {entry.name}: {what}" for what in _fill_mask(entry.mask, given.mask)]
+    for number, source in enumerate(stack.entries, 1):
+        entry = add_entry(land, source.effect)
+        entry.on, entry.seed = source.on, source.seed
+        if source.name:
+            entry.name = source.name
+        for parameter in source.declaration.parameters:
+            if parameter.name in source.parameters:
+                set_number(parameter, getattr(entry, source.effect), source.parameters[parameter.name])
+        if source.mask is not None:
+            left_out += [f"Entry {number}, {entry.name}: {what}" for what in _fill_mask(entry.mask, source.mask)]
     land.active = 0
     return left_out
 
 
-def _fill_mask(mask, given: HeightMask) -> list[str]:
-    """Set the mask of an entry from the engine's; return a sentence for each part that was left out."""
+def _fill_mask(mask, source: HeightMask) -> list[str]:
+    """Set the mask of an entry from the engine's `source`; return a sentence for each part that was left out."""
     left_out = []
-    mask.kind, mask.factor = BY_RULE, given.factor
-    if given.image:
+    mask.kind, mask.factor = BY_RULE, source.factor
+    if source.image:
         mask.kind = BY_IMAGE
         try:
-            if blocks_reader(given.image):
+            if blocks_reader(source.image):
                 raise RuntimeError("it is a pipe, a socket or a device")
-            mask.image = bpy.data.images.load(given.image, check_existing=True)
+            mask.image = bpy.data.images.load(source.image, check_existing=True)
         except RuntimeError:
-            left_out.append(f"the image {given.image} of its mask cannot be read; choose another")
-        if given.rules:
+            left_out.append(f"the image {source.image} of its mask cannot be read; choose another")
+        if source.rules:
             left_out.append("its mask has an image and rules; the rules are left out")
         return left_out
-    for number, rule in enumerate(given.rules):
-        if any(rule.of == other.of for other in given.rules[:number]):
+    for number, rule in enumerate(source.rules):
+        if any(rule.of == other.of for other in source.rules[:number]):
             left_out.append(f"its mask has two rules about {rule.of}; the first counts")
         elif rule.of == ASPECT:
             aspect = mask.aspect
             if rule.high < 1.0:
                 left_out.append("its mask has a high limit of aspect, which is left out")
             aspect.use, aspect.direction = True, math.radians(rule.direction % 360.0)
-            aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge
+            aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge  # low: a cosine
         else:
-            band, turn = getattr(mask, rule.of), math.radians if rule.of == SLOPE else float
+            band, convert = getattr(mask, rule.of), math.radians if rule.of == SLOPE else float
             limits = band.bl_rna.properties["low"]
-            band.use, band.edge = True, turn(rule.edge)
-            band.low = limits.hard_min if math.isinf(rule.low) else turn(rule.low)
-            band.high = limits.hard_max if math.isinf(rule.high) else turn(rule.high)
+            band.use, band.edge = True, convert(rule.edge)
+            band.low = limits.hard_min if math.isinf(rule.low) else convert(rule.low)
+            band.high = limits.hard_max if math.isinf(rule.high) else convert(rule.high)
     return left_out

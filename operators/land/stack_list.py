@@ -41,7 +41,7 @@ class _EntryOperator(_StackOperator):
         return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
 
 
-def _check_room(operator, land) -> bool:
+def _has_room(operator, land) -> bool:
     """Return whether the stack may get another entry; report an error if not."""
     if len(land.entries) < MAX_ENTRIES:
         return True
@@ -59,7 +59,7 @@ class AddLandEffect(_StackOperator, bpy.types.Operator):
 
     def _change_stack(self, land) -> bool:
         """Add the chosen effect below the active entry; return whether the stack changed."""
-        if not _check_room(self, land):
+        if not _has_room(self, land):
             return False
         add_entry(land, self.effect)
         _move_new_below_active(land)
@@ -74,7 +74,7 @@ class DuplicateLandEffect(_EntryOperator, bpy.types.Operator):
 
     def _change_stack(self, land) -> bool:
         """Copy the active entry with all settings; return whether the stack changed."""
-        if not _check_room(self, land):
+        if not _has_room(self, land):
             return False
         number = land.active
         name = free_name(land.entries[number].name, {entry.name for entry in land.entries})
@@ -109,7 +109,7 @@ class MoveLandEffect(_EntryOperator, bpy.types.Operator):
     )
 
     def _change_stack(self, land) -> bool:
-        """Move the active entry `by` places; return False at the end of the list."""
+        """Move the active entry by `by` rows, down if above 0; return False if that is beyond the list's ends."""
         to = land.active + self.by
         if not 0 <= to < len(land.entries):
             return False

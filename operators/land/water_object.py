@@ -7,7 +7,7 @@ SEA = "adaptive_terrain_sea"  # a property of the object: the level of its sea i
 
 
 def existing_water(terrain):
-    """Return the water that a terrain already has."""
+    """Return the water object of a terrain, None without one."""
     return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK)), None)
 
 

@@ -68,7 +68,10 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         return JobOperator.invoke(self, context, event)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Compute the water on a thread; return the chosen level, None without one, and the result of `_water_mesh`."""
+        """Compute the water on a thread; return the chosen sea level, None without one, and `_water_mesh`'s result.
+
+        The level is this operator's, or else the one that an earlier run stored on the water object.
+        """
         terrain, depsgraph = context.object, context.evaluated_depsgraph_get()
         water = existing_water(terrain)
         level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
@@ -83,7 +86,7 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         level, surface, sea = result
         water = existing_water(terrain) or _add_water(terrain)
         write_mesh(water.data, _with_vertical_scale(surface, terrain.adaptive_terrain))
-        before, is_new = shown_sea(terrain), SEA not in water
+        sea_before, is_new = shown_sea(terrain), SEA not in water
         if level is not None:
             water[LEVEL] = level
         elif sea is not None:
@@ -92,9 +95,9 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
             water.pop(SEA, None)
         else:
             water[SEA] = sea
-            follow_sea(terrain, before, is_new)
-        at = "" if sea is None else f", its sea at {length_text(sea)}"
-        self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{at}")
+            follow_sea(terrain, sea_before, is_new)
+        sea_text = "" if sea is None else f", its sea at {length_text(sea)}"
+        self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{sea_text}")
 
 
 def _water_mesh(
@@ -155,11 +158,11 @@ def new_water_material() -> bpy.types.Material:
         ramp.location = (-300, 300 - 250 * k)
         for element, colour in zip(ramp.color_ramp.elements, values, strict=True):
             element.color = colour
-        part = nodes.new("ShaderNodeMath")
-        part.operation, part.location = "DIVIDE", (-500, 300 - 250 * k)
-        part.inputs[1].default_value = DEEP_METRES
-        links.new(depth.outputs["Fac"], part.inputs[0])
-        links.new(part.outputs[0], ramp.inputs["Fac"])
+        fraction = nodes.new("ShaderNodeMath")  # of DEEP_METRES
+        fraction.operation, fraction.location = "DIVIDE", (-500, 300 - 250 * k)
+        fraction.inputs[1].default_value = DEEP_METRES
+        links.new(depth.outputs["Fac"], fraction.inputs[0])
+        links.new(fraction.outputs[0], ramp.inputs["Fac"])
         links.new(ramp.outputs["Color"], shader.inputs[socket])
     join_haze(material)
     return material

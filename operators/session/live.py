@@ -33,7 +33,7 @@ NORMALS_S = 1.0  # without an update before a live mesh gets its exact normals
 
 @dataclass
 class LiveUpdate:
-    """A running update: the terrain's session_uid and generation, and the request."""
+    """A running update: the terrain's session_uid, its generation when the update started, and the request."""
 
     uid: int
     generation: int
@@ -133,6 +133,7 @@ def seconds_under_way() -> float:
 
 def is_behind() -> bool:
     """Return whether an update is due or runs, so that the figures of the last one may be those of another view."""
+    # A terrain that follows the viewport is marked after each draw, so there the mark alone means nothing.
     return _job is not None or _dirty and (warmup.preparing() or not _follows_viewport)
 
 
@@ -177,10 +178,9 @@ def _next_job() -> LiveUpdate | None:
 
 
 def _shown_terrains() -> list[tuple]:
-    """Return (dependency graph, object) of the terrains in windows.
+    """Return (dependency graph, object) of the terrains in windows; the graph is None if Blender has not made it yet.
 
-    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between
-    cameras.
+    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between cameras.
     """
     found = {}
     for window in _windows():
@@ -227,7 +227,7 @@ def _windows():
 def _solve_on_worker(record: session.Record, request: Request):
     """Compute an update on the worker thread, with previews in place of slow attributes.
 
-    Returns the Update, the number of its surface, and whether no preview was needed.
+    Returns the Update, the serial number of its surface in the record, and whether no preview was needed.
     """
     global _stage
     _stage = "Refining"
@@ -239,7 +239,7 @@ def _solve_on_worker(record: session.Record, request: Request):
 def _refine_on_worker(record: session.Record, request: Request):
     """Run one step of the slow attributes on the worker thread; return None if more steps are needed.
 
-    Else it is the Update, the number of its surface, and True: no preview is left.
+    After the last step, return the Update, the serial number of its surface and True, as `_solve_on_worker` does.
     """
     global _stage
     _stage = "Refining effects"
@@ -268,10 +268,10 @@ def _show_result(job: LiveUpdate) -> None:
         return
     record = session.record_of(obj)
     try:
-        done = job.future.result()
-        if done is None:
+        result = job.future.result()
+        if result is None:  # of a refinement that needs more steps
             return
-        update, serial, whole = done
+        update, serial, is_refined = result
         with session.engine_lock:
             # Another update may have been shown since then.
             if record.generation == job.generation and record.serial == serial:
@@ -279,12 +279,12 @@ def _show_result(job: LiveUpdate) -> None:
                 if update.changed:
                     record_time(job.request, update.ms["total"], record.time_correction)
         _unrefined.pop(job.uid, None)
-        if not whole:
+        if not is_refined:
             _unrefined[job.uid] = replace(job, future=None)
     except Exception as error:
         _unrefined.pop(job.uid, None)
         if isinstance(error, TerrainError) and error.code == derived_store.DAMAGED:
-            mark_dirty()
+            mark_dirty()  # the next update shapes the land again
         else:
             _report_error(record, error)
         if not isinstance(error, TerrainError):

@@ -95,7 +95,7 @@ def cancelled_by_errors(execute: Callable) -> Callable:
 
     @functools.wraps(execute)
     def run(self, context):  # Blender counts the arguments
-        """Run the operator, and report a TerrainError and cancel instead of raising it."""
+        """Run the operator; report a TerrainError or an OSError and cancel instead of raising it."""
         try:
             return execute(self, context)
         except (TerrainError, OSError) as error:

@@ -23,7 +23,10 @@ def with_previews(request: Request, heights: HeightField) -> Request:
 
 
 def refine(request: Request, heights: HeightField) -> bool:
-    """Compute one step of the slow attributes of a full request, and return whether all are done."""
+    """Compute one step of the slow attributes of a request without previews, and return whether all are done.
+
+    The sky is the only slow attribute.
+    """
     return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
 
 

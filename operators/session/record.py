@@ -23,13 +23,18 @@ class Status:
     """The last update as the panel shows it.
 
     Attributes:
+        mode: VIEWPORT or RENDER, "" before the first update.
         request: the request, None before the first update.
         field_key: key of the height field.
+        changed: whether the engine's mesh differed from the one before.
+        leaves, triangles: of the engine's mesh.
         bounds: bounds of the mesh.
         left: triangles after the clean-up.
         ms: milliseconds by step.
-        effects: status by name.
-        effects_bytes: memory of all effects, including their cache for the next update.
+        effects: status of attributes by name.
+        effects_bytes: memory of all attributes, including their cache for the next update.
+        error: text of `failure`, "" if the last update succeeded.
+        failure: error of the last update.
     """
 
     mode: str = ""
@@ -57,7 +62,9 @@ class Record:
     """One terrain's engine and its last results.
 
     Attributes:
-        serial: number of the current surface.
+        terrain: the engine for `field`, None before the first update.
+        field: the height field.
+        serial: number of the current surface; it grows whenever the surface changes.
         shown: key of the surface in the mesh and of how it was written.
         postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
         overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.

@@ -36,8 +36,8 @@ from .record import Record, Status
 # Hold the lock during an update: two would share the same cores. Effect values are valid until the next update, so copy
 # them for longer use.
 engine_lock = threading.RLock()
-_records: dict[int, Record] = {}
-_fields: dict[tuple[str, int], object] = {}
+_records: dict[int, Record] = {}  # by session_uid
+_fields: dict[tuple[str, int], object] = {}  # opened height fields by real path and time of change of their store
 _last_shown = ""  # name of the terrain that was active last
 
 
@@ -87,9 +87,9 @@ def terrains_of(scene) -> list:
 
 
 def _is_in(scene, obj) -> bool:
-    """Look up an object by its name, which is fast, and compare, since a linked object may have the same name."""
-    found = scene.objects.get(obj.name)
-    return found == obj or found is not None and any(other == obj for other in scene.objects)
+    """Return whether a scene has an object. The look-up by name is fast, but a linked object may have the same name."""
+    by_name = scene.objects.get(obj.name)
+    return by_name == obj or by_name is not None and any(other == obj for other in scene.objects)
 
 
 def record_of(obj) -> Record:
@@ -171,40 +171,43 @@ def solve(record: Record, request: Request):
 
 
 def _refine(record: Record, request: Request, heights: HeightField):
-    """Return the Update for a request, or that of frozen detail.
+    """Return the Update for a request, or that of its frozen detail; compute attributes and scatter points for it.
 
-    The attributes and scatter points that the scene reads are made for it.
+    The record gets a new engine for another height field.
     """
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
-    placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
+    vertical = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     if request.frozen:
         tree, meshlet = frozen.decode_tree(request.frozen)
-        update = record.terrain.restore(tree, meshlet=meshlet, **placed)
+        update = record.terrain.restore(tree, meshlet=meshlet, **vertical)
     else:
-        update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
+        update = record.terrain.update(request.criterion, request.views, request.placement, **vertical)
     record.serial += bool(update.changed)
-    _make_effects(record, request, update, placed)
+    _make_effects(record, request, update, vertical)
     make_points(record.scatters, request, record.field, record.terrain, update.surface, record.serial)
     return update
 
 
-def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
-    """Compute the attributes of the request on the surface of an update."""
-    names, planned = set(record.effects), plan(request.effects.requests)
+def _make_effects(record: Record, request: Request, update, vertical: dict[str, float]) -> None:
+    """Compute the attributes of the request on the surface of an update; store values, costs and counts in the record.
+
+    vertical: `vertical_scale` and `vertical_offset` of the terrain.
+    """
+    names_before, planned = set(record.effects), plan(request.effects.requests)
     effects = EffectRequest(
         planned,
         update.surface,
         request.views,
         request.placement,
-        **placed,
+        **vertical,
         geometry_metres=request.effects.geometry_metres,
     )
     result = evaluate(record.field, effects, record.terrain.history, record.terrain.threads)
     record.effects, record.effects_bytes = result.attributes, result.nbytes
     for name, ran in result.ran.items():
         record.effects_runs[name] += ran.computed > 0
-    record.effects_serial += names != set(record.effects) or any(step.computed for step in result.ran.values())
+    record.effects_serial += names_before != set(record.effects) or any(step.computed for step in result.ran.values())
     record.effects_status = statuses(request.effects, planned, result.ran, record.field)
 
 
@@ -212,8 +215,8 @@ def freeze(obj) -> str:
     """Update the terrain for the viewport, and return its triangles as the text of its property `frozen`."""
     with engine_lock:
         update_object(obj)
-        tree, how = record_of(obj).terrain.saved()
-        return frozen.encode_tree(tree, how["meshlet"])
+        tree, settings = record_of(obj).terrain.saved()
+        return frozen.encode_tree(tree, settings["meshlet"])
 
 
 def paint(record: Record, request: Request, update) -> None:
@@ -234,8 +237,8 @@ def field_of(request: Request):
     """Return the height field of a request: its land shaped by height operators, interpolation and displacement."""
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(anchored(raster, *request.anchor), request.interpolation)
-    placed = request.vertical_scale, request.vertical_offset
-    return displaced(field, request.ground, *placed, launch.default_threads())
+    vertical = request.vertical_scale, request.vertical_offset
+    return displaced(field, request.ground, *vertical, launch.default_threads())
 
 
 def open_field(store: str):
@@ -251,7 +254,8 @@ def open_field(store: str):
 def show(obj, record: Record, request: Request, update, mode: str, *, exact: bool = True) -> bool:
     """Write the mesh unless it already shows this surface; return whether it was written.
 
-    exact: write exact normals at once, though they are slow before Blender 4.5; otherwise `show_normals` may have to.
+    exact: write exact normals at once, which is slow before Blender 4.5; otherwise those versions get them by a later
+    `show_normals`.
     """
     _make_mesh_single_user(obj)
     written = record.shown != _what_is_shown(obj.data, record, request)
@@ -260,7 +264,7 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
         start = time.perf_counter()
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold_freed_memory()
-        record.shown = record.postponed = None
+        record.shown = record.postponed = None  # nothing, should the writing fail
         surface = clean_up(shown_surface(record, update), request.cleanup)
         if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):
             record.postponed = surface.normals.copy()

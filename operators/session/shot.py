@@ -19,12 +19,12 @@ def frames_of(scene) -> range:
     return range(scene.frame_start, scene.frame_end + 1)
 
 
-def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
-    """Step through frames; yield the fraction done after each, and at the end the list of all views of the terrain
-    `obj`.
+def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **options) -> Iterator[float | list[View]]:
+    """Step through frames; yield after each a float, the fraction of the frames before it, and at the end the views.
 
-    The views are relative to a terrain that stays at `placement`, float64 [4, 4]. The scene then returns to its
-    frame. look: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene. Raises TerrainError.
+    The last item is the list of all views of the terrain `obj`, as if it stayed at `placement`, float64 [4, 4]. The
+    scene then returns to its frame. options: keyword arguments of `gather`, such as `camera` or `about_middle`. Raises
+    TerrainError.
     """
     views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
     try:
@@ -32,8 +32,8 @@ def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **look
             if frame != scene.frame_current:
                 with paused():
                     scene.frame_set(frame)
-            moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
-            views += [_move_view(view, moved.placement, placement) for view in moved.views]
+            request = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **options)
+            views += [_move_view(view, request.placement, placement) for view in request.views]
             yield number / len(frames)
     finally:
         with suppress(ReferenceError):  # undo or another file removed the scene between two steps
@@ -44,7 +44,7 @@ def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **look
 
 
 def _move_view(view: View, placement: np.ndarray, first: np.ndarray) -> View:
-    """Convert a view of a terrain at `placement` to the same view of the terrain at `first`, float64 [4, 4] both."""
+    """Return the View that shows a terrain at `first` as `view` shows it at `placement`, both float64 [4, 4]."""
     if np.array_equal(placement, first):
         return view
     return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

@@ -22,9 +22,9 @@ from ..text.translations import phrase
 
 EXIT_CODE = 1
 FRAMES_NAMED = 10
-_ending = False
-_raising = False
-_caught: list[TerrainError] = []
+_ending = False  # a render in the background is being ended
+_raising = False  # inside of `raise_for_stale_frames`
+_caught: list[TerrainError] = []  # errors that its block raises
 _shown_stale: dict[int, str] = {}  # frame -> why
 _messages: list[str] = []  # about the render as a whole
 
@@ -53,7 +53,7 @@ def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
     if _ending:  # each view layer calls this, and a second interruption would kill Blender
         return
     if _raising:
-        stopping.end_host_work()
+        stopping.end_host_work()  # ends the render
         _caught.append(stale_frame_error(scene.frame_current, errors))
         return
     why = " ".join(dict.fromkeys(map(str, errors)))

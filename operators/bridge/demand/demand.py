@@ -5,6 +5,7 @@ Reads by Python (scripts, functions of drivers) are not found. Hidden objects co
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ....cbt_terrain.attributes.attribute import GEOMETRY, PICTURE
 from .drivers import read_drivers
@@ -20,8 +21,16 @@ NOTHING_EXPORTED = ("stl",)
 
 
 @dataclass
-class _Scene:
-    """The state of one search. `holding`: objects that have the mesh or geometry made from it."""
+class _Search:
+    """The state of one search.
+
+    Attributes:
+        found: the demand to add to.
+        objects: all objects of the scene.
+        render: whether render settings count, otherwise those of viewports.
+        holding: objects that have the mesh or geometry made from it.
+        materials: materials that may show the mesh, to be read last.
+    """
 
     found: Demand
     terrain: object
@@ -35,7 +44,7 @@ class _Scene:
         """Return the modifiers of an object that are on in this mode."""
         return [modifier for modifier in getattr(obj, "modifiers", ()) if is_enabled(modifier, self.render)]
 
-    def words(self, obj, modifier) -> str:
+    def label_of(self, obj, modifier) -> str:
         """Return the name of a modifier for the user, with its object unless that is the terrain."""
         return f"{'' if obj == self.terrain else f'object {obj.name}, '}modifier {modifier.name}"
 
@@ -54,7 +63,7 @@ def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = (
     layers = [layer for layer in scene.view_layers if layer.use or not render]
     shown = _all_objects(scene)
     holding = {other for other in shown if other.data == obj.data} | {obj}
-    search = _Scene(Demand(), obj, shown, render, shading_of(scene, layers, preview=not render), holding)
+    search = _Search(Demand(), obj, shown, render, shading_of(scene, layers, preview=not render), holding)
     found = search.found
     _read_engine(found, scene, render)
     if not render:
@@ -100,53 +109,63 @@ def _read_engine(found: Demand, scene, render: bool) -> None:
         found.add(ALL, f"render engine {engine} (unknown what it reads)", PICTURE)
 
 
-def _read_holder(scene: _Scene, obj) -> None:
+def _read_holder(search: _Search, obj) -> None:
     """Add the reads of an object that has the terrain's mesh: of its modifiers and particles; note its materials."""
-    modifiers = scene.modifiers_of(obj)
+    modifiers = search.modifiers_of(obj)
     for modifier in modifiers:
-        words = scene.words(obj, modifier)
-        sources = read_modifier(scene.found, modifier, words, scene.shading.trees, viewers=not scene.render)
-        _add_materials(scene, sources)
+        label = search.label_of(obj, modifier)
+        sources = read_modifier(search.found, modifier, label, search.shading.trees, viewers=not search.render)
+        _add_materials(search, sources)
     slots = range(len(obj.material_slots)) if any(map(sets_material_index, modifiers)) else used_slots(obj)
     numbers = set(slots)
     for system in obj.particle_systems:
         numbers.add(system.settings.material - 1)
-        read_particles(scene.found, system, "" if obj == scene.terrain else f"object {obj.name}, ")
-    scene.materials |= {obj.material_slots[n].material for n in numbers if 0 <= n < len(obj.material_slots)}
+        read_particles(search.found, system, "" if obj == search.terrain else f"object {obj.name}, ")
+    search.materials |= {obj.material_slots[n].material for n in numbers if 0 <= n < len(obj.material_slots)}
 
 
-def _read_users(scene: _Scene) -> None:
+class _Waiting(NamedTuple):
+    """A modifier that counts once it uses an object that holds the terrain's geometry; `found`: what it reads then."""
+
+    obj: object
+    modifier: object
+    found: Demand
+    sources: Sources
+
+    def uses_one_of(self, holding: set) -> bool:
+        """Return whether the modifier uses one of some objects, or is of one: later ones also see its geometry."""
+        return self.obj in holding or bool(self.sources.all_objects() & holding)
+
+
+def _read_users(search: _Search) -> None:
     """Add the reads of objects whose modifiers use the terrain's geometry, directly or through other objects."""
     waiting = []
-    for obj in scene.objects:
-        if obj not in scene.holding:
-            for modifier in scene.modifiers_of(obj):
+    for obj in search.objects:
+        if obj not in search.holding:
+            for modifier in search.modifiers_of(obj):
                 found = Demand()
-                sources = read_modifier(found, modifier, scene.words(obj, modifier), scene.shading.trees)
-                waiting.append((obj, modifier, found, sources))
-    read = True
-    while read:
-        # every modifier of a new holder counts: later modifiers also see the geometry
-        read = [item for item in waiting if item[0] in scene.holding or item[3].all_objects() & scene.holding]
+                sources = read_modifier(found, modifier, search.label_of(obj, modifier), search.shading.trees)
+                waiting.append(_Waiting(obj, modifier, found, sources))
+    while read := [item for item in waiting if item.uses_one_of(search.holding)]:
         waiting = [item for item in waiting if item not in read]
         for obj, modifier, found, sources in read:
-            scene.found.merge(found)
-            if modifier.type == "DATA_TRANSFER" and sources.objects & scene.holding:
-                words = f"{scene.words(obj, modifier)} (it transfers data layers)"
-                scene.found.add(ALL, words, GEOMETRY)
+            search.found.merge(found)
+            if modifier.type == "DATA_TRANSFER" and sources.objects & search.holding:
+                label = f"{search.label_of(obj, modifier)} (it transfers data layers)"
+                search.found.add(ALL, label, GEOMETRY)
             if modifier.type in ("NODES", "BOOLEAN"):
-                scene.holding.add(obj)
-                scene.materials |= {slot.material for slot in obj.material_slots}
-                _add_materials(scene, sources)
+                search.holding.add(obj)
+                search.materials |= {slot.material for slot in obj.material_slots}
+                _add_materials(search, sources)
 
 
-def _add_materials(scene: _Scene, sources: Sources) -> None:
+def _add_materials(search: _Search, sources: Sources) -> None:
     """Add materials to search: those that a modifier sets, and those of its source objects.
 
-    These are instanced, and instances read attributes of their points.
+    Materials of instanced objects read attributes of the instances' points.
     """
-    scene.materials |= sources.materials
-    scene.materials |= {s.material for o in sources.all_objects() - scene.holding for s in o.material_slots}
+    search.materials |= sources.materials
+    search.materials |= {s.material for o in sources.all_objects() - search.holding for s in o.material_slots}
 
 
 def _with_overrides(materials: set, layers: list) -> set:

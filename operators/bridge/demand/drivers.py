@@ -12,7 +12,10 @@ NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')
 
 
 def read_drivers(found: Demand, obj, objects, scene) -> None:
-    """Add the attributes of a terrain's mesh that drivers of objects, shaders and node groups read as variables."""
+    """Add the attributes of a terrain's mesh that drivers of objects, shaders and node groups read as variables.
+
+    obj: the terrain. objects: all objects of the scene.
+    """
     targets = {obj, obj.data}
     for block in _data_with_drivers(objects, scene):
         for curve in block.animation_data.drivers:
@@ -20,8 +23,8 @@ def read_drivers(found: Demand, obj, objects, scene) -> None:
             for path in paths:
                 if "attributes" in path:
                     name = NAMED.search(path)
-                    words = f"driver of {block.name}, {curve.data_path}"
-                    found.add(name[1] if name else ALL, words if name else f"{words} (it names none)", GEOMETRY)
+                    label = f"driver of {block.name}, {curve.data_path}"
+                    found.add(name[1] if name else ALL, label if name else f"{label} (it names none)", GEOMETRY)
 
 
 def _data_with_drivers(objects, scene):
@@ -30,5 +33,5 @@ def _data_with_drivers(objects, scene):
     trees = [block.node_tree for block in shaders if block.node_tree]
     blocks = [*objects, *{o.data for o in objects if o.data}, scene, *shaders, *trees, *bpy.data.node_groups]
     # Images, the data of some empties, are never animated.
-    moved = ((block, getattr(block, "animation_data", None)) for block in blocks)
-    return [block for block, data in moved if data and len(data.drivers)]
+    animated = ((block, getattr(block, "animation_data", None)) for block in blocks)
+    return [block for block, data in animated if data and len(data.drivers)]

@@ -12,21 +12,23 @@ class Reader(NamedTuple):
     """A reader of an attribute.
 
     Attributes:
-        words: its name for people: "material Rock, node Attribute.003".
+        label: its name for people: "material Rock, node Attribute.003".
         family: PICTURE if pixels show the attribute, GEOMETRY if geometry is made from it.
+        at_hit: the reader is a Raycast node, which reads the attribute where its rays hit.
     """
 
-    words: str
+    label: str
     family: str
+    at_hit: bool = False
 
 
 class Demand(dict[str, list[Reader]]):
     """Readers by attribute name."""
 
-    def add(self, name: str, words: str, family: str) -> None:
-        """Add a reader of the attribute `name`, once. words: the reader for people. family: its family of nodes."""
+    def add(self, name: str, label: str, family: str, at_hit: bool = False) -> None:
+        """Add a reader of the attribute `name`, once. label, family, at_hit: see Reader."""
         readers = self.setdefault(name, [])
-        if (reader := Reader(words, family)) not in readers:
+        if (reader := Reader(label, family, at_hit)) not in readers:
             readers.append(reader)
 
     def merge(self, other: "Demand") -> None:

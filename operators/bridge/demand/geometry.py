@@ -27,27 +27,27 @@ class Sources:
 
 def is_enabled(modifier, render: bool) -> bool:
     """Return whether a modifier is on in a render or in a viewport; one with an animated switch counts as on."""
-    shown = "show_render" if render else "show_viewport"
-    return getattr(modifier, shown) or shown in "".join(_animated(modifier))
+    switch = "show_render" if render else "show_viewport"
+    return getattr(modifier, switch) or switch in "".join(_animated(modifier))
 
 
-def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Sources:
+def read_modifier(found: Demand, modifier, label: str, trees: Trees, viewers: bool = False) -> Sources:
     """Add the attributes that one modifier reads to `found`, and return the data that it uses.
 
-    words: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
+    label: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
     outputs.
     """
     if modifier.type == "NODES":
-        return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Sources()
+        return _read_nodes(found, modifier, label, trees, viewers) if modifier.node_group else Sources()
     texts, pointers = _properties(type(modifier))
     for name in texts:
         if value := getattr(modifier, name):
             group = "vertex_group" in name or name.endswith("_weight")
-            found.add(VERTEX_GROUP + value if group else value, f"{words}, {name}", GEOMETRY)
+            found.add(VERTEX_GROUP + value if group else value, f"{label}, {name}", GEOMETRY)
     by_uv = getattr(modifier, "texture_coords", "") == "UV" and not modifier.uv_layer
     masks_by_uv = getattr(modifier, "mask_tex_mapping", "") == "UV" and not modifier.mask_tex_uv_layer
     if by_uv or masks_by_uv:
-        found.add(ACTIVE_UV, f"{words}, texture coordinates", GEOMETRY)
+        found.add(ACTIVE_UV, f"{label}, texture coordinates", GEOMETRY)
     values = (getattr(modifier, name) for name in pointers)
     return Sources(objects={value for value in values if isinstance(value, bpy.types.Object)})
 
@@ -70,46 +70,49 @@ def sets_material_index(modifier) -> bool:
     return tree is not None and any(node.bl_idname == "GeometryNodeSetMaterialIndex" for node in nodes_inside(tree))
 
 
-def read_particles(found: Demand, system, words: str) -> None:
-    """Add the attributes that a particle system reads of its emitter. words: start of the texts about the reader."""
-    words = f"{words}particles {system.name}"
+def read_particles(found: Demand, system, label: str) -> None:
+    """Add the attributes that a particle system reads of its emitter. label: start of the texts about the reader."""
+    label = f"{label}particles {system.name}"
     texts = [p.identifier for p in system.bl_rna.properties if p.type == "STRING"]
     for name in texts:
         if name.startswith("vertex_group") and getattr(system, name):
-            found.add(VERTEX_GROUP + getattr(system, name), f"{words}, {name}", GEOMETRY)
+            found.add(VERTEX_GROUP + getattr(system, name), f"{label}, {name}", GEOMETRY)
     for slot in system.settings.texture_slots:
         if slot and slot.texture_coords == "UV":
-            found.add(slot.uv_layer or ACTIVE_UV, f"{words}, texture", GEOMETRY)
-    found.add(ACTIVE_UV, f"{words} (hair takes the emitter's UV)", GEOMETRY)
+            found.add(slot.uv_layer or ACTIVE_UV, f"{label}, texture", GEOMETRY)
+    found.add(ACTIVE_UV, f"{label} (hair takes the emitter's UV)", GEOMETRY)
 
 
-def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Sources:
+def _read_nodes(found: Demand, modifier, label: str, trees: Trees, viewers: bool) -> Sources:
     """Add the attributes that a geometry-nodes modifier reads, and return the data that it uses.
 
-    words: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
+    label: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
     outputs.
     """
     values, attributes = _inputs(modifier)
-    for label, name in attributes:
+    for input_name, name in attributes:
         if name:
-            found.add(name, f"{words}, input {label}", GEOMETRY)
-    walk = NodeWalk(found, words, GEOMETRY, trees, values)
+            found.add(name, f"{label}, input {input_name}", GEOMETRY)
+    walk = NodeWalk(found, label, GEOMETRY, trees, values)
     for end in modifier.node_group.nodes:
         viewed = viewers and end.bl_idname == "GeometryNodeViewer" and not end.mute
         if viewed or end.bl_idname == "NodeGroupOutput" and end.is_active_output:
             for socket in end.inputs:
                 walk.visit(end, socket)
-    given = {kind: {v for v in values.values() if isinstance(v, kind)} for kind in GIVEN}
-    materials, objects, collections = given.values()
+    # Data-blocks that are inputs of the modifier count, whether or not a node uses them.
+    materials, objects, collections = ({v for v in values.values() if isinstance(v, kind)} for kind in DATA_BLOCKS)
     return Sources(walk.materials | materials, walk.objects | objects, walk.collections | collections)
 
 
-GIVEN = bpy.types.Material, bpy.types.Object, bpy.types.Collection
+DATA_BLOCKS = bpy.types.Material, bpy.types.Object, bpy.types.Collection
 COORDINATES = "texture_coords", "mask_tex_mapping"
 
 
 def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
-    """Return a geometry-nodes modifier's constant values by identifier, and (label, name) of its attributes."""
+    """Return a geometry-nodes modifier's constant input values by identifier, and (input, attribute) names.
+
+    An input whose value is animated is in neither.
+    """
     values, attributes = {}, []
     for item in modifier.node_group.interface.items_tree:
         if item.item_type != "SOCKET" or item.in_out != "INPUT":
@@ -137,7 +140,7 @@ def _animated(modifier) -> list[str]:
 
 @cache
 def _properties(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a modifier type's text properties and of its pointer properties."""
+    """Return the names of a modifier type's writable text properties and of its pointer properties."""
     properties = [p for p in kind.bl_rna.properties if p.identifier not in ("name", "rna_type")]
     texts = tuple(p.identifier for p in properties if p.type == "STRING" and not p.is_readonly)
     return texts, tuple(p.identifier for p in properties if p.type == "POINTER")

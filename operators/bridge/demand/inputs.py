@@ -13,7 +13,8 @@ WEIGHED = {
 def used_inputs(walk, node, context: tuple) -> list:
     """Return the inputs of a node that can change its outputs.
 
-    walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last.
+    walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last. The functions
+    below get the node's enabled `inputs`, too.
     """
     if walk.is_altered(node):
         return list(node.inputs)
@@ -24,7 +25,7 @@ def used_inputs(walk, node, context: tuple) -> list:
 
 
 def _used_of_mix(walk, node, context, inputs):
-    """Return the used inputs of a Mix node."""
+    """Return the used inputs of a Mix node; all where the factor is a vector or mixes rotations."""
     if node.data_type == "ROTATION" or node.data_type == "VECTOR" and node.factor_mode == "NON_UNIFORM":
         return inputs
     blends = node.data_type == "RGBA" and node.blend_type != "MIX"
@@ -42,10 +43,10 @@ def _used_of_mix_colours(walk, node, context, inputs):
 
 
 def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
-    """Return those of a node's inputs, a factor and two sides, that have an effect: a factor of 0 or 1 hides one side.
+    """Return those of a node's inputs, a factor and two sides, that have an effect.
 
-    Only a constant factor hides any. replaces: a factor of 1 hides the first side. clamped: factors are limited to 0 ..
-    1.
+    A constant factor of 0 hides the second side. replaces: one of 1 hides the first side, which a blend mode still
+    reads. clamped: factors are limited to 0 .. 1.
     """
     if len(inputs) != 3:
         return inputs
@@ -63,14 +64,14 @@ def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
 def _used_of_switch(walk, node, context, inputs):
     """Return the used inputs of a Switch node: one side if its switch is constant."""
     value = walk.constant(node, inputs[0], context) if len(inputs) == 3 else None
-    return inputs if value is None else [inputs[2 if value else 1]]
+    return inputs if value is None else [inputs[2 if value else 1]]  # inputs: switch, false, true
 
 
 def _used_of_index_switch(walk, node, context, inputs):
     """Return the used inputs of an Index Switch node: one if its index is constant."""
     value = walk.constant(node, inputs[0], context)
-    chosen = isinstance(value, int) and 0 <= value < len(inputs) - 1
-    return [inputs[1 + value]] if chosen else inputs
+    is_in_range = isinstance(value, int) and 0 <= value < len(inputs) - 1
+    return [inputs[1 + value]] if is_in_range else inputs  # inputs: index, then its items
 
 
 def _used_of_principled(walk, node, context, inputs):

@@ -61,7 +61,7 @@ def forget() -> None:
 def _has_changed(keys: dict[int, tuple], block, key: tuple, unknown: tuple | None = None) -> bool:
     """Store the key of a data-block; return whether it differs from the one at the last update.
 
-    unknown: key that a block without a stored one counts with.
+    keys: stored keys by session_uid. unknown: key to compare with if none is stored for the block.
     """
     before = keys.get(block.session_uid, unknown)
     if before != key:

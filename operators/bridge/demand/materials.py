@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Attributes that materials read of their mesh, and that rays of other shaders read of it."""
+"""Attributes of a mesh that its materials read, and that Raycast nodes of other shaders read where they hit it."""
 
 from dataclasses import dataclass, field
 from itertools import islice
@@ -9,7 +9,6 @@ import numpy as np
 
 from ....cbt_terrain.attributes.attribute import PICTURE
 from .found import ACTIVE_COLOR, ACTIVE_UV, ALL, Demand
-from .readers import HIT
 from .trees import Trees, nodes_inside
 from .walk import NodeWalk
 
@@ -17,7 +16,7 @@ from .walk import NodeWalk
 ENGINES = {"CYCLES": "CYCLES", "BLENDER_EEVEE": "EEVEE", "BLENDER_EEVEE_NEXT": "EEVEE"}
 WORKBENCH = "BLENDER_WORKBENCH"
 MAX_AOVS = 1000
-HAS_RAYS = bpy.app.version >= (5, 1)
+HAS_RAYCAST_NODE = bpy.app.version >= (5, 1)
 
 
 @dataclass
@@ -25,7 +24,7 @@ class Shading:
     """How a scene shows materials.
 
     Attributes:
-        targets: the used outputs.
+        targets: the used material outputs: "ALL", "CYCLES" or "EEVEE".
         aovs: names of the view layers' AOVs.
         osl: whether OSL scripts run.
         trees: node trees read so far.
@@ -56,8 +55,11 @@ def read_material(found: Demand, material, shading: Shading) -> None:
 
 
 def read_rays(found: Demand, materials: set, shading: Shading) -> None:
-    """Add the attributes that rays of any shader, except the mesh's `materials`, read where they hit the mesh."""
-    if not HAS_RAYS:
+    """Add to `found` the attributes that Raycast nodes of other shaders may read where their rays hit the mesh.
+
+    materials: the mesh's own, which `read_material` reads.
+    """
+    if not HAS_RAYCAST_NODE:
         return
     blocks = [(block, kind) for kind in ("material", "world", "light") for block in getattr(bpy.data, kind + "s")]
     for block, kind in blocks:
@@ -68,19 +70,19 @@ def read_rays(found: Demand, materials: set, shading: Shading) -> None:
         _read_shader(everything, tree, f"{kind} {block.name}", shading)
         for name, readers in everything.items():
             for reader in readers:
-                if HIT in reader.words:
+                if reader.at_hit:
                     found.add(name, *reader)
 
 
-def read_workbench(found: Demand, shading, words: str) -> None:
-    """Add the attribute that Workbench reads for a solid shading."""
+def read_workbench(found: Demand, shading, label: str) -> None:
+    """Add the attribute that Workbench reads for a solid shading. label: the reader's name for the user."""
     name = {"VERTEX": ACTIVE_COLOR, "TEXTURE": ACTIVE_UV}.get(shading.color_type)
     if name:
-        found.add(name, words, PICTURE)
+        found.add(name, label, PICTURE)
 
 
 def used_slots(obj) -> set[int]:
-    """Return the numbers of the material slots that faces use."""
+    """Return the numbers of the material slots that faces use; a number beyond the last is clamped."""
     last = len(obj.material_slots) - 1
     numbers = obj.data.attributes.get("material_index") if hasattr(obj.data, "attributes") else None
     if last < 0 or numbers is None or numbers.domain != "FACE":
@@ -95,16 +97,16 @@ def _hits_others(node) -> bool:
     return node.bl_idname == "ShaderNodeRaycast" and not node.only_local and len(node.sample_attribute_items) > 0
 
 
-def _read_shader(found: Demand, tree, words: str, shading: Shading) -> None:
+def _read_shader(found: Demand, tree, label: str, shading: Shading) -> None:
     """Add the attributes that a shader's node tree reads, from its used outputs and AOVs backwards.
 
-    words: the owner's name for the user.
+    label: the owner's name for the user.
     """
-    walk = NodeWalk(found, words, PICTURE, shading.trees, osl=shading.osl)
+    walk = NodeWalk(found, label, PICTURE, shading.trees, osl=shading.osl)
     ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}
     aovs = list(islice(_aov_ends(tree, shading.aovs, ()), MAX_AOVS)) if shading.aovs else []
     if len(aovs) == MAX_AOVS:
-        found.add(ALL, f"{words} (too many AOV outputs to follow)", PICTURE)
+        found.add(ALL, f"{label} (too many AOV outputs to follow)", PICTURE)
     for end, context in [*ends.values(), *aovs]:
         for socket in end.inputs:
             walk.visit(end, socket, context)

@@ -76,7 +76,7 @@ def _read_raycast(walk, node, _output, context):
     """Add the attributes that a Raycast node samples where its rays hit."""
     for item in node.sample_attribute_items:
         if item.name:
-            walk.read(item.name, node, context, HIT)
+            walk.read(item.name, node, context, "sampled where its ray hits", at_hit=True)
 
 
 def _read_point_density(walk, node, _output, context):
@@ -129,19 +129,18 @@ def _collect_sources(walk, node, context) -> None:
     Links, switches and menus may pass those of the enclosing groups and of the modifier to any input, so these
     count, too.
     """
-    for name in ("material", "object", "collection"):  # a node that is a value
+    for name in ("material", "object", "collection"):  # properties of a node that has a data-block as its value
         if isinstance(value := getattr(node, name, None), bpy.types.ID):
             getattr(walk, name + "s").add(value)
     for socket in node.inputs:
         if socket.type not in POINTERS:
             continue
         kind, name = POINTERS[socket.type]
-        around = [other for group in context for other in group.inputs if other.type == socket.type]
-        values = [getattr(other, "default_value", None) for other in [socket, *around]]
+        of_groups = [other for group in context for other in group.inputs if other.type == socket.type]
+        values = [getattr(other, "default_value", None) for other in [socket, *of_groups]]
         getattr(walk, name).update(value for value in [*values, *walk.values.values()] if isinstance(value, kind))
 
 
-HIT = "sampled where its ray hits"
 NOTING = {
     "ShaderNodeAttribute": _read_attribute,
     "ShaderNodeVertexColor": _read_colour,

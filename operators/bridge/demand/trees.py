@@ -15,7 +15,8 @@ class Trees:
     """Node trees read so far, by pointers of nodes and sockets, which stay valid until an edit.
 
     Attributes:
-        feeding: (node, output) of an input's valid, unmuted links.
+        read: pointers of these trees.
+        feeding: (node, output) of the valid, unmuted links to an input, by the input's pointer.
         varied: inputs with an animated or driven value.
         altered: nodes with any other animated property, of which nothing is known.
     """
@@ -34,12 +35,12 @@ class Trees:
             if link.is_valid and not link.is_muted:
                 self.feeding.setdefault(link.to_socket.as_pointer(), []).append((link.from_node, link.from_socket))
         for path in animated_paths(tree):
-            named = PATH.match(path)
-            node = named and tree.nodes.get(named[1].replace('\\"', '"').replace("\\\\", "\\"))
+            match = PATH.match(path)  # [1]: the node's name with escapes, [2]: the number of its input
+            node = match and tree.nodes.get(match[1].replace('\\"', '"').replace("\\\\", "\\"))
             if not node:
                 continue
-            if named[2] is not None and int(named[2]) < len(node.inputs):
-                self.varied.add(node.inputs[int(named[2])].as_pointer())
+            if match[2] is not None and int(match[2]) < len(node.inputs):
+                self.varied.add(node.inputs[int(match[2])].as_pointer())
             else:
                 self.altered.add(node.as_pointer())
 

@@ -25,16 +25,17 @@ class NodeWalk:
 
     Attributes:
         found: the demand to add to.
-        words: name of the walked object for people.
+        label: name of the walked object for people.
         family: family of the readers.
         trees: node trees read so far, which several walks may share.
-        values: inputs of the outermost tree, by identifier.
+        values: constant values of the outermost tree's inputs, by identifier.
         osl: whether OSL scripts run.
+        seen: visited outputs: pointer of the node, identifier of the output, pointers of the context's nodes.
         materials, objects, collections: those that geometry nodes receive.
     """
 
     found: Demand
-    words: str
+    label: str
     family: str
     trees: Trees
     values: dict = field(default_factory=dict)
@@ -65,7 +66,10 @@ class NodeWalk:
         return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
-        """Return the value of an input if nothing can change it, else None. context: see the module."""
+        """Return the value of an input if nothing can change it, else None. context: see the module.
+
+        A link is followed back through reroutes, muted nodes and groups, 100 steps at most.
+        """
         for _ in range(100):
             links = self.feeding(socket)
             if len(links) > 1:
@@ -84,11 +88,11 @@ class NodeWalk:
             node, socket, context = step
         return None
 
-    def read(self, name: str, node, context: tuple, why: str = "") -> None:
-        """Add a node as the reader of an attribute. why: added to the reader's name for the user."""
+    def read(self, name: str, node, context: tuple, why: str = "", at_hit: bool = False) -> None:
+        """Add a node as the reader of an attribute. why: added to the reader's label. at_hit: see Reader."""
         groups = [f"group {group.node_tree.name}" for group in context]
-        words = ", ".join([self.words, *groups, f"node {node.name}"])
-        self.found.add(name, f"{words} ({why})" if why else words, self.family)
+        label = ", ".join([self.label, *groups, f"node {node.name}"])
+        self.found.add(name, f"{label} ({why})" if why else label, self.family, at_hit)
 
     def _unlinked_value(self, node, socket):
         """Return the value of an unlinked input; None if animation may change it or it is no number or text.
@@ -122,7 +126,7 @@ class NodeWalk:
         if key in self.seen:
             return []
         self.seen.add(key)
-        if node.mute:  # which no animation changes
+        if node.mute:  # a muted node reads nothing, and passes an input on
             return [(node, link.from_socket, context) for link in node.internal_links if link.to_socket == output]
         if node.bl_idname == "NodeGroupInput":
             step = self._input_passed_to(node, output, context)

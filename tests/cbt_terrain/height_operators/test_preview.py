@@ -27,7 +27,7 @@ def test_a_preview_of_a_small_raster_is_the_whole_result():
     assert abs(found.field.heights() - land.heights() - made.change).max() < 1e-3
     assert set(found.field.layers) == {"worn", "fresh", "mark"}
     assert abs(found.field.layers["worn"] - made.layers["worn"]).max() < 1e-5
-    assert len(found.ms) == 2 and found.step_m == 11.0 and found.without == ""
+    assert len(found.ms) == 2 and found.step_m == 11.0 and found.left_out_entry == ""
 
 
 @pytest.mark.parametrize("shape_", [(700, 1000), (1026, 515), (2, 1300)])
@@ -109,9 +109,9 @@ def test_holes_stay_holes_and_the_source_is_not_written():
 def test_a_preview_leaves_out_slow_operators():
     land = from_array(bumpy(90, 70), *STEPS)
     found = preview(land, Stack((Entry("smooth", name="First"), hill())), seconds=-1.0)
-    assert found.without == "First" and found.ms == []
+    assert found.left_out_entry == "First" and found.ms == []
     assert abs(found.field.heights() - land.heights()).max() == 0.0
-    assert preview(land, Stack((Entry("smooth"), hill()))).without == ""
+    assert preview(land, Stack((Entry("smooth"), hill()))).left_out_entry == ""
 
 
 def test_an_operator_reads_the_layers_of_earlier_ones():

@@ -155,13 +155,13 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
     torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=torn)
     assert accuracy_page.cost_curves(subject) == [] and accuracy_page.cost_sentences(subject) == []
-    assert [plot.name for plot in accuracy_plots.error_plots(subject, "px", None, "")] == ["rough_px_triangles.svg"]
+    assert [plot.name for plot in accuracy_plots.error_plots(subject, "px", None)] == ["rough_px_triangles.svg"]
     reason = f"at {accuracy_plots.setting_label(rows[0].setting)} runs of the same update took 10 to 25 ms of CPU"
     files = accuracy_page.report_files([subject], {})
     assert reason in files["accuracy.md"] and reason in files["accuracy.json"] and reason in files["index.html"]
     subject.rows = [dataclasses.replace(rows[0], spread_ms=(10.0, 20.0)), *rows[1:]]
     assert [curve.unit for curve in accuracy_page.cost_curves(subject)] == ["px"]
-    assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.error_plots(subject, "px", None, "")) == 2
+    assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.error_plots(subject, "px", None)) == 2
 
 
 def test_there_is_no_curve_if_the_limit_stopped_all_rows():

@@ -183,7 +183,7 @@ def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight
 
 def test_frames_of_a_path_are_spread_over_it(hills, flight):
     subject = accuracy_subject.store_subject(hills, flight, None, (320, 180))
-    assert subject.numbers == [1, 4, 6, 9]
+    assert subject.frame_numbers == [1, 4, 6, 9]
     assert [frame.after is None for frame in subject.frames] == [False] * 3 + [True]
     assert (
         accuracy_subject.spread_frames(3, 3) == [3]

@@ -4,6 +4,7 @@
 import bpy
 import pytest
 from adaptive_terrain.operators.bridge.demand.demand import find_demand
+from adaptive_terrain.operators.bridge.demand.found import Reader
 from demand_cases import CASES
 from demand_trees import Moved, colour, emit, group, mix, new_object, worn
 
@@ -33,10 +34,10 @@ def test_readers_have_names_and_families():
     moved.tree.links.new(taken.outputs["Geometry"], moved.mover.inputs[0])
     moved.reads("slope")
     found = demanded(obj)
-    assert found["height"] == [("modifier Nodes, node Named Attribute", "GEOMETRY")]
+    assert found["height"] == [Reader("modifier Nodes, node Named Attribute", "GEOMETRY")]
     assert found["slope"] == [
-        ("object Trees, modifier Nodes, node Named Attribute", "GEOMETRY"),
-        ("material M, group Snow, node Attribute", "PICTURE"),
+        Reader("object Trees, modifier Nodes, node Named Attribute", "GEOMETRY"),
+        Reader("material M, group Snow, node Attribute", "PICTURE"),
     ]
 
 
@@ -51,7 +52,7 @@ def test_an_image_on_an_empty_reads_nothing():
 def test_everything_is_demanded_with_its_reason():
     obj, _, _ = worn()
     Moved(obj).reads_computed()
-    assert demanded(obj)["*"] == [("modifier Nodes, node Named Attribute (its Name is computed)", "GEOMETRY")]
+    assert demanded(obj)["*"] == [Reader("modifier Nodes, node Named Attribute (its Name is computed)", "GEOMETRY")]
 
 
 def nested(tree, depth, times):

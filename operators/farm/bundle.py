@@ -37,9 +37,12 @@ class FarmJob:
     """A job for a farm. All paths are absolute.
 
     Attributes:
+        blend: the scene's file.
+        frames: their numbers.
         chunk: frames per task.
         formats: of meshes; empty for pictures.
         out: folder of the frames.
+        version: of the extension.
         zip_path: the extension's zip, None if workers have the extension.
         files, folders: inputs of a worker.
         output_folders: folders that a worker writes before the frames.
@@ -71,24 +74,24 @@ def write_bundle(job: FarmJob, folder: Path) -> None:
     guard = read_template("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = read_template("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
     values = _parameter_values(job)
-    listed = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
+    value_list = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
     files = {
         TEMPLATE: job_template(job, guard),
-        VALUES: to_yaml_json(listed),
+        VALUES: to_yaml_json(value_list),
         OPENJD_VALUES: to_yaml_json(values),
         ASSETS: _asset_references(job),
     }
     try:
         write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: read_template(CONTAINER)})
     except UnicodeEncodeError as reason:
-        path = shown(reason.object[max(0, reason.start - 60) : reason.end])
+        path = shown(reason.object[max(0, reason.start - 60) : reason.end])  # the end of the path up to that character
         raise TerrainError("A path of the job is not UTF-8", path, fix="rename the file or its folder") from None
 
 
 def job_template(job: FarmJob, guard: str) -> str:
     """Return the template of a job as YAML. `guard`: source of guard.py, which runs before the frames."""
     steps = read_template("meshes.yaml" if job.formats else "render.yaml")
-    indent = " " * 8
+    indent = " " * 8  # of the embedded file in job.yaml
     text = read_template("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
     return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
 
@@ -102,7 +105,7 @@ def host_requirements(job: FarmJob) -> str:
     names = ("attr.worker.os.family", "attr.worker.cpu.arch")
     requirements = {}
     if known:
-        values = [sorted(set(column)) for column in zip(*known, strict=True)]
+        values = [sorted(set(column)) for column in zip(*known, strict=True)]  # operating systems, processors
         requirements["attributes"] = [{"name": n, "anyOf": v} for n, v in zip(names, values, strict=True)]
     if job.min_memory_gib:
         memory_mib = math.ceil(job.min_memory_gib * 1024)
@@ -118,17 +121,17 @@ def openjd_command(folder: Path) -> str:
 
 def range_text(frames: Sequence[int]) -> str:
     """Return sorted unique frames as a range of Open Job Description: `1-24,30-60:2`."""
-    rest, parts, at = sorted(set(frames)), [], 0
-    while at < len(rest):
-        step = rest[at + 1] - rest[at] if at + 1 < len(rest) else 1
+    numbers, parts, start = sorted(set(frames)), [], 0
+    while start < len(numbers):  # from `start` on, take as many frames as have the same step
+        step = numbers[start + 1] - numbers[start] if start + 1 < len(numbers) else 1
         count = 1
-        while at + count < len(rest) and rest[at + count] - rest[at + count - 1] == step:
+        while start + count < len(numbers) and numbers[start + count] - numbers[start + count - 1] == step:
             count += 1
         if count == 2 and step > 1:  # two frames are shorter without a step
             count = 1
-        first, last = rest[at], rest[at + count - 1]
+        first, last = numbers[start], numbers[start + count - 1]
         parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
-        at += count
+        start += count
     return ",".join(parts)
 
 

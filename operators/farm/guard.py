@@ -32,7 +32,10 @@ def fail(message):
 
 
 def install(zip_path, folder):
-    """Install the zip into `folder`, with the worker's preferences, which name the graphics cards for Cycles."""
+    """Install the zip into `folder`, with the worker's preferences, which name the graphics cards for Cycles.
+
+    Lines on the console (openjd_env) then make later steps of the job use that folder as the user's.
+    """
     if not os.path.isfile(zip_path):  # reading a pipe would wait
         fail(f"{zip_path} is no file, expected the extension's zip")
     try:
@@ -60,8 +63,9 @@ def check_extension():
     """Fail if the extension is not enabled or has another version."""
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         fail("the extension Adaptive Terrain is not enabled in this Blender, terrains would be stale")
-    there = [m for name, m in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
-    check_version(next((m.__version__ for m in there if hasattr(m, "__version__")), "unknown"))
+    # The extension's module is bl_ext.REPOSITORY.adaptive_terrain, of any repository.
+    modules = [module for name, module in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
+    check_version(next((m.__version__ for m in modules if hasattr(m, "__version__")), "unknown"))
 
 
 def check_version(found):

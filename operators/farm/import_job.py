@@ -19,7 +19,7 @@ from ..export.exporting import make_folder, write_files
 from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_json
 
 TIMEOUT_S = 86_400
-# Options of the verb `import` that are not spelled like their setting; a tuple is written with x.
+# Options of the verb `import` that are not spelled like their setting.
 OPTIONS = {"raw_dtype": "raw-type", "raw_little_endian": "big-endian", "blend": "no-blend"}
 POSITIONAL = "source", "more_sources"
 
@@ -55,14 +55,14 @@ def import_template(settings: ImportSettings) -> str:
         raise TerrainError("A source has {{ in its name, which a job reads as a variable", fix="rename it")
 
     def action(found: re.Match) -> str:
-        """Return the lines of a step's command."""
+        """Return the lines of a step's command. found: match of @ACTION@ or @ACTION PART@, a part of the import."""
         part = found[1].split()
         tiles = ["--tiles", "{{Task.Param.Tile}}"] if part and part[0] in TILED_PARTS else []
         words = ["--command", "adaptive_terrain", "import", "--store", "{{Param.StoreDir}}", "--progress", "openjd"]
         words += [*(["--only", *part, *tiles] if part else []), *arguments]
-        run = {"command": "{{Param.Blender}}", "args": words, "timeout": TIMEOUT_S}
-        run["cancelation"] = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 15}
-        return f"script: {to_yaml_json({'actions': {'onRun': run}}, indent=None).strip()}"
+        on_run = {"command": "{{Param.Blender}}", "args": words, "timeout": TIMEOUT_S}
+        on_run["cancelation"] = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 15}
+        return f"script: {to_yaml_json({'actions': {'onRun': on_run}}, indent=None).strip()}"
 
     chunks = {"defaultTaskCount": "{{Param.ChunkSize}}", "rangeConstraint": "CONTIGUOUS"}
     tile = {"name": "Tile", "type": "CHUNK[INT]", "range": "{{Param.Tiles}}", "chunks": chunks}
@@ -72,7 +72,10 @@ def import_template(settings: ImportSettings) -> str:
 
 
 def import_arguments(settings: ImportSettings) -> list[str]:
-    """Return the arguments of the verb `import` for settings: options, and then the sources with absolute paths."""
+    """Return the arguments of the verb `import` for settings: options, and then the sources with absolute paths.
+
+    Settings with their default are left out. A tuple is written with x between its numbers, a flag without a value.
+    """
     words = []
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)

@@ -26,6 +26,8 @@ def check_outside(
     Images, height maps, stores, shaped land and baked maps may be outside. Raises TerrainError for anything else,
     unless `allowed`: an untrusted scene may name any file. The suffix of a link's target counts, not that of the
     link.
+
+    files: of the job, height maps included. height_maps: files that an import reads. folders: of the job.
     """
     home = real_path(home)
     known = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]

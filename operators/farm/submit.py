@@ -48,7 +48,9 @@ def submit(
     Return lines about it for the user, and notes about things left to do.
 
     Args:
+        objects: the scene's terrains.
         frames: None for the scene's.
+        chunk: frames of one task.
         formats: of meshes; empty for pictures.
         extension: a zip that workers install for this job, INSTALLED for the running one, None if they have it.
         min_memory_gib: required memory of a worker, 0 for any.
@@ -105,7 +107,7 @@ def submit(
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:
-    """Add the files of one terrain to those of a job.
+    """Add the files and folders of one terrain to the lists of a job.
 
     height_maps: files to import. folders: existing stores, land and maps. outputs: folders that earlier steps of
     the job write.

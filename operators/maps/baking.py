@@ -22,9 +22,10 @@ from ...cbt_terrain.view.view import View
 class MapRequest:
     """One bake.
 
-    `views`: the views that determine the resolution, none for that of the height map; `placement` float64 [4, 4].
-    `only_seen`: tiles outside all frames get the coarsest images. `store`, `land`: of the heights, as in a scene's
-    Request. Others as in `attributes.bake.bake`.
+    `requests`: the attributes to bake. `folder`: of the images. `views`: the views that determine the resolution, none
+    for that of the height map; `placement`: from the terrain's space to the world, float64 [4, 4]. `only_seen`: tiles
+    outside all frames get the coarsest images. `budget_mb`: memory of all images, None for any. `form`: PNG or EXR.
+    `store`, `land`: of the heights, as in a scene's Request.
     """
 
     requests: tuple[AttributeRequest, ...]
@@ -55,7 +56,7 @@ def bake_maps(
     """
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    finest = shown = sizing.shown_by(tiling, field, request.requests)
+    finest = shown = sizing.shown_by(tiling, field, request.requests)  # as fine as the height map shows them
     if request.views:
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
@@ -78,9 +79,9 @@ def check_names(names: Iterable[str]) -> tuple[str, ...]:
 def summary(baked: Baked, name: str) -> str:
     """Describe a bake in one line: images written and unchanged, their size, and the maps. `name`: the terrain's."""
     sides = {tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]}
-    between = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
+    range_text = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
     images = "image" if baked.written == 1 else "images"
     return (
-        f"{name}: {baked.written} {images} baked, {baked.unchanged} kept, {between} texels a side: "
+        f"{name}: {baked.written} {images} baked, {baked.unchanged} kept, {range_text} texels a side: "
         f"{', '.join(baked.index['maps'])}"
     )

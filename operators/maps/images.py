@@ -4,7 +4,7 @@
     node.image, node.extension = map_image(obj, "detail_normal"), "EXTEND"
     tree.links.new(map_vector(tree, obj), node.inputs["Vector"])
 
-The values are 0 .. 1; the "coding" of `index_of` says what they stand for. A normal map goes through a Normal Map node
+The values are 0 .. 1; the "coding" of `index_of` describes their meaning. A normal map goes through a Normal Map node
 whose space is Object.
 """
 
@@ -23,19 +23,20 @@ from ..session.session import all_terrains, open_field
 from .properties import map_folder
 
 GROUP = "Terrain Map UV"
-_marks: dict[int, str] = {}  # by session_uid
+_marks: dict[int, str] = {}  # names of terrains' own folders, as in `maps.mark`, by session_uid
 
 
 def reserve_folder(obj) -> None:
-    """Make sure that no other terrain, of the same name in this file or another, has its maps in the same folder.
+    """Name a terrain's own folder of maps (`maps.mark`), unless it has a name that no other terrain uses.
 
-    A mark that an undo has removed is restored: the maps still exist.
+    A name that an undo has removed is restored: the maps still exist. A terrain of the same name in another file gets
+    another name, because a random number is part of it.
     """
     maps = obj.adaptive_terrain.maps
     maps.mark = maps.mark or _marks.get(obj.session_uid, "")
     others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
     while obj.library is None and (not maps.mark or str(map_folder(obj)).casefold() in others):
-        maps.mark = f"{obj.name}_{secrets.token_hex(4)}"  # that name stays: materials show the images under it
+        maps.mark = f"{obj.name}_{secrets.token_hex(4)}"  # also after renaming: materials show images of the folder
     _marks[obj.session_uid] = maps.mark
 
 
@@ -82,7 +83,9 @@ def reload(folder: Path, files: set[str]) -> None:
 
 
 def map_vector(tree, obj) -> bpy.types.NodeSocket:
-    """Add a node that gives image textures the position in the maps of `obj`; return its output socket."""
+    """Add a node to a shader's `tree` whose output is the position in the maps of `obj`, for image textures; return
+    that socket.
+    """
     index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
     node = tree.nodes.new("ShaderNodeGroup")
     node.node_tree = _lookup_group(index["columns"], index["rows"])
@@ -90,13 +93,16 @@ def map_vector(tree, obj) -> bpy.types.NodeSocket:
 
 
 def tile_metres(obj) -> float:
-    """Return the length in the world that one tile of a terrain's maps covers, metres; 0 without maps."""
+    """Return the length in the world that one tile of a terrain's maps covers with its margins, metres; 0 without maps.
+
+    index["margin"]: of each side, as a fraction of a tile.
+    """
     index = index_of(obj)
     if index is None:
         return 0.0
     place = index["place"]
-    across = min((place["east"] - place["west"]) / index["columns"], (place["north"] - place["south"]) / index["rows"])
-    return across / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
+    side = min((place["east"] - place["west"]) / index["columns"], (place["north"] - place["south"]) / index["rows"])
+    return side / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
 
 
 def _find_image(path: Path) -> bpy.types.Image | None:
@@ -107,7 +113,7 @@ def _find_image(path: Path) -> bpy.types.Image | None:
 def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
     """Return a node group that turns the mesh's UV into a position in the maps, inside a tile's margin.
 
-    columns, rows: tiles of a map.
+    columns, rows: tiles of a map. A position is the number of the tile plus a place in it, MARGIN .. 1 - MARGIN.
     """
     name = f"{GROUP} {columns} x {rows}"
     group = bpy.data.node_groups.get(name)

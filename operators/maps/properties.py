@@ -18,12 +18,15 @@ PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.ver
 
 
 def map_folder(obj) -> Path:
-    """Return the folder of a terrain's maps: a folder inside the one of its settings, or next to its store."""
+    """Return the folder of a terrain's maps: `maps.folder`/`maps.mark`, or <store>_maps/`maps.mark` if none is set.
+
+    maps.mark: name of the terrain's own folder, empty before the first baking.
+    """
     settings = obj.adaptive_terrain
     store = Path(absolute_path(settings.store))
-    folder = settings.maps.folder
-    above = Path(absolute_path(folder)) if folder else store.with_name(store.name + MAPS)
-    return above / bpy.path.clean_name(settings.maps.mark)
+    chosen = settings.maps.folder
+    parent = Path(absolute_path(chosen)) if chosen else store.with_name(store.name + MAPS)
+    return parent / bpy.path.clean_name(settings.maps.mark)
 
 
 def title_of(name: str) -> str:

@@ -59,7 +59,7 @@ def maps_shown_by_materials(obj) -> set[str]:
 
 
 def visit_for_request(
-    obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look
+    obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **options
 ) -> Iterator:
     """Visit the frames whose views decide how fine the maps are; yield the fraction done after each, then the
     MapRequest.
@@ -69,10 +69,10 @@ def visit_for_request(
     Args:
         names: maps in place of those of the settings.
         frames: frames in place of those of the settings.
-        look: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene.
+        options: keyword arguments of `gather`: `camera` or `resolution` in place of those of the scene.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
-    look = {"about_middle": True, **look}  # maps do not depend on the anchor
+    options = {"about_middle": True, **options}  # maps do not depend on the anchor
     map_images.reserve_folder(obj)
     for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
         check_folder(folder)  # chosen by the scene: no link in it may lead elsewhere
@@ -82,13 +82,13 @@ def visit_for_request(
             f"The folder of the maps, {settings.folder!r}, is relative to a .blend file that was never saved",
             fix="save the file, or choose another folder",
         )
-    first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **look)
-    seen = {"only_seen": frames is not None or settings.frames == SHOT}
+    first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **options)
+    only_seen = frames is not None or settings.frames == SHOT
     if frames is None:
         frames = {FRAME: [scene.frame_current], SHOT: frames_of(scene)}
         frames = frames.get(settings.frames, [])
     views = []
-    for views in visit_views(obj, scene, frames, first.placement, **look):
+    for views in visit_views(obj, scene, frames, first.placement, **options):  # fractions, and at the end the views
         if isinstance(views, float):
             yield views
     budget = settings.budget_mb if settings.use_budget else None
@@ -97,11 +97,11 @@ def visit_for_request(
         folder=map_folder(obj),
         views=tuple(views),
         placement=first.placement,
+        only_seen=only_seen,
         budget_mb=budget,
         form=settings.form,
         vertical_scale=first.vertical_scale,
         vertical_offset=first.vertical_offset,
         store=first.store,
         land=first.land,
-        **seen,
     )

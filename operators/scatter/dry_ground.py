@@ -22,10 +22,10 @@ def keep_dry(settings, terrain) -> str:
     depth, entries = settings.where.water_depth, terrain_settings.land.entries
     depth.use, depth.low, depth.high, depth.edge = True, 0.0, FILM_M, FILM_M
     notes = ["none in the water of the stack"] if _has_water(entries) else []
-    found, sea = imported_of(terrain_settings), shown_sea(terrain)
-    sea = _sea_level(entries) if sea is None else sea
+    imported, sea = imported_of(terrain_settings), shown_sea(terrain)
+    sea = _sea_level(entries) if sea is None else sea  # metres of the height map
     settings.sea_level = _in_terrain(sea, terrain_settings)
-    settings.use_sea = found is not None and found.heights_m[0] <= sea < found.heights_m[1]
+    settings.use_sea = imported is not None and imported.heights_m[0] <= sea < imported.heights_m[1]
     notes += [f"none below the sea at {length_text(settings.sea_level)}"] if settings.use_sea else []
     return ", ".join(notes) or "the terrain has no water"
 
@@ -33,19 +33,19 @@ def keep_dry(settings, terrain) -> str:
 def follow_sea(terrain, before: float | None, is_new: bool) -> None:
     """Keep the scatters of a terrain out of the sea that *Add Water* shows now.
 
-    before: the level that it showed before, None for no water. is_new: the water was just added, which switches *Above
-    the Sea* on; later a scatter's level is changed only where it was that of the water.
+    before: the level that it showed before in metres, None for no water. is_new: the water was just added, which
+    switches *Above the Sea* on; later a scatter's level is changed only where it was that of the water.
     """
     settings, sea = terrain.adaptive_terrain, shown_sea(terrain)
     for scatter in (obj.adaptive_scatter for obj in scatters_of(terrain)):
-        followed = before is not None and abs(scatter.sea_level - _in_terrain(before, settings)) <= SAME_LEVEL_M
-        if is_new or followed:
+        has_followed = before is not None and abs(scatter.sea_level - _in_terrain(before, settings)) <= SAME_LEVEL_M
+        if is_new or has_followed:
             scatter.sea_level = _in_terrain(sea, settings)
             scatter.use_sea |= is_new
 
 
 def _in_terrain(height: float, terrain_settings) -> float:
-    """Return a height of the height map in the terrain's own space."""
+    """Return the z in the terrain's own space of a height of the height map, both metres."""
     return height * terrain_settings.vertical_scale + terrain_settings.vertical_offset
 
 

@@ -14,10 +14,10 @@ from .habitats import has_habitat
 PER_SIDE = 200
 # Points on a whole land at full density, at most: 1.5 GB of instances where no camera limits them.
 MAX_ON_LAND = 1_000_000
-# In spacings: distance up to which density is full, for cones, a collection, and one with rules. 100 are 12,800
-# conifers in a view of the island from its coast.
+# Distance in spacings up to which density is full: for cones, for a collection, and for a collection with rules. 100
+# are 12,800 conifers in a view of the island from its coast.
 FULL_OF_CONES, FULL_OF_OBJECTS, FULL_WITH_RULES = 200, 100, 140
-# Part of the ground that rules leave, about: with rules, objects stand twice as close at no greater number.
+# Approximate fraction of the ground that rules leave: with rules, half the spacing gives no more objects.
 SHARE_BY_RULES = 0.25
 REACH_HEIGHTS = 2  # what stands there, and its shadow
 WITHOUT_EXTENT = ("EMPTY", "LIGHT", "CAMERA", "SPEAKER", "LIGHT_PROBE")
@@ -25,7 +25,7 @@ NAMES = ("spacing", "full_until", "size", "margin_m")  # in the order of `fitted
 
 
 def size_of(collection) -> tuple[float, float]:
-    """Return the largest plan diameter and the largest height of a collection's instances, metres of the world.
+    """Return the largest width in plan and the largest height of a collection's instances, metres of the world.
 
     An object is an instance, and so is a child collection with all that is in it. (0, 0) if nothing has an extent.
     """
@@ -59,13 +59,16 @@ def _to_world(obj) -> Matrix:
 
 
 def scale_of(terrain) -> float:
-    """Return metres of the world in a horizontal metre of a terrain's own space."""
+    """Return metres of the world in a horizontal metre of a terrain's own space, the mean of x and y."""
     x, y, _ = terrain.matrix_world.to_scale()
     return math.sqrt(abs(x * y)) or 1.0
 
 
 def count_on_land(terrain, spacing: float) -> int | None:
-    """Return the number of points at full density on all the land of a terrain; None without a height field."""
+    """Return the number of points at full density on all the land of a terrain; None without a height field.
+
+    spacing: metres of the terrain's space.
+    """
     found = imported_of(terrain.adaptive_terrain)
     return None if found is None else round(math.prod(found.extent_m) / spacing**2)
 
@@ -73,24 +76,27 @@ def count_on_land(terrain, spacing: float) -> int | None:
 def fit(obj) -> None:
     """Set spacing and distances of a scatter to suit the size of its collection's objects.
 
+    Points are as far apart as the objects are wide, and further on land that would get more than MAX_ON_LAND of them.
     A number that the user has changed since it was last fitted stays.
     """
     settings, terrain = obj.adaptive_scatter, obj.parent
     width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
     if width <= 0.0 or terrain is None:
         return
-    scale, found = scale_of(terrain), imported_of(terrain.adaptive_terrain)
+    scale, raster = scale_of(terrain), imported_of(terrain.adaptive_terrain)
     is_ruled = has_habitat(settings.where)
-    closer, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
-    smallest = 0.0 if found is None else scale * math.sqrt(math.prod(found.extent_m) / MAX_ON_LAND)
-    spacing = rounded(max(width, closer * smallest), 2, math.ceil)
+    # Rules leave a share of the points, so these may be closer together. full: distance to thinning out, in spacings.
+    factor, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
+    smallest = 0.0 if raster is None else scale * math.sqrt(math.prod(raster.extent_m) / MAX_ON_LAND)
+    spacing = rounded(max(width, factor * smallest), digits=2, toward=math.ceil)
     put_numbers(settings, spacing / scale, full * spacing, REACH_HEIGHTS * max(width, height))
 
 
 def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:
     """Set the fitted numbers of a scatter and remember them, to tell later which ones the user has changed.
 
-    spacing, full_until, reach: metres. first: set all, otherwise only those without changes.
+    spacing: metres of the terrain's space. full_until, reach: metres of the world. first: set all, otherwise only those
+    without changes. The size is 1.
     """
     for number, (name, value) in enumerate(zip(NAMES, (spacing, full_until, 1.0, reach), strict=True)):
         if first or getattr(settings, name) == settings.fitted[number]:

@@ -18,7 +18,10 @@ HABITATS = {"CONIFERS": (*PLANTS, WOODS), "BROADLEAVES": (*PLANTS, WOODS), "BUSH
 
 
 def set_habitat(scatter, kind: str) -> None:
-    """Set the rules of a kind on a scatter, unless it has rules of the user."""
+    """Set the rules of a kind on a scatter, unless it has rules already. kind: key of starter.KINDS.
+
+    Land without ground above SNOW_M gets no tree line.
+    """
     where = scatter.adaptive_scatter.where
     if has_habitat(where):
         return
@@ -35,6 +38,6 @@ def set_habitat(scatter, kind: str) -> None:
 
 
 def has_habitat(where) -> bool:
-    """Return whether rules other than that of the water limit the ground of a scatter."""
+    """Return whether rules other than that of the water limit the ground of a scatter. where: its LayerSettings."""
     bands = (getattr(where, name) for name in BANDS if name != "water_depth")
     return where.aspect.use or where.image is not None or any(band.use for band in bands)

@@ -75,26 +75,27 @@ def new_scatter_group() -> bpy.types.NodeTree:
         socket = tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.default_value, socket.min_value = 1.0, 0.0
     nodes = Nodes(tree)
-    given = nodes.add("NodeGroupInput").outputs
+    group_inputs = nodes.add("NodeGroupInput").outputs
 
     def named(name: str, kind: str):
+        """Add a node that reads the attribute `name`; return its output. kind: Blender's data type."""
         return nodes.add("GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind).outputs["Attribute"]
 
-    whole = {"Separate Children": True, "Reset Children": False, "Collection": given[COLLECTION]}
-    objects = nodes.add("GeometryNodeCollectionInfo", whole).outputs[0]
-    origin = nodes.add("FunctionNodeInputVector").outputs[0]
+    info = {"Separate Children": True, "Reset Children": False, "Collection": group_inputs[COLLECTION]}
+    objects = nodes.add("GeometryNodeCollectionInfo", info).outputs[0]
+    origin = nodes.add("FunctionNodeInputVector").outputs[0]  # (0, 0, 0): an object's location does not count
     objects = nodes.add("GeometryNodeSetPosition", {"Geometry": objects, "Position": origin}).outputs[0]
     count = nodes.add("GeometryNodeAttributeDomainSize", {"Geometry": objects}, component="INSTANCES")
-    height = given[CONE]
+    height = group_inputs[CONE]
     radius = nodes.math("MULTIPLY", height, 0.3)
     cone = nodes.add("GeometryNodeMeshCone", {"Vertices": 8, "Radius Bottom": radius, "Depth": height})
-    any_there = nodes.math("GREATER_THAN", count.outputs["Instance Count"], 0.5)
+    has_objects = nodes.math("GREATER_THAN", count.outputs["Instance Count"], 0.5)
     cones = nodes.add("GeometryNodeGeometryToInstance", {0: cone.outputs["Mesh"]}).outputs[0]
-    either = {"Switch": any_there, "False": cones, "True": objects}
-    switch = nodes.add("GeometryNodeSwitch", either, input_type="GEOMETRY")
-    size = nodes.math("MULTIPLY", named("size", "FLOAT"), given[SCALE])
+    sides = {"Switch": has_objects, "False": cones, "True": objects}
+    switch = nodes.add("GeometryNodeSwitch", sides, input_type="GEOMETRY")
+    size = nodes.math("MULTIPLY", named("size", "FLOAT"), group_inputs[SCALE])
     inputs = {
-        "Points": given["Geometry"],
+        "Points": group_inputs["Geometry"],
         "Instance": switch.outputs["Output"],
         "Pick Instance": True,
         "Instance Index": named("variant", "INT"),
@@ -104,6 +105,7 @@ def new_scatter_group() -> bpy.types.NodeTree:
     placed = nodes.add("GeometryNodeInstanceOnPoints", inputs).outputs["Instances"]
     this = nodes.add("GeometryNodeSelfObject").outputs[0]
     scale = nodes.add("GeometryNodeObjectInfo", {"Object": this}, transform_space="ORIGINAL").outputs["Scale"]
+    # Each instance is scaled about its point by the inverse of the object's scale, which comes from the terrain.
     inputs = {
         "Instances": placed,
         "Scale": nodes.vector("DIVIDE", (1.0, 1.0, 1.0), nodes.vector("ABSOLUTE", scale)),

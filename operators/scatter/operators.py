@@ -94,7 +94,7 @@ def _select_alone(context, obj) -> None:
 
 @persistent
 def on_load(_path, _unused=None) -> None:
-    """Show the collections that files of older versions hold in the modifier alone."""
+    """Set the property `collection` in files of older versions, which hold it in the modifier only."""
     for obj in bpy.data.objects:
         if is_scatter(obj) and obj.adaptive_scatter.collection is None:
             obj.adaptive_scatter.collection = collection_of(obj)

@@ -16,7 +16,7 @@ from .request import ScatterRecord, is_scatter, scatters_of
 
 ORPHAN = "Its parent is no terrain, so its points stay as they are: parent it to one, or delete it."
 LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
-STANDING = Matrix()  # the place of a scatter in its terrain's space, in which its points are written
+IDENTITY = Matrix()  # transform of a scatter in its terrain's space, in which its points are written
 
 
 class ScattersPanel(TerrainSubpanel):
@@ -98,7 +98,10 @@ def size_lines(settings, terrain) -> list[str]:
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
-    """Return four (name, value) rows about a scatter: points, tested candidates, time, distance to the mesh."""
+    """Return four (name, value) rows about a scatter: points, tested candidates, time, distance to the mesh.
+
+    status: Status of its terrain's last update, whose bound is that distance for points on the ground.
+    """
     points, took = summary(scatter)
     tested, off = "-", "-"
     if points != "-" and scatter.points.tested:
@@ -106,7 +109,7 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
         px, metres = status.bounds.bound_px, status.bounds.bound_m
         bound = (px, "px") if px is not None else (metres or 0.0, "m")
         off = phrase("0 (on the mesh)") if settings.roots == MESH else f"≤ {bound_text(*bound)}"
-        if settings.id_data.matrix_local != STANDING:
+        if settings.id_data.matrix_local != IDENTITY:
             off = phrase("moved: clear its transforms")
     return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
 

@@ -116,7 +116,7 @@ def scatter_of(settings, terrain_settings) -> Scatter:
 
     terrain_settings: settings of the terrain below the scatter; one of its layers may limit the scatter.
     """
-    layers, on = (), -1
+    layers, on = (), -1  # on: number of the layer that limits the scatter, -1 for none
     if settings.layer:
         layers = layers_of(terrain_settings)
         names = [layer.name for layer in layers]

@@ -19,9 +19,9 @@ from ...cbt_terrain.view.view import View
 from ..bridge.point_writer import write_points
 from .properties import MESH, scatter_of
 
-# Of memory at most, as instances: measured in Blender 5.2, in a viewport and in Cycles.
+# Largest memory of a point as an instance: measured in Blender 5.2, in a viewport and in Cycles.
 POINT_BYTES = 1500
-# A viewport draws them in every frame, and they come with every move of a slider.
+# Points of a scatter: a viewport draws them in every frame, and makes them again at every move of a slider.
 MAX_IN_VIEWPORT = 4_000_000
 
 
@@ -29,7 +29,8 @@ MAX_IN_VIEWPORT = 4_000_000
 class ScatterItem:
     """A visible scatter.
 
-    `uid`, `name`: session_uid and name of its object. `culls`: without hidden points. `sea_level`: points are above it.
+    `uid`, `name`: session_uid and name of its object. `on_mesh`: points are on the triangles, not on the height field.
+    `culls`: without hidden points. `sea_level`: points are above it, metres in the terrain's space.
     """
 
     uid: int
@@ -60,8 +61,8 @@ class Scatters:
 class ScatterRecord:
     """The last points of a scatter.
 
-    `key`: what they depend on. `shown`: which points its mesh has. `ms`: time for the last points; `runs`: how often
-    points were made. `history`: holds candidates on the ground for later frames.
+    `key`: what they depend on. `shown`: which points its mesh has. `ms`: milliseconds of the last points by step;
+    `runs`: how often points were made. `history`: holds candidates on the ground for later frames.
     """
 
     history: FrameHistory = field(default_factory=FrameHistory)
@@ -105,14 +106,14 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
 
 
 def max_points(render: bool) -> tuple[int, str]:
-    """Return how many points a scatter may have, and what limits them, in words: Blender crashes without memory.
+    """Return the largest number of points of a scatter, and a phrase for what limits it: memory, or Blender crashes.
 
     render: for a render, whose limit is the machine's memory alone.
     """
-    held = physical_memory() * 3 // 4 // POINT_BYTES
-    if not render and held > MAX_IN_VIEWPORT:
+    max_in_memory = physical_memory() * 3 // 4 // POINT_BYTES
+    if not render and max_in_memory > MAX_IN_VIEWPORT:
         return MAX_IN_VIEWPORT, "the maximum of a viewport (hide it there, and renders have them all)"
-    return held, "the maximum of this machine's memory"
+    return max_in_memory, "the maximum of this machine's memory"
 
 
 def make_points(
@@ -124,12 +125,15 @@ def make_points(
 
     Args:
         records: by session_uid of the scatter's object.
-        surface: the terrain's mesh, for points on it; `serial`: its number.
+        request: the terrain's Request.
+        terrain: the terrain's engine.
+        surface: the terrain's mesh, for points on it.
+        serial: number of that mesh, which changes with it.
     """
     scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
     views = tuple(view.key() for view in scatters.views)
     below, outline = request.cleanup.key()
-    whole = not request.cleanup.active  # through the cut one sees ground that it would hide
+    is_uncut = not request.cleanup.active  # a cut part would hide ground that is seen through the cut
     horizon = cache(terrain.horizon)  # one for all scatters
     for item in scatters.items:
         record = records.setdefault(item.uid, ScatterRecord())
@@ -144,15 +148,15 @@ def make_points(
             item.on_mesh and serial,
             item.sea_level,
         )
-        culls = item.culls and whole
+        culls = item.culls and is_uncut
         key += (culls and (request.criterion, request.frozen),)
         if key == record.key:
             continue
-        start, record.key = time.perf_counter(), ()
+        start, record.key = time.perf_counter(), ()  # no key, should the points fail
         try:
             boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
-            placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
-            points = place_points(heights, ScatterRequest(item.scatter, *placed), record.history, terrain.threads)
+            inputs = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
+            points = place_points(heights, ScatterRequest(item.scatter, *inputs), record.history, terrain.threads)
         except TerrainError as error:
             raise error.within(f"The scatter {item.name!r} cannot be made") from None
         if item.on_mesh:

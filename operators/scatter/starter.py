@@ -63,7 +63,7 @@ class AddStarterCollection(bpy.types.Operator):
 
 
 def put_kind(context, scatter, kind: str) -> bpy.types.Collection:
-    """Put a kind on a scatter, with rules for the ground where it grows; return its collection."""
+    """Put a kind (key of KINDS) on a scatter, with rules for the ground where it grows; return its collection."""
     found = add_starter(context)[kind]
     set_habitat(scatter, kind)
     scatter.adaptive_scatter.collection = found
@@ -71,7 +71,7 @@ def put_kind(context, scatter, kind: str) -> bpy.types.Collection:
 
 
 def add_starter(context) -> dict[str, bpy.types.Collection]:
-    """Add the kinds that the file lacks; return the collection of each kind."""
+    """Add the kinds that the file lacks, hidden from all view layers; return the collection of each kind."""
     found = {collection[MARK]: collection for collection in bpy.data.collections if MARK in collection}
     missing = [kind for kind in KINDS if kind not in found]
     if missing:
@@ -99,7 +99,7 @@ def _new_collection(name: str, mark: str) -> bpy.types.Collection:
 def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
     """Build the objects of a kind: evaluate their node trees and keep only the meshes.
 
-    materials: by the names of MATERIALS.
+    materials: by the names of MATERIALS. The objects are in no collection.
     """
     _, name, form, sizes = KINDS[kind]
     objects = []
@@ -140,9 +140,9 @@ def _material(name: str) -> bpy.types.Material:
     shade = nodes.add("ShaderNodeAttribute", attribute_name=starter_forms.SHADE).outputs["Fac"]
     color = nodes.mix(shade, (*inside, 1.0), (*tips, 1.0))
     random = nodes.add("ShaderNodeObjectInfo").outputs["Random"]
-    warm = nodes.math("MULTIPLY_ADD", random, DIFFERENCE, 1.0 - DIFFERENCE / 2)
-    even = nodes.math("MULTIPLY_ADD", random, DIFFERENCE / 2, 1.0 - DIFFERENCE / 4)
-    tint = nodes.add("ShaderNodeCombineXYZ", {0: warm, 1: even, 2: even}).outputs[0]
+    red = nodes.math("MULTIPLY_ADD", random, DIFFERENCE, 1.0 - DIFFERENCE / 2)  # varies most: some are warmer
+    other = nodes.math("MULTIPLY_ADD", random, DIFFERENCE / 2, 1.0 - DIFFERENCE / 4)  # green and blue
+    tint = nodes.add("ShaderNodeCombineXYZ", {0: red, 1: other, 2: other}).outputs[0]
     tree.links.new(nodes.vector("MULTIPLY", color, tint), shader.inputs["Base Color"])
     shader.inputs["Roughness"].default_value = roughness
     shader.inputs["Specular IOR Level"].default_value = 0.2

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Plants and rocks as geometry nodes: each function builds one form in a node tree, in metres, on its origin.
 
-The attribute `shade` goes from 0 inside to 1 at the tips; the materials mix two colours by it.
+The attribute `shade` goes from 0 inside to 1 at the tips; the materials mix two colours by it. Variables are sockets: a
+vector or a number for each point of the geometry that they are linked to.
 """
 
 import math
@@ -14,16 +15,17 @@ TWIGS = 6  # of a conifer's branch
 
 
 class FormNodes(Nodes):
-    """Nodes of one form with random numbers of one seed."""
+    """Nodes of one form with random numbers of one seed. Each method adds nodes and returns their output socket."""
 
     def __init__(self, tree, seed: int):
         super().__init__(tree)
-        self.seed = 1000 * seed
+        self.seed = 1000 * seed  # forms of other seeds get other numbers, up to 1000 calls
 
     def random(self, low: float, high: float):
         """Return a random number for each element, other than those of earlier calls."""
         self.seed += 1
         node = self.add("FunctionNodeRandomValue", {"Seed": self.seed}, data_type="FLOAT")
+        # The node has sockets of these names for other types, too.
         limits = [socket for socket in node.inputs if socket.type == "VALUE" and socket.name in ("Min", "Max")]
         limits[0].default_value, limits[1].default_value = low, high
         return next(socket for socket in node.outputs if socket.type == "VALUE")
@@ -53,7 +55,7 @@ class FormNodes(Nodes):
         return self.add("GeometryNodeSetMaterial", {"Geometry": smoothed, "Material": material}).outputs[0]
 
     def put(self, points, instance, euler, scale):
-        """Add nodes that copy `instance` to each point, turned by `euler` and scaled, as one mesh; return it."""
+        """Add nodes that copy `instance` to each point, turned by `euler` (radians) and scaled, as one mesh."""
         rotation = self.add("FunctionNodeEulerToRotation", {0: euler}).outputs[0]
         inputs = {"Points": points, "Instance": instance, "Rotation": rotation, "Scale": scale}
         placed = self.add("GeometryNodeInstanceOnPoints", inputs).outputs[0]
@@ -71,20 +73,24 @@ class FormNodes(Nodes):
         return self.add("GeometryNodeMeshLine", {"Count": count, "Offset": (0.0, 0.0, 0.0)}).outputs[0]
 
     def blade(self, along: int, across: int, width: float, fold: float, droop: float):
-        """Return a blade of length 1 along X that tapers to its tip, folded along its middle, with its tip down."""
+        """Return a blade of length 1 along X that tapers to its tip, folded along its middle, with its tip down.
+
+        along, across: vertices. width: about the largest. fold: metres down per metre from the middle. droop: of the
+        tip, metres.
+        """
         inputs = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": along, "Vertices Y": across}
         grid = self.add("GeometryNodeMeshGrid", inputs).outputs["Mesh"]
         _, x, y, _ = self.place()
         x = self.math("ADD", x, 0.5)
-        wide = self.math("MULTIPLY", self.math("POWER", self.math("SUBTRACT", 1.02, x), 0.7), width)
-        wide = self.math("MULTIPLY", wide, self.math("ADD", self.math("MULTIPLY", x, 0.8), 0.35))
-        y = self.math("MULTIPLY", y, wide)
+        local_width = self.math("MULTIPLY", self.math("POWER", self.math("SUBTRACT", 1.02, x), 0.7), width)
+        local_width = self.math("MULTIPLY", local_width, self.math("ADD", self.math("MULTIPLY", x, 0.8), 0.35))
+        y = self.math("MULTIPLY", y, local_width)
         down = self.math("MULTIPLY", self.math("MULTIPLY", x, x), droop)
         z = self.math("SUBTRACT", self.math("MULTIPLY", self.math("ABSOLUTE", y), -fold), down)
         return self.move(grid, self.xyz(x, y, z))
 
     def leaf(self, width: float, fold: float):
-        """Return a rhombus of length 1 along X, folded along it: two triangles."""
+        """Return a rhombus of length 1 along X and `width`, folded down along X: two triangles."""
         grid = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": 2, "Vertices Y": 2}
         mesh = self.add("GeometryNodeMeshGrid", grid).outputs["Mesh"]
         _, x, y, _ = self.place()
@@ -94,7 +100,7 @@ class FormNodes(Nodes):
         return self.move(mesh, self.xyz(along, across, down))
 
     def stem(self, height: float, bottom: float, top: float, sides: int, rings: int, sway: float):
-        """Return a tapered stem of `rings` segments that swings by up to `sway` metres."""
+        """Return a tapered stem of `rings` segments that swings by up to `sway` metres. bottom, top: radii."""
         inputs = {
             "Vertices": sides,
             "Side Segments": rings,
@@ -105,32 +111,36 @@ class FormNodes(Nodes):
         cone = self.add("GeometryNodeMeshCone", inputs, fill_type="NONE").outputs["Mesh"]
         _, x, y, z = self.place()
         swing = self.math("SINE", self.math("MULTIPLY", z, 3.0 / height))
-        return self.move(cone, self.xyz(self.math("MULTIPLY_ADD", swing, sway, x), y, self.math("SUBTRACT", z, 0.2)))
+        lower = self.math("SUBTRACT", z, 0.2)  # 0.2 m of it is in the ground
+        return self.move(cone, self.xyz(self.math("MULTIPLY_ADD", swing, sway, x), y, lower))
 
     def blob(self, subdivisions: int, size: tuple, middle: tuple, rough: float, noise_scale: float):
-        """Return an ellipsoid with radii `size` about `middle`, dented by noise."""
+        """Return an ellipsoid with radii `size` about `middle`, dented by noise. rough: fraction of the radii."""
         sphere = self.add("GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": subdivisions}).outputs["Mesh"]
         position = self.place()[0]
         self.seed += 1
-        shifted = self.vector("ADD", position, (0.37 * self.seed, 0.0, 0.0))
+        shifted = self.vector("ADD", position, (0.37 * self.seed, 0.0, 0.0))  # another part of the noise
         noise = self.add("ShaderNodeTexNoise", {"Vector": shifted, "Scale": noise_scale, "Detail": 2.0}).outputs[0]
         grown = self.math("MULTIPLY_ADD", self.math("SUBTRACT", noise, 0.5), 2.0 * rough, 1.0)
         return self.move(sphere, self.vector("MULTIPLY_ADD", self.scaled(position, grown), size, middle))
 
     def leaves(self, count: int, size: tuple, middle: tuple, leaf: float, material):
-        """Return blades on an ellipsoid and a little inside, which point outwards and upwards."""
+        """Return `count` leaves on an ellipsoid and a little inside, which point outwards and upwards.
+
+        size, middle: radii and middle of the ellipsoid. leaf: mean length of a leaf, metres.
+        """
         index = self.index()
-        part = self.math("DIVIDE", self.math("ADD", index, 0.5), float(count))
-        up = self.math("MULTIPLY_ADD", part, 1.75, -0.75)  # little grows below
-        round_ = self.math("SQRT", self.math("SUBTRACT", 1.0, self.math("MULTIPLY", up, up)))
+        fraction = self.math("DIVIDE", self.math("ADD", index, 0.5), float(count))
+        up = self.math("MULTIPLY_ADD", fraction, 1.75, -0.75)  # z on the unit sphere; few leaves are below
+        level = self.math("SQRT", self.math("SUBTRACT", 1.0, self.math("MULTIPLY", up, up)))  # distance from the axis
         angle = self.math("MULTIPLY_ADD", index, GOLDEN_ANGLE, self.random(-0.4, 0.4))
         cosine, sine = self.math("COSINE", angle), self.math("SINE", angle)
-        out = self.xyz(self.math("MULTIPLY", cosine, round_), self.math("MULTIPLY", sine, round_), up)
+        out = self.xyz(self.math("MULTIPLY", cosine, level), self.math("MULTIPLY", sine, level), up)
         depth = self.random(0.7, 1.0)
-        places = self.move(self.line(count), self.vector("MULTIPLY_ADD", self.scaled(out, depth), size, middle))
+        points = self.move(self.line(count), self.vector("MULTIPLY_ADD", self.scaled(out, depth), size, middle))
         pitch = self.math("MULTIPLY_ADD", self.math("ARCSINE", up), -0.7, self.random(-0.7, 0.7))
         euler = self.xyz(self.random(-0.9, 0.9), pitch, self.math("ADD", angle, self.random(-0.9, 0.9)))
-        placed = self.put(places, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
+        placed = self.put(points, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
         position, _, _, z = self.place()
         away = self.vector("LENGTH", self.vector("DIVIDE", self.vector("SUBTRACT", position, middle), size))
         light = self.math("MULTIPLY_ADD", self.math("SUBTRACT", z, middle[2]), 0.25 / size[2], 0.1)
@@ -143,9 +153,9 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     trunk = nodes.dress(nodes.stem(height, 0.24 * size, 0.02, 6, 3, 0.15), materials["Bark"], 0.5)
     index = nodes.index()
     branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))
-    part = nodes.math("DIVIDE", branch, float(branches))
+    part = nodes.math("DIVIDE", branch, float(branches))  # 0 for the lowest branch, 1 at the top
     left = nodes.math("SUBTRACT", 1.0, part)
-    reach = nodes.math("MULTIPLY_ADD", nodes.math("POWER", left, 0.85), 2.3 * size, 0.1 * size)
+    reach = nodes.math("MULTIPLY_ADD", nodes.math("POWER", left, 0.85), 2.3 * size, 0.1 * size)  # length of a branch
     along = nodes.math("MULTIPLY", nodes.math("DIVIDE", nodes.math("MODULO", index, float(TWIGS)), TWIGS - 1.0), reach)
     along = nodes.math("MULTIPLY", along, nodes.random(0.8, 1.1))
     angle = nodes.math("MULTIPLY_ADD", branch, GOLDEN_ANGLE, nodes.random(-0.2, 0.2))
@@ -172,6 +182,7 @@ def broadleaf(nodes: FormNodes, materials, size: float) -> None:
     """Build a broad tree: a stem, and a crown of three ellipsoids with leaves. 12 m at size 1."""
     parts = [nodes.dress(nodes.stem(7.0 * size, 0.34 * size, 0.1 * size, 7, 3, 0.3), materials["Bark"], 0.5)]
     turn = 0.9 * nodes.seed
+    # Of each ellipsoid at size 1: height of its middle, radius, half of its height, distance from the stem, leaves.
     for number, (up, radius, tall, away, count) in enumerate(
         ((8.2, 3.0, 3.1, 0.3, 300), (6.1, 2.3, 1.8, 2.1, 160), (6.5, 2.2, 1.9, 2.0, 160))
     ):
@@ -187,6 +198,7 @@ def broadleaf(nodes: FormNodes, materials, size: float) -> None:
 def bush(nodes: FormNodes, materials, size: float) -> None:
     """Build a bush: two ellipsoids with leaves. 1.5 m at size 1."""
     parts = []
+    # Of each ellipsoid at size 1: middle, radius, half of its height, leaves.
     for middle, radius, tall, count in (((0.0, 0.0, 0.55), 0.75, 0.68, 230), ((0.6, 0.25, 0.35), 0.5, 0.42, 120)):
         middle, radii = tuple(size * c for c in middle), (radius * size, radius * size, tall * size)
         dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, 0.45, 1.8)

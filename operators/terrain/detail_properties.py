@@ -19,8 +19,9 @@ def changed(self, _context) -> None:
 
 
 def value_of(detail, setting: CriterionSetting) -> float | None:
-    """Return the value of a criterion's setting in a DetailSettings; the setting's default, which limits nothing,
-    if it is off.
+    """Return the value of a criterion's setting in a DetailSettings; if its switch is off, the setting's default.
+
+    The default limits nothing. A flag has a switch only: on stands for the usual value.
     """
     if setting.switch and not getattr(detail, setting.switch):
         return setting.default
@@ -30,12 +31,12 @@ def value_of(detail, setting: CriterionSetting) -> float | None:
 def _number_property(setting: CriterionSetting, default: float):
     """Return the Blender property that holds a setting's number, with its label, unit and range."""
     kind, largest = (int, MAX_INT) if setting.whole else (float, MAX_FLOAT)
-    words = {"name": setting.label, "description": setting.tooltip, "update": changed}
+    options = {"name": setting.label, "description": setting.tooltip, "update": changed}
     limits = {"min": setting.min, "max": min(setting.max, largest), "soft_max": min(setting.soft_max, largest)}
     numbers = {name: kind(value) for name, value in {"default": default, **limits}.items()}
     if setting.whole:
-        return IntProperty(**words, **numbers)
-    return FloatProperty(**words, **numbers, precision=setting.digits, **UNITS.get(setting.unit, {}))
+        return IntProperty(**options, **numbers)
+    return FloatProperty(**options, **numbers, precision=setting.digits, **UNITS.get(setting.unit, {}))
 
 
 def _switch_property(setting: CriterionSetting, mode: str):

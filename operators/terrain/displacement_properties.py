@@ -11,10 +11,7 @@ from .detail_properties import changed
 
 
 def is_gray(_settings, image) -> bool:
-    """Return whether the red channel of an image can be read: it is a file or painted.
-
-    Blender offers only such images.
-    """
+    """Return whether the red channel of an image can be read: it is a file or painted. Blender offers only these."""
     return image.source in {"FILE", "GENERATED"}
 
 

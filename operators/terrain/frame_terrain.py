@@ -14,7 +14,7 @@ from ..session.polls import cancelled_by_errors
 from ..text.numbers import length_text
 from . import sight
 
-MARGIN = 1.08
+MARGIN = 1.08  # factor of a viewport's distance: the terrain does not touch the border
 VIEWPORT_SENSOR_MM = 72.0  # twice that of a camera: with the same lens a viewport sees twice as much
 NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objects stay visible
 
@@ -22,20 +22,21 @@ NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objec
 def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
     """Move `viewports` (see camera.viewports) to show the terrain, and extend the clip range of its camera to it.
 
-    Returns the changes in words. Raises TerrainError if the terrain has no store or no finite box.
+    Return texts about changes and about viewports that stay. Raises TerrainError if the terrain has no store or no
+    finite box.
 
     Args:
         always: also move a viewport that already shows the whole terrain.
     """
     box = sight.box_of(obj, depsgraph)
-    done = widen_camera(obj, depsgraph, box)
+    texts = widen_camera(obj, depsgraph, box)
     for _window, area, region, region_3d in viewports:
         space = area.spaces.active
         if space.local_view is not None and not obj.local_view_get(space):
-            done.append("a viewport in local view stays as it is")
+            texts.append("a viewport in local view stays as it is")
             continue
         if region_3d.view_perspective == "CAMERA":
-            done.append("a viewport in camera view stays there")
+            texts.append("a viewport in camera view stays there")
         elif always or not sight.shows_all(box, cameras.view_from_region(space, region, region_3d)):
             _move_view(space, region, region_3d, box, _visible_part(area, region, space))
         towards = region_3d.view_rotation.to_matrix().col[2]
@@ -43,7 +44,7 @@ def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[
         furthest = float(np.linalg.norm(box - eye, axis=1).max())
         space.clip_start, space.clip_end = sight.clip_that_shows(box, furthest, (space.clip_start, space.clip_end))
         area.tag_redraw()
-    return list(dict.fromkeys(done))
+    return list(dict.fromkeys(texts))
 
 
 def shown_viewports(window_manager, scene) -> list[tuple]:
@@ -54,7 +55,7 @@ def shown_viewports(window_manager, scene) -> list[tuple]:
 
 
 def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
-    """Extend the clip range of a terrain's camera to a box; return the changes in words."""
+    """Extend the clip range of a terrain's camera to a box [8, 3] in the world; return a text about it, [] for none."""
     camera = sight.camera_of(obj, depsgraph.scene)
     if camera is None:
         return []
@@ -81,17 +82,17 @@ def _visible_part(area, region, space) -> tuple[float, float, float, float]:
         for other in area.regions:
             if other.type == "WINDOW" or min(other.width, other.height) <= 1:
                 continue
-            if other.width > region.width / 2:
+            if other.width > region.width / 2:  # a header above or below
                 if other.y > region.y + region.height / 2:
                     top = min(top, other.y)
                 else:
                     bottom = max(bottom, other.y + other.height)
-            elif other.height > region.height / 2:
+            elif other.height > region.height / 2:  # the sidebar or the toolbar
                 if other.x > region.x + region.width / 2:
                     right = min(right, other.x)
                 else:
                     left = max(left, other.x + other.width)
-    if right - left < region.width / 4 or top - bottom < region.height / 4:
+    if right - left < region.width / 4 or top - bottom < region.height / 4:  # too little is left to frame in
         return -1.0, 1.0, -1.0, 1.0
     width, height = region.width / 2, region.height / 2
     return (
@@ -111,6 +112,7 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
     across, up, towards = ((box - middle) @ axes).T
     larger = max(region.width, region.height)
+    # Tangents of half of the field of view, horizontal and vertical: of the region, and of its visible part.
     tangents = np.array([region.width, region.height]) / larger * VIEWPORT_SENSOR_MM / 2 / space.lens
     left, right, bottom, top = visible
     wide, high = tangents * ((right - left) / 2, (top - bottom) / 2)
@@ -118,8 +120,8 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
     distance = float((np.maximum(abs(across) / wide, abs(up) / high) + towards).max()) * MARGIN
     if not distance > 0.0:
         return
-    beside = tangents * ((left + right) / 2, (bottom + top) / 2) * distance
-    region_3d.view_location = middle - axes[:, 0] * beside[0] - axes[:, 1] * beside[1]
+    offset = tangents * ((left + right) / 2, (bottom + top) / 2) * distance  # metres: middle of the visible part
+    region_3d.view_location = middle - axes[:, 0] * offset[0] - axes[:, 1] * offset[1]
     region_3d.view_distance = distance
 
 
@@ -142,13 +144,13 @@ class FrameTerrain(bpy.types.Operator):
         viewports = shown_viewports(context.window_manager, context.scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             viewports = [viewport for viewport in viewports if viewport[1] == context.area]
-        done = frame_terrain(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
-        if done:
-            self.report({"INFO"}, to_sentence(done))
+        texts = frame_terrain(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
+        if texts:
+            self.report({"INFO"}, to_sentence(texts))
         return {"FINISHED"}
 
 
-def to_sentence(done: list[str]) -> str:
+def to_sentence(texts: list[str]) -> str:
     """Join the texts of `frame_terrain` to one sentence."""
-    text = "; ".join(done)
-    return f"{text[0].upper()}{text[1:]}."
+    sentence = "; ".join(texts)
+    return f"{sentence[0].upper()}{sentence[1:]}."

@@ -20,12 +20,10 @@ def encode_tree(tree: bytes, meshlet: int) -> str:
 
 @lru_cache(maxsize=4)  # the same at every update
 def decode_tree(text: str) -> tuple[bytes, int]:
-    """Decode a text of `encode_tree` into the saved tree and the meshlet level.
-
-    Raises TerrainError for another text.
-    """
+    """Return the saved tree and the meshlet level of a text by `encode_tree`. Raises TerrainError for another text."""
     try:
         meshlet, packed = text.split()
-        return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), 2 * MAX_LEAVES), int(meshlet)
+        max_bytes = 2 * MAX_LEAVES  # a damaged text may claim any size
+        return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), max_bytes), int(meshlet)
     except (ValueError, zlib.error):
         raise TerrainError("The frozen triangles are damaged", fix="switch Freeze Detail off and on again") from None

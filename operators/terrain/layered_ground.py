@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What detail a terrain's settings ask for: all over it, and of its splat layers."""
+"""Displacement by a terrain's settings: on the whole terrain, and on its splat layers."""
 
 from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError

@@ -50,14 +50,15 @@ class MoveWorld(bpy.types.Operator):
             [obj for obj in session.terrains_of(context.scene) if obj.adaptive_terrain.store],
         )
         middle = middle_of_path(scene)
+        # Metres of the world; a multiple of the step of anchors, and nothing for a path that is near already.
         by = -np.round(middle / ANCHOR_STEP) * ANCHOR_STEP if np.abs(middle).max() > NEAR else np.zeros(2)
-        left = move_world(context, by)
+        driven_names = move_world(context, by)
         for obj in terrains:
             set_anchor(obj, *nearest_anchor(obj))
         context.view_layer.update()
         for obj in terrains:
             live.show_soon(obj)
-        for name in left:
+        for name in driven_names:
             self.report(
                 {"WARNING"}, f"{name}: a driver or a track of its location was not moved, but its delta location"
             )
@@ -89,19 +90,20 @@ def move_world(context, by: np.ndarray) -> list[str]:
 
     Return the names of objects whose location is driven: their delta location moves instead.
     """
-    scene, step, left = context.scene, Vector((*by, 0.0)), []
+    scene, step, driven_names = context.scene, Vector((*by, 0.0)), []
     if not by.any():
-        return left
-    tops = [obj for obj in scene.objects if obj.parent is None and obj.library is None]
+        return driven_names
+    without_parent = [obj for obj in scene.objects if obj.parent is None and obj.library is None]
     seen: set[int] = set()
-    for obj in sorted(tops, key=lambda top: len(top.constraints) > 0):
-        if obj.constraints:  # perhaps to an object that has moved
+    # Objects with constraints come last: their targets may have moved them already.
+    for obj in sorted(without_parent, key=lambda obj: len(obj.constraints) > 0):
+        if obj.constraints:
             before = obj.matrix_world.translation.copy()
             context.view_layer.update()
             if (obj.matrix_world.translation - before).dot(step) > FOLLOWED * step.dot(step):
                 continue
         if not shift_location(obj, step, seen):
-            left.append(obj.name)
+            driven_names.append(obj.name)
     context.view_layer.update()
     scene.cursor.location += step
     for _window, area, _region, region_3d in cameras.viewports(context.window_manager):
@@ -109,15 +111,17 @@ def move_world(context, by: np.ndarray) -> list[str]:
         area.tag_redraw()
     origin = origin_of(scene)
     if origin is not None:
-        x, y = (at - float(move) / metres for at, move, metres in zip(origin[1:3], by, origin.metres, strict=True))
+        moves = zip((origin.x, origin.y), by, origin.metres, strict=True)
+        x, y = (coordinate - float(move) / metres for coordinate, move, metres in moves)
         set_origin(scene, origin._replace(x=x, y=y), None)
-    return left
+    return driven_names
 
 
 def shift_location(obj, by: Vector, seen: set[int]) -> bool:
-    """Add `by` to an object's location in all frames; return whether it has no driver or track.
+    """Add `by` to an object's location in all frames; return False if a driver or a track moves the object.
 
-    seen: pointers of the curves that are shifted already, since objects may share an action.
+    Its delta location is moved then. seen: pointers of the curves that are shifted already, since objects may share an
+    action.
     """
     animation = obj.animation_data
     is_driven = animation is not None and (
@@ -151,7 +155,7 @@ def _curves_of(animation, *paths: str) -> list:
 
 
 def nearest_anchor(obj) -> tuple[float, float]:
-    """Return the anchor of a terrain that is nearest to the world's origin."""
+    """Return the anchor of a terrain that is nearest to the world's origin, metres from the raster's middle."""
     x, y = inverse(raster_placement_of(obj))[:2, 3].tolist()
     return session.open_field(shaped_land.store_of(obj)).lattice.anchor_near(x, y)
 

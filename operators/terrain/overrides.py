@@ -9,7 +9,7 @@ from ...cbt_terrain.field.displacement_layers import Ground
 
 @dataclass(frozen=True)
 class Overrides:
-    """Values in place of a terrain's settings; None keeps the setting.
+    """Values in place of a terrain's settings; None, or no key in `criterion`, keeps the setting.
 
     Attributes:
         criterion: fields of `Criterion` by their names. An error in pixels or metres also replaces a time budget.

@@ -11,7 +11,7 @@ from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, draw_fixed_lines, draw_switched
 from .request import criterion_from, within_time
 
-ROUNDED = 1e-3  # part by which an error, rounded up to four digits, may cost less than its budget
+ROUNDING = 1e-3  # fraction by which the finest error that fits may exceed its budget: it is a rounded number
 BUDGET_LINES = 2
 
 
@@ -50,7 +50,10 @@ def _draw_criterion(column, detail, setting: CriterionSetting) -> None:
 
 
 def _budget_text(detail) -> str:
-    """Return the finest error that fits the time budget, or why none is known."""
+    """Return a sentence with the finest error that fits the time budget, or why none is known. detail: DetailSettings.
+
+    curve.error: the measured errors, the largest first.
+    """
     try:
         criterion, note = within_time(criterion_from(detail), detail)
     except TerrainError as error:  # every criterion is off
@@ -59,7 +62,7 @@ def _budget_text(detail) -> str:
         return note
     unit, curve = requested_unit(criterion), CostCurve.from_json(detail.curve)
     error = getattr(criterion, f"error_{unit}")
-    fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDED)
+    fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDING)  # curve.at: triangles and milliseconds
     value = f"{plain(error, 4)} {unit}"
     text = phrase("Finest error that fits: {}", value) if fits else phrase("None fits; coarsest error: {}", value)
     is_measured = curve.error[-1] <= error <= curve.error[0]

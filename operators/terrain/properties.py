@@ -38,7 +38,7 @@ SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
 
 def land_items() -> list[tuple]:
-    """Return the enum items of the built-in lands. A .blend file stores their numbers; 1 is "file" as a source."""
+    """Return the enum items of the built-in lands. A .blend file stores their numbers; 1 is FILE as a source."""
     numbers = (number for number in range(len(LANDS) + 1) if number != 1)
     return [(name.upper(), land.label, land.about, "NONE", next(numbers)) for name, land in LANDS.items()]
 
@@ -49,9 +49,12 @@ def built_in_land(settings) -> BuiltInTerrain | None:
 
 
 def _on_source(self, _context) -> None:
-    """Reset the size and the height scale if the Add menu set them for the land that was chosen before."""
-    shapes = [self.extent[0] / land.side for land in LANDS.values()]
-    if not self.use_extent or not any(math.isclose(self.height_scale, shape, rel_tol=1e-5) for shape in shapes):
+    """Reset the size and the height scale if the Add menu set them for the land that was chosen before.
+
+    The Add menu scales a land's heights like its width, so its height scale is recognised by that ratio.
+    """
+    ratios = [self.extent[0] / land.side for land in LANDS.values()]
+    if not self.use_extent or not any(math.isclose(self.height_scale, ratio, rel_tol=1e-5) for ratio in ratios):
         return
     if (land := built_in_land(self)) is not None:
         self.height_scale = self.extent[0] / land.side

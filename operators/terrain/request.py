@@ -44,12 +44,15 @@ class Request:
 
     Attributes:
         store: folder of the height field; in a viewport that of its shaped land, if there is some.
-        made_ns: time of the last change of that folder, which tells it from one that is made again or repaired.
+        changed_ns: time of the last change of that folder, which tells it from one that is made again or repaired.
         land: land to be shaped from it first, or None.
         interpolation: the height field's, by its name in heightfield.py.
         ground: displacement on it, or None.
+        views: of the cameras or viewports to refine for, [] if the criterion needs none.
         placement: float64 [4, 4], the terrain's space to the world, metres.
         anchor: origin of that space, metres east and north of the raster's middle.
+        smooth: shade the mesh smoothly.
+        cleanup: parts of the finished mesh to cut away.
         overlay: colours of the mesh.
         max_ms: time budget of the criterion's error, None without one; `note`: why it has no effect, or "".
         frozen: triangles to keep whatever the criterion, see frozen.py; "" for a mesh that follows its camera.
@@ -113,8 +116,9 @@ def gather(
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace those of the settings and the scene. `about_middle`: the terrain's space begins at the
-    raster's middle, not at the anchor. Raises TerrainError for a terrain that cannot be refined.
+    and `overrides` replace those of the settings and the scene; a replaced value releases frozen triangles, and a
+    replaced error the time budget. `about_middle`: the terrain's space begins at the raster's middle, not at the
+    anchor. Raises TerrainError for a terrain that cannot be refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -139,7 +143,7 @@ def gather(
     if criterion.needs_view:
         with _name_terrain_in_errors(obj):
             views = _find_views(settings, depsgraph, mode, camera, resolution)
-    store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:
             scale = settings.vertical_scale, settings.vertical_offset
@@ -148,7 +152,7 @@ def gather(
         elif mode != RENDER:
             store, land = _shown_land(store, land, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
-    if cleanup.active:  # through the cut one sees ground that it would hide
+    if cleanup.active:  # a cut part would hide ground that is seen through the cut: none counts as hidden
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=store,
@@ -177,12 +181,13 @@ def gather(
 
 
 def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
-    """Return the store that a viewport shows, and the land that it previews on it, None if that store is already
-    shaped.
+    """Return the store that a viewport shows, and the land to preview on it, None if that store is already shaped.
+
+    store: of the terrain's settings.
     """
     if shown := land.shown:
         return shown, None
-    # A frozen mesh has the triangles of the raster, and a preview has another.
+    # The tree of a frozen mesh fits the store's raster only; a preview has another raster.
     return store, None if frozen else land
 
 
@@ -249,7 +254,7 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     """Return the clean-up of a CleanupSettings for the evaluated object `terrain`."""
     boundary = None
     if settings.boundary is not None:
-        if settings.boundary.original == terrain.original:  # cut by its last mesh it would never grow again
+        if settings.boundary.original == terrain.original:  # its mesh would be cut by the last one, and never grow
             raise TerrainError(
                 f"The terrain {terrain.name!r} is its own boundary", fix="choose another object, or none"
             )

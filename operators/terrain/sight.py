@@ -22,17 +22,18 @@ SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
 def box_of(obj, depsgraph=None) -> np.ndarray:
     """Return the corners of the terrain's box in the world, float64 [8, 3].
 
-    Raises TerrainError without a store, and for a matrix that flattens the terrain.
+    depsgraph: whose evaluated object counts, None for the original. Raises TerrainError without a store, and for a
+    matrix that flattens the terrain.
     """
-    placed = obj if depsgraph is None else obj.evaluated_get(depsgraph)
-    settings = placed.adaptive_terrain
+    terrain = obj if depsgraph is None else obj.evaluated_get(depsgraph)
+    settings = terrain.adaptive_terrain
     if not settings.store:
         raise no_heights(obj)
     field = shaped_land.field_of(obj)
     west, south, east, north = field.lattice.rectangle()
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
     corners = np.array([(i, j, h) for i in (west, east) for j in (south, north) for h in heights])
-    matrix = placement_of(placed)
+    matrix = placement_of(terrain)
     box = (matrix[:3, :3] @ corners.T).T + matrix[:3, 3]
     if not np.isfinite(box).all():
         raise TerrainError(
@@ -53,7 +54,10 @@ def depths(box: np.ndarray, view: View) -> np.ndarray:
 
 
 def is_cut_off(box: np.ndarray, view: View) -> bool:
-    """Return whether the clip range cuts off the far end of the box, or ends in front of all of it."""
+    """Return whether the clip range cuts off the far end of the box, or begins behind all of it.
+
+    A range whose start is not before its end, as of a View without clipping, cuts off nothing.
+    """
     start, end = view.clip
     far = depths(box, view).max()
     return start < end and (far > end or 0.0 < far < start)
@@ -86,7 +90,7 @@ def _in_camera(box: np.ndarray, view: View) -> np.ndarray:
 
 
 def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return homogeneous x, y and w, [8] each; the frame is -w .. w."""
+    """Return homogeneous x, y and w of a box's corners, [8] each; in the frame x and y are -w .. w."""
     points = np.c_[_in_camera(box, view), np.ones(len(box))]
     x, y, _, w = view.projection @ points.T
     return x, y, np.ones(len(box)) if view.kind == ORTHOGRAPHIC else w
@@ -98,15 +102,15 @@ def is_below_ground(obj, point: np.ndarray) -> bool:
     field = shaped_land.field_of(obj)
     matrix = np.array(obj.matrix_world, np.float64)
     try:
-        place = inverse(matrix) @ [*point, 1.0]
+        local = inverse(matrix) @ [*point, 1.0]  # in the terrain's space
     except np.linalg.LinAlgError:
         return False
     (west, south, east, north), lattice = field.lattice.rectangle(), field.lattice
-    if not (west <= place[0] <= east and south <= place[1] <= north):
+    if not (west <= local[0] <= east and south <= local[1] <= north):
         return False
-    column, row = round((place[0] - west) / lattice.step_x), round((place[1] - south) / lattice.step_y)
+    column, row = round((local[0] - west) / lattice.step_x), round((local[1] - south) / lattice.step_y)
     height = float(field.heights(row, column)) * settings.vertical_scale + settings.vertical_offset
-    return math.isfinite(height) and place[2] < height
+    return math.isfinite(height) and local[2] < height
 
 
 def is_far_out(point) -> bool:
@@ -137,7 +141,7 @@ def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float])
     if end < needed:
         end = round_up(2.0 * needed)
         start = max(start, NEAR_TO_FAR * end)
-    return min(start, needed / 100.0), end
+    return min(start, needed / 100.0), end  # the start is a hundredth of `needed` at most
 
 
 def round_up(value: float) -> float:

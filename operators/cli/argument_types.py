@@ -150,10 +150,13 @@ def setting_value(setting: CriterionSetting):
 
 
 def given_settings(arguments: argparse.Namespace) -> dict[str, float]:
-    """Return the criterion's settings that were given on the command line, by the names of the settings."""
-    given = {setting.name: (setting, getattr(arguments, setting.name)) for setting in SETTINGS if setting.option}
+    """Return the criterion's settings that were given on the command line, by the names of the settings.
+
+    A flag stands for the setting's usual value, its negation for the default.
+    """
+    values = {setting.name: (setting, getattr(arguments, setting.name)) for setting in SETTINGS if setting.option}
     return {
         name: value if not setting.is_flag else setting.usual if value else setting.default
-        for name, (setting, value) in given.items()
+        for name, (setting, value) in values.items()
         if value is not None
     }

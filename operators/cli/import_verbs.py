@@ -26,8 +26,8 @@ def run_import(arguments) -> None:
     settings = _import_settings(arguments, source=source, more_sources=arguments.sources[1:])
     several = names_several(settings)
     for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
-        wrong = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
-        if getattr(arguments, option) is not None and wrong:
+        is_foreign = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
+        if getattr(arguments, option) is not None and is_foreign:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
     if bool(arguments.tiles) != (arguments.only in TILED_PARTS):
         raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
@@ -45,6 +45,7 @@ def run_import(arguments) -> None:
     previews: list[dict] = []
 
     def on_preview(preview: dict) -> None:
+        """Print the fields that are known before the import."""
         previews.append(preview)
         print_fields(preview)
 
@@ -55,8 +56,8 @@ def run_import(arguments) -> None:
     if part is not None:
         print_fields(report)
         return
-    before = previews[0] if previews else {}
-    print_fields({name: value for name, value in report.items() if before.get(name) != value})
+    printed = previews[0] if previews else {}
+    print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 
 

@@ -23,7 +23,7 @@ MAX_FRAMES = 100_000  # of a path without --frames
 
 @dataclass(frozen=True)
 class MapSubject:
-    """One terrain whose maps are baked."""
+    """One terrain whose maps are baked: its name for the printed lines, its height field, and the request."""
 
     name: str
     field: object
@@ -101,10 +101,10 @@ def subjects_of_scene(
     from ..maps.request import visit_for_request
     from ..session import session
 
-    look = {"camera": source.camera, "resolution": resolution}
+    options = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
-        *_, request = visit_for_request(obj, source.scene, names, frames, **look)
+        *_, request = visit_for_request(obj, source.scene, names, frames, **options)  # the last item
         request = replace(request, folder=out / file_name(obj))
         field = raster_of(request.store, request.land, session.open_field, verified=True)
         subjects.append(MapSubject(obj.name, field, request))

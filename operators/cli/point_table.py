@@ -46,7 +46,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     """
     text = _decode(content)
     first, _, rest = text.partition("\n")
-    if first.strip().casefold().startswith("sep=") and len(first.strip()) <= 5:  # a line of Excel's
+    if first.strip().casefold().startswith("sep=") and len(first.strip()) <= 5:  # a line of Excel's, as sep=;
         text = rest
     lines, delimiter = _split_into_cells(text, name)
     names = [cell.strip() for cell in lines[0][1]] if lines else []
@@ -58,7 +58,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
             expected=f"none of the columns that are added ({', '.join(added)})",
             fix="rename or remove it",
         )
-    shift = text is rest
+    shift = text is rest  # a line was cut off: line numbers in errors are those of the file
     rows, coordinates = [], np.empty((max(len(lines) - 1, 0), 2))
     for n, (line, row) in enumerate(lines[1:]):
         values = [_parse_number(row[column], delimiter) if column < len(row) else math.nan for column in columns]
@@ -82,8 +82,9 @@ def _decode(content: bytes) -> str:
     """Decode UTF-8, UTF-16 or Windows-1252, with or without a byte order mark."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16", "replace")
-    for zero, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):  # without a mark: every other byte is 0
-        if len(content) >= 4 and not any(content[zero : 64 + zero : 2]) and any(content[:64]):
+    # UTF-16 without a mark: in Latin text every other byte is 0, from the byte `first` on.
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(content) >= 4 and not any(content[first : 64 + first : 2]) and any(content[:64]):
             return content.decode(encoding, "replace")
     try:
         return content.decode("utf-8-sig")
@@ -122,6 +123,7 @@ def _find_coordinates(names: list[str], name: str, crs: str, is_degrees: bool) -
     """
     folded = [column.casefold() for column in names]
     for pair in (ANY, LENGTHS, DEGREES):
+        # Positions of the columns for x, and of those for y.
         found = [[n for n, column in enumerate(folded) if column in axis] for axis in pair]
         if not all(found):
             continue

@@ -36,13 +36,13 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     field, placing = open_store(store), placing_of(store)
     is_degrees = placing.metres_y > LONGEST_UNIT
     names, rows, coordinates = parse_points(content, str(points), () if as_line else FOUND, placing.crs, is_degrees)
-    places = placing.to_terrain(coordinates)
+    positions = placing.to_terrain(coordinates)  # metres from the terrain's middle
     if as_line:
-        found = profile(field, places)
+        found = profile(field, positions)
         table = np.column_stack([found.along, placing.from_terrain(found.places), found.heights])
         names, lines, inside = list(ALONG), [number_texts(row) for row in table], ~np.isnan(found.heights)
     else:
-        ground = ground_at(field, places)
+        ground = ground_at(field, positions)
         table = np.column_stack([ground.heights, np.degrees(ground.slopes), ground.normals])
         lines, inside = [row + number_texts(values) for row, values in zip(rows, table, strict=True)], ground.inside
         names = [*names, *FOUND]

@@ -16,7 +16,7 @@ from .maps_command import views_along
 
 __all__ = ["check_export", "export", "run"]
 
-# A larger raster is shaped as a whole only where someone says so.
+# A larger raster is shaped as a whole only on request (`whole`).
 WHOLE_SAMPLES = 4097 * 4097
 
 
@@ -41,10 +41,10 @@ def run(
         whole: allow shaping all tiles of a large raster.
         finish_early_s: seconds after which the levels that are done suffice.
     """
-    wanted, given = None, read_stack(stack)
+    tiles, operators = None, read_stack(stack)  # None: all tiles
     field = open_store(store)
     if path is not None:
-        wanted = tiles_seen(field, views_along(path, frames, resolution), pixel_error=pixel_error)
+        tiles = tiles_seen(field, views_along(path, frames, resolution), pixel_error=pixel_error)
     elif not whole and field.samples.size > WHOLE_SAMPLES:
         raise TerrainError(
             f"The store {store} has {field.lattice.width} x {field.lattice.height} samples",
@@ -57,7 +57,7 @@ def run(
     def start_job() -> ShapeJob:
         """Start the child process and keep its handle for `on_progress`."""
         nonlocal job
-        job = ShapeJob(store, given, out, wanted)
+        job = ShapeJob(store, operators, out, tiles)
         return job
 
     def on_progress(fraction: float, _message: str) -> None:

@@ -112,12 +112,12 @@ def run_map(arguments) -> None:
     from ..export.render_map import render_map
 
     scene, objects = open_scene(arguments.scene)
-    wanted = [obj for obj in objects if arguments.terrain in (None, obj.name)]
-    if not wanted:
+    matching = [obj for obj in objects if arguments.terrain in (None, obj.name)]
+    if not matching:
         names = ", ".join(obj.name for obj in objects)
         raise TerrainError(f"The scene has no terrain {arguments.terrain!r}", expected=f"one of {names}")
-    wanted[0].adaptive_terrain.camera_source = "SCENE"
-    add_map_camera(wanted[0], bpy.context.evaluated_depsgraph_get(), arguments.pixels, arguments.metres)
+    matching[0].adaptive_terrain.camera_source = "SCENE"
+    add_map_camera(matching[0], bpy.context.evaluated_depsgraph_get(), arguments.pixels, arguments.metres)
     out = Path(arguments.out).absolute()
     for file in render_map(scene, out, arguments.tiles, arguments.geotiff):
         print_line(f"{file} is written")

@@ -34,11 +34,11 @@ def run_bake(arguments) -> None:
             arguments.store,
             arguments.max_error,
             arguments.budget,
-            form.needs_blender,
-            arguments.interpolation,
-            _displacement(arguments),
-            arguments.fit,
-            bar.to,
+            in_blender=form.needs_blender,
+            interpolation=arguments.interpolation,
+            detail=_displacement(arguments),
+            fitted=arguments.fit,
+            on_progress=bar.to,
         )
     finally:
         bar.close()
@@ -68,15 +68,15 @@ def run_export(arguments) -> None:
 
 @contextmanager
 def frame_reporter(arguments, label: str):
-    """Give the `with` block a function to call after each frame: it prints a line and advances the bar.
+    """Yield a function to call after each frame, which prints a line and advances the progress bar.
 
-    The function takes the frame, its summary, and whether the frame was complete before.
+    It takes the frame, its summary, and whether the frame was complete before.
     """
     bar = Progress(len(arguments.frames), label, arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
 
     def on_frame(frame: int, summary: dict, skipped: bool) -> None:
-        """Print a line about an exported frame and move the progress bar. skipped: the frame was complete before."""
+        """Print a line about a frame and move the progress bar."""
         line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
         bar.say(f"{line}, complete before" if skipped else line)
         bar.to(next(counter), worked=not skipped)
@@ -103,7 +103,12 @@ def _export_source(arguments):
         need_bpy("A .blend file")
         if arguments.anchor:
             raise UsageError("--anchor belongs to --store: in a scene Move World Here sets anchors")
-        overrides = Overrides(settings, arguments.interpolation, arguments.effects, displacement)
+        overrides = Overrides(
+            criterion=settings,
+            interpolation=arguments.interpolation,
+            effects=arguments.effects,
+            ground=displacement,
+        )
         return SceneFrames(arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter)
     if arguments.scatter:
         raise UsageError("--scatter belongs to --scene: a store has no scatters")
@@ -114,11 +119,11 @@ def _export_source(arguments):
         arguments.path,
         Criterion(**settings),
         arguments.resolution or DEFAULT_RESOLUTION,
-        needs_blender(arguments.format),
-        arguments.interpolation or INTERPOLATIONS[0],
-        arguments.effects or (),
-        displacement,
-        arguments.anchor,
+        in_blender=needs_blender(arguments.format),
+        interpolation=arguments.interpolation or INTERPOLATIONS[0],
+        effects=arguments.effects or (),
+        detail=displacement,
+        has_anchor=arguments.anchor,
     )
 
 
@@ -247,13 +252,20 @@ def run_bench(arguments) -> None:
         raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
     from ...benchmarks import suite
 
-    suite.run(arguments.quick, arguments.with_cycles, arguments.blender, arguments.json, arguments.docs)
+    suite.run(
+        quick=arguments.quick,
+        with_cycles=arguments.with_cycles,
+        blender=arguments.blender,
+        json_file=arguments.json,
+        docs=arguments.docs,
+    )
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
     """Return a line such as `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`.
 
-    `what`: its first words. `terrains`: summaries of figures(); triangles are added up, the largest bound counts.
+    `what`: its first words. `terrains`: results of `exporting.figures`; triangles and times are added up, the largest
+    bound counts. `elapsed_ms`: of all work on the frame, None to leave it out.
     """
     from ..text.shown_bounds import limit_text
 

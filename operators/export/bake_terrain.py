@@ -23,9 +23,9 @@ from ..text.shown_bounds import bound_text, limit_text
 
 
 def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
-    """Add an ordinary object beside the terrain `obj`, whose mesh is at most `error_m` metres off in height.
+    """Add an ordinary object at the place of the terrain `obj`, whose mesh is at most `error_m` metres off in height.
 
-    Return it and the engine's Update. Raises TerrainError.
+    Return it and the engine's Update. A limit of triangles may make the error larger. Raises TerrainError.
 
     Args:
         fitted: move vertices off the surface to save triangles; each leaf is then one triangle. Otherwise the

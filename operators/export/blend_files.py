@@ -54,12 +54,7 @@ def check_named_files(blend: Path) -> None:
 
 
 def import_bpy(what: str):
-    """Return the bpy module.
-
-    Raises TerrainError if it is missing.
-
-    what: what needs it, for the error.
-    """
+    """Return the bpy module. Raises TerrainError if it is missing. what: subject of the error's "... needs"."""
     try:
         with quiet():
             import bpy

@@ -58,17 +58,17 @@ def need_no_shear(obj) -> None:
 
 
 def turn_faces_over(path: Path, faces: int) -> None:
-    """Reverse the order of the corners of all faces in a .ply file.
+    """Reverse the order of the corners of all faces in a binary .ply file.
 
-    `faces`: their number; they come last in the file.
+    `faces`: their number; they are triangles and come last in the file.
     """
     face = np.dtype([("count", np.uint8), ("corners", "<u4", 3)])
     with path.open("r+b") as file:
         file.seek(-faces * face.itemsize, os.SEEK_END)
-        turned = np.fromfile(file, face, faces)
-        turned["corners"] = turned["corners"][:, ::-1].copy()
+        records = np.fromfile(file, face, faces)
+        records["corners"] = records["corners"][:, ::-1].copy()
         file.seek(-faces * face.itemsize, os.SEEK_END)
-        file.write(turned.tobytes())
+        file.write(records.tobytes())
 
 
 def export_ply(_obj, name: str) -> None:

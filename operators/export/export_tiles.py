@@ -39,7 +39,7 @@ SIZES = (
 
 def mask_requests(obj, depsgraph, field) -> tuple:
     """Return requests for the attributes that tiles get as masks: the layers of the store, and the splat layers."""
-    num_splats = -(-len(obj.adaptive_terrain.layers) // 4)
+    num_splats = -(-len(obj.adaptive_terrain.layers) // 4)  # an attribute holds the weights of four layers
     names = [*(name for name in ATTRIBUTES if name in field.layers), *SPLATS[:num_splats]]
     evaluated = obj.evaluated_get(depsgraph)
     return (
@@ -83,6 +83,7 @@ class LandExport(FileJobOperator):
         land = shaped_field(context.object, context.evaluated_depsgraph_get())
 
         def open_land():
+            """Return the height field of the shaped land; on the job's thread."""
             with session.engine_lock:
                 return land()
 
@@ -92,6 +93,7 @@ class LandExport(FileJobOperator):
         yield from jobs.prepare_kernels(job, modules)
 
         def write_stoppable() -> str:
+            """Write until the job is stopped; return the line to report."""
             with stopping.checking(job.raise_if_stopped):
                 return write(job.progress)
 
@@ -191,7 +193,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
 
     def prepare(self, obj, depsgraph, field):
         """Prepare to write the height tiles, the masks and their JSON beside the chosen file."""
-        path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}
+        path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}  # 0: one tile
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
             size=sizes[self.size] if self.size in sizes else int(self.size),
@@ -204,6 +206,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
         masks = mask_requests(obj, depsgraph, field) if self.masks else ()
 
         def write(on_progress) -> str:
+            """Write the tiles; return the line to report."""
             index = export_height_tiles(field, path.parent, settings, masks, on_progress)
             return height_tiles_line(settings.name, index)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
+"""Frames to files: each is written beside and renamed, and a summary, written last, marks a frame as complete."""
 
 import os
 import time
@@ -97,11 +97,11 @@ def write_frames(
         stopping.check()
         summary_path = out / summary_name(frame)
         digests = {input_name(path, out): contents(path) for path in inputs(frame)}
-        complete = complete_summary(out, frame, settings, digests, formats)
-        if complete is not None and resume:
-            on_frame(frame, complete, True)
+        existing = complete_summary(out, frame, settings, digests, formats)
+        if existing is not None and resume:
+            on_frame(frame, existing, True)
             continue
-        if complete is None:  # it would describe the old files
+        if existing is None:  # a summary of other files must not stay while these are written
             _remove_summary(summary_path)
         summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
         summary = close_summary(summary, out)
@@ -201,12 +201,12 @@ def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
     with ExitStack() as stack:
         for path, content in ((folder / name, content) for name, content in contents.items()):
             stack.enter_context(named_failures(path))
-            whole = content if isinstance(content, bytes) else content.encode()
-            stack.enter_context(written_beside(path)).write_bytes(whole)
+            data = content if isinstance(content, bytes) else content.encode()
+            stack.enter_context(written_beside(path)).write_bytes(data)
 
 
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
-    """Write the files of one frame in all formats; return their sizes in bytes, the terrains' figures and the time."""
+    """Write the files of one frame in all formats; return the part of its summary that `write_frames` describes."""
     start = time.perf_counter()
     files, pieces = [], []
     for piece in source.pieces(frame):
@@ -268,10 +268,10 @@ def write_arrays(pieces: Sequence[Piece], path: Path) -> None:
 
 @contextmanager
 def _written_by_blender(path: Path, written=written_beside):
-    """Give the `with` block a partial file for Blender's exporters, which becomes `path` at the end.
+    """Yield a partial file for Blender's exporters, which becomes `path` after the `with` block.
 
-    written: context manager for partial files. The file is created first, because the exporters print tracebacks if
-    they cannot. No handler of this extension runs meanwhile: an exporter may change the frame while it reads the
+    written: context manager for partial files. Creating the file is tried first, because the exporters print tracebacks
+    if they cannot. No handler of this extension runs meanwhile: an exporter may change the frame while it reads the
     mesh.
     """
     with written(path) as partial, paused():
@@ -298,7 +298,7 @@ def _check_fully_written(path: Path) -> None:
 def write_blend(pieces: Sequence[Piece], path: Path) -> None:
     """Save a copy of the open file, which keeps its path.
 
-    To read it back takes as long as to write it, so the meshes of `pieces` are counted before Blender copies them.
+    Reading the copy back would take as long as writing it, so the triangles of `pieces` are counted in the open file.
     """
     import bpy
 

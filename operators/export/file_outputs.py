@@ -66,13 +66,13 @@ def publish_outputs(scene, folder: Path) -> list[Path]:
         below = folder / _drive_name(drive)
         files = sorted(Path(inner) / name for inner, _, names in os.walk(below) for name in names)
         moves += [(file, Path(drive + os.sep) / file.relative_to(below)) for file in files]
-    for _, place in moves:
-        make_folder(place.parent)
-        check_target(place)
-    for file, place in moves:
-        with named_failures(place), written_beside(place) as partial:
-            shutil.move(file, partial)  # a rename, or a copy where the place is on another disk
-    return [place for _, place in moves]
+    for _, target in moves:
+        make_folder(target.parent)
+        check_target(target)
+    for file, target in moves:
+        with named_failures(target), written_beside(target) as partial:
+            shutil.move(file, partial)  # a rename, or a copy to another disk
+    return [target for _, target in moves]
 
 
 def output_nodes(scene) -> list:
@@ -94,9 +94,10 @@ def output_folders(scene) -> list[Path]:
     found = []
     for node in output_nodes(scene):
         path = os.path.abspath(absolute_path(node_folder(node)))
+        # Before Blender 5.0 the path of a multilayer file has the file's name.
         is_file = hasattr(node, "base_path") and node.format.file_format == "OPEN_EXR_MULTILAYER"
         parts = Path(os.path.dirname(path) if is_file else path).parts
-        found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))
+        found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))  # up to a placeholder
     return list(dict.fromkeys(found))
 
 
@@ -161,12 +162,15 @@ def _set_node_names(node, name: str, items: list[str]) -> None:
     """Set the file name of a node and the names of its items."""
     node.file_name = name
     for item, item_name in zip(node.file_output_items, items, strict=True):
-        if item.name != item_name:  # which would make new sockets
+        if item.name != item_name:  # setting it makes new sockets
             item.name = item_name
 
 
 def _numbered_names(node, name: str, items: list[str]) -> tuple[str, list[str]]:
-    """Return the names of a node's file and items with a placeholder for the frame's number, unless they have one."""
+    """Return the names of a node's file and items with a placeholder for the frame's number, unless they have one.
+
+    An item's file has the node's name and the item's.
+    """
     if node.format.media_type == "MULTI_LAYER_IMAGE":  # items are layers of one file
         return _with_frame_number(name), items
     return name, [_with_frame_number(name + item)[len(name) :] for item in items]

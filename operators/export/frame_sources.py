@@ -37,9 +37,11 @@ class Piece:
     """One terrain at one frame.
 
     Attributes:
+        name: start of the names of its files.
         surface: arrays of the mesh. Those of a scene's terrain are copies, because anything in Blender may update a
             terrain; those of a store's terrain are valid until the next frame is refined.
-        origin: float64 [3], metres, of which the positions are relative.
+        origin: float64 [3], metres, to which the positions are relative.
+        update: the engine's, with bounds and times.
         info: facts of the frame for JSON.
         obj: the Blender object that shows it, None without Blender.
         tree: the saved tree for `Terrain.restore`; b"" of a baked mesh.
@@ -107,11 +109,12 @@ class StoreFrames:
         """Yield the terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view], self.placement)
-        tree, how = self.terrain.saved()
+        tree, tree_settings = self.terrain.saved()
         request = EffectRequest(self.effects, update.surface)
         evaluated = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
         surface = update.surface.with_attributes(evaluated.attributes)
-        info = describe(update, self.criterion, [view], self.field, self.placement) | {"frame": frame, "tree": how}
+        info = describe(update, self.criterion, [view], self.field, self.placement)
+        info |= {"frame": frame, "tree": tree_settings}
         if self.obj is not None:
             from ..bridge.writer import write_mesh
 
@@ -147,7 +150,7 @@ class SceneFrames:
         self.camera = None
         if camera is not None:
             local = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
-            self.camera = next(local, self.scene.objects.get(camera))  # a library's may have the same name
+            self.camera = next(local, self.scene.objects.get(camera))  # an object of a library may have the same name
             if self.camera is None or self.camera.type != "CAMERA":
                 cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
                 raise TerrainError(
@@ -194,17 +197,17 @@ def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
         request = gather(obj, depsgraph, RENDER, **options)
         record = session.record_of(obj)
         surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
-        heights, (tree, how) = record.field, record.terrain.saved()
+        heights, (tree, tree_settings) = record.field, record.terrain.saved()
         children, scatters = {child.session_uid: child for child in scatters_of(obj)}, {}
         for item in request.scatters.items:
             child = children[item.uid]
-            stands = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
+            placement = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
             points = record.scatters[item.uid].points
-            if follows_scale(child):
-                points = replace(points, size=points.size * np.float32(np.cbrt(abs(determinant(stands[:3, :3])))))
-            scatters[file_name(child)] = points, stands
+            if follows_scale(child):  # sizes times the mean scale along the axes
+                points = replace(points, size=points.size * np.float32(np.cbrt(abs(determinant(placement[:3, :3])))))
+            scatters[file_name(child)] = points, placement
     info = describe(update, request.criterion, request.views, heights, request.placement)
-    info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
+    info |= {"frame": frame, **counts(surface), "tree": tree_settings, "frozen": bool(request.frozen)}
     return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)
 
 
@@ -220,7 +223,8 @@ def baked_piece(
 ) -> Piece:
     """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
 
-    `in_blender`: whether the format needs a Blender object. `fitted`: vertices leave the surface to save triangles,
+    `budget`: largest number of triangles, None for any; it may make the error larger. `in_blender`: whether the format
+    needs a Blender object. `detail`: displacement, or None. `fitted`: vertices leave the surface to save triangles,
     which `on_progress` follows (0 .. 1); the info then has the measured maximum.
     """
     from ...cbt_terrain.fit.fit import bake, check_interpolation
@@ -230,18 +234,21 @@ def baked_piece(
     field = with_detail(interpolated(open_store(store), interpolation), detail)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
-    more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
+    fit_info = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
         from ..bridge.writer import write_mesh
 
         write_mesh(obj.data, update.surface)
-    info = describe(update, criterion, [], field) | more
+    info = describe(update, criterion, [], field) | fit_info
     return Piece(StoreFrames.name, update.surface, field.origin, update, info, obj)
 
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
-    """Return the info of a piece for JSON. It depends on the frame alone, so it has no times."""
+    """Return the info of a piece for JSON. It depends on the frame alone, so it has no times.
+
+    placement: the terrain's space to the world, float64 [4, 4]; None if both are the same.
+    """
     anchor = field.lattice.anchor_x, field.lattice.anchor_y
     return {
         "generator": "Adaptive Terrain",
@@ -267,7 +274,7 @@ def counts(surface: Surface) -> dict:
 
 
 def bounds_of(bounds: ReportedBounds) -> dict:
-    """Return the bounds of an update and their terms for JSON; None for a bound that was not requested."""
+    """Return the bounds of an update and their terms for JSON; a bound that was not requested is None."""
     return {
         **{name: getattr(bounds, name) for name in BOUNDS},
         "terms_px": bounds.terms_px and asdict(bounds.terms_px),

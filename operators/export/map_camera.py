@@ -23,9 +23,9 @@ from .blender_exporters import need_no_shear
 
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
-FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_state` that belong to this extent
-BEFORE = "adaptive_terrain_map_before"  # property with the numbers of SIZE before the map
-SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"
+STATE = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_state` that belong to this extent
+BEFORE = "adaptive_terrain_map_before"  # property with the values of SIZE before the map
+SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"  # of the render
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
 MARGIN = 0.1  # of the terrain's height, above and below
 MOVED = 0.1  # pixels by which an unchanged camera may seem to be moved
@@ -67,8 +67,8 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     matrix = raster_placement_of(obj.evaluated_get(depsgraph))
     if np.linalg.det(matrix[:3, :3]) <= 0.0:
         raise TerrainError(f"The terrain {obj.name!r} is mirrored", fix="give it a scale above 0")
-    scale = np.sqrt((matrix[:3, :3] ** 2).sum(0))
-    axes, field = matrix[:3, :3] / scale, session.open_field(shaped_land.store_of(obj))
+    scale = np.sqrt((matrix[:3, :3] ** 2).sum(0))  # along the terrain's axes
+    axes, field = matrix[:3, :3] / scale, session.open_field(shaped_land.store_of(obj))  # columns: east, north, up
     lattice = field.lattice
     cells, steps = (lattice.cells_x, lattice.cells_y), (lattice.step_x, lattice.step_y)
     lengths = [count * step for count, step in zip(cells, steps, strict=True)]
@@ -80,36 +80,36 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
         raise TerrainError(
             f"The map has {size[0]:,} x {size[1]:,} pixels", expected=f"at most {MAX_SIDE:,} a side", fix="use fewer"
         )
-    pixel = [length * scale[axis] / size[axis] for axis, length in enumerate(lengths)]
+    pixel = [length * scale[axis] / size[axis] for axis, length in enumerate(lengths)]  # its sides in the world, metres
     if max(pixel) / min(pixel) > MAX_ASPECT:
         raise TerrainError("The pixels of the map are too narrow", expected=f"sides up to 1 : {MAX_ASPECT:g}")
     west, south, east, north = lattice.rectangle()
     placing = placing_or_middle(field)
-    low, high = placing.from_terrain(np.array([[west, south], [east, north]])).tolist()
-    heights = (box - matrix[:3, 3]) @ axes[:, 2]
+    south_west, north_east = placing.from_terrain(np.array([[west, south], [east, north]])).tolist()
+    heights = (box - matrix[:3, 3]) @ axes[:, 2]  # of the box's corners along the terrain's up axis
     spare = max(1.0, MARGIN * float(np.ptp(heights)))
-    top = float(heights.max()) + spare
+    top = float(heights.max()) + spare  # of the camera
 
     camera = _find_or_add(scene, NAME, lambda: bpy.data.cameras.new(NAME), "CAMERA")
     data = camera.data
     data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", lengths[0] * scale[0]
     data.shift_x = data.shift_y = 0.0
     data.clip_start, data.clip_end = 0.5 * spare, top - float(heights.min()) + spare
-    place = np.eye(4)
-    place[:3, :3], place[:3, 3] = axes, matrix[:3, 3] + axes[:, 2] * top
-    camera.matrix_world = Matrix(place.tolist())
-    camera[EXTENT] = json.dumps([*low, *high, placing.crs])
+    to_world = np.eye(4)
+    to_world[:3, :3], to_world[:3, 3] = axes, matrix[:3, 3] + axes[:, 2] * top
+    camera.matrix_world = Matrix(to_world.tolist())
+    camera[EXTENT] = json.dumps([*south_west, *north_east, placing.crs])
     render = scene.render
-    if scene.camera is None or BEFORE not in scene.camera:
+    if scene.camera is None or BEFORE not in scene.camera:  # else the render has the size of another map
         camera[BEFORE] = [float(getattr(render, name)) for name in SIZE]
     scene.camera = camera
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     render.pixel_aspect_x, render.pixel_aspect_y = (side / min(pixel) for side in pixel)
-    camera[FRAME] = _camera_state(scene)
+    camera[STATE] = _camera_state(scene)
     if with_sun and not any(other.type == "LIGHT" and other.data.type == "SUN" for other in scene.objects):
         sun = _find_or_add(scene, SUN_NAME, lambda: bpy.data.lights.new(SUN_NAME, "SUN"), "LIGHT")
         sun.data.energy = 3.0
-        sun.matrix_world = Matrix(place[:3, :3].tolist()).to_4x4() @ _sun_rotation()
+        sun.matrix_world = Matrix(to_world[:3, :3].tolist()).to_4x4() @ _sun_rotation()
     return camera
 
 
@@ -122,9 +122,9 @@ def leave_map(scene) -> None:
 
 
 def _camera_state(scene) -> list[float]:
-    """Return the numbers that determine the map: the lens, the picture's aspect and the camera's matrix.
+    """Return the numbers that determine the map: the lens's scale and shift, the aspect, and the camera's matrix.
 
-    If they change, the map's coordinates no longer hold.
+    These are 4 numbers and 3 rows of 4. If they change, the map's coordinates no longer hold.
     """
     data, render = scene.camera.data, scene.render
     aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
@@ -134,14 +134,14 @@ def _camera_state(scene) -> list[float]:
 
 def is_unchanged(scene) -> bool:
     """Return whether the map camera and the picture's aspect are those of its extent."""
-    now, location = np.array(_camera_state(scene)), slice(7, None, 4)
-    frame, pixel = np.array(scene.camera.get(FRAME, now)), now[0] / scene.render.resolution_x
+    now, location = np.array(_camera_state(scene)), slice(7, None, 4)  # the last number of each row of the matrix
+    stored, pixel = np.array(scene.camera.get(STATE, now)), now[0] / scene.render.resolution_x  # side in metres
     allowed = np.full(len(now), 1e-6)
-    allowed[0] *= frame[0]
+    allowed[0] *= stored[0]
     allowed[3:] *= 10.0  # the aspect and the directions
     # A metre is a millionth of a location 1,000 km away, but may be several pixels.
-    allowed[location] = MOVED * pixel + np.spacing(np.abs(frame[location]).astype(np.float32))
-    return bool((np.abs(now - frame) <= allowed).all())
+    allowed[location] = MOVED * pixel + np.spacing(np.abs(stored[location]).astype(np.float32))
+    return bool((np.abs(now - stored) <= allowed).all())
 
 
 def _sun_rotation() -> Matrix:

@@ -26,7 +26,7 @@ from ..session import session
 from ..session.shot import visit_views
 
 Say = Callable[[str], None]
-To = Callable[[float], None]  # part of a terrain that is done, 0 .. 1
+OnProgress = Callable[[float], None]
 
 
 def store_folder_of(obj) -> Path:
@@ -43,25 +43,25 @@ def is_missing(store: Path) -> bool:
     return False
 
 
-def import_store(obj, _frames: Sequence[int], say: Say, to: To) -> None:
+def import_store(obj, _frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
     """Import a terrain's height map into the store that its settings name, unless the complete store exists.
 
-    say: prints a line. to: takes the fraction done.
+    say: prints a line. on_progress: takes the fraction done.
     """
     store = store_folder_of(obj)
     if is_missing(store):
-        report = import_source(settings_of(obj), store, on_progress=lambda fraction, _message: to(fraction))
+        report = import_source(settings_of(obj), store, on_progress=lambda fraction, _message: on_progress(fraction))
         say(f"{obj.name}: imported, {import_summary(report)}")
     else:
         session.open_field(str(store))
         say(f"{obj.name}: its store is there")
 
 
-def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
+def shape_land(obj, frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
     """Shape a terrain's land, and bake the maps that its materials show; existing ones are reused.
 
     Depending on its settings this is done for the whole terrain, or for the ground that the camera sees in `frames`.
-    say: prints a line. to: takes the fraction done.
+    say: prints a line. on_progress: takes the fraction of the maps that is done.
     """
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     if obj.hide_render:
@@ -71,25 +71,27 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
         views = []
         if land.of_views:
             *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
+        # "": the store counts only without land
         raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")
     if names := maps_shown_by_materials(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
         *_, request = visit_for_request(obj, scene, names, shot)
         field = raster_of(request.store, request.land, session.open_field, verified=True)
-        say(maps_summary(bake_maps(request, field, to), obj.name))
+        say(maps_summary(bake_maps(request, field, on_progress), obj.name))
 
 
 PARTS = {"stores": import_store, "land": shape_land}
 
 
-def prepare(objects: Sequence, frames: Sequence[int], parts: Sequence[str], say: Say, to: To) -> None:
+def prepare(objects: Sequence, frames: Sequence[int], parts: Sequence[str], say: Say, on_progress: OnProgress) -> None:
     """Make the `parts` ("stores", "land") that frames of the open file need, for the terrains `objects`.
 
-    say: prints a line. to: takes the number of finished terrains, with fractions. Raises TerrainError.
+    say: prints a line. on_progress: takes the number of finished terrains, counted for each part, with fractions.
+    Raises TerrainError.
     """
     work = [(PARTS[part], obj) for part in parts for obj in objects]
     for done, (make, obj) in enumerate(work):
-        to(done)
-        make(obj, frames, say, lambda fraction, done=done: to(done + fraction))
-    to(len(work))
+        on_progress(done)
+        make(obj, frames, say, lambda fraction, done=done: on_progress(done + fraction))
+    on_progress(len(work))

@@ -32,16 +32,19 @@ def _check_size(size: int, expected: int) -> None:
 
 
 def count_in_ply(file, size: int) -> int:
-    """Return the number of triangles by a .ply header; all faces are triangles if the file's size agrees with it."""
-    stride, counts, element = 0, {}, ""
+    """Return the number of triangles by a binary .ply's header; all faces are triangles if the file's size fits it.
+
+    Raises ValueError otherwise. A triangle has a byte for the number of its corners and three integers of four bytes.
+    """
+    vertex_bytes, counts, element = 0, {}, ""
     for line in iter(lambda: file.readline(256).split(), [b"end_header"]):
         if not line:
             raise ValueError("its head has no end")
         if line[0] == b"element":
             element, counts[line[1].decode()] = line[1].decode(), int(line[2])
         elif line[0] == b"property" and element == "vertex":
-            stride += PLY_BYTES[line[1].decode()]
-    _check_size(size, file.tell() + counts["vertex"] * stride + counts.get("face", 0) * (1 + 3 * 4))
+            vertex_bytes += PLY_BYTES[line[1].decode()]
+    _check_size(size, file.tell() + counts["vertex"] * vertex_bytes + counts.get("face", 0) * (1 + 3 * 4))
     return counts.get("face", 0)
 
 

@@ -33,7 +33,7 @@ FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tif
 
 
 def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff: bool = True) -> list[Path]:
-    """Render the map of the scene's camera at once; return the files. Raises TerrainError. `map_steps` has the rest."""
+    """Render the map of the scene's camera before returning, with the arguments of `map_steps`; return the files."""
     steps = map_steps(scene, path, tiles, with_geotiff)
     try:
         while True:
@@ -54,7 +54,8 @@ def map_steps(
     Each picture gets a world file and, with `with_geotiff`, becomes a GeoTIFF, too. All tiles show the mesh of the
     whole map, so they fit together.
 
-    job: shows the progress, and renders beside the window; without it nothing is yielded before a picture is complete.
+    tiles: number of pictures across and down; several have their numbers in their names. job: shows the progress, and
+    renders beside the window; without it nothing is yielded before a picture is complete.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
     form = FORMATS.get(path.suffix.lower())
@@ -67,7 +68,7 @@ def map_steps(
         stopping.check()
         if not is_unchanged(scene) or render_resolution(scene) != size:
             raise TerrainError("The map's camera or the picture's aspect was changed", fix="use Map Camera again")
-        x = [size[0] * k // tiles[0] for k in (column, column + 1)]
+        x = [size[0] * k // tiles[0] for k in (column, column + 1)]  # first pixel, and the one after the last
         y = [size[1] * k // tiles[1] for k in (row, row + 1)]
         name = path.name if tiles == (1, 1) else f"{path.stem}_x{column}_y{row}{path.suffix}"
         picture = path.with_name(name)
@@ -105,21 +106,22 @@ def _check_keeps_sources(scene, files: set[Path]) -> None:
 def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: list[int], job) -> Iterator[None]:
     """Render the pixels x[0] .. x[1], y[0] .. y[1] (from the top) of the frame into a file. Raises TerrainError.
 
-    job: yield while Blender renders beside the window; None to render before returning.
+    size: pixels of the whole frame. job: yield while Blender renders beside the window; None to render before
+    returning.
     """
     render, (width, height) = scene.render, size
-    parts = {"use_border": True, "use_crop_to_border": True}
+    values = {"use_border": True, "use_crop_to_border": True}
     # Blender truncates float32 fractions to pixels: a quarter of a pixel keeps them on the right side.
-    parts |= {"border_min_x": (x[0] + 0.25) / width, "border_max_x": (x[1] + 0.25) / width}
-    parts |= {"border_min_y": (height - y[1] + 0.25) / height, "border_max_y": (height - y[0] + 0.25) / height}
+    values |= {"border_min_x": (x[0] + 0.25) / width, "border_max_x": (x[1] + 0.25) / width}
+    values |= {"border_min_y": (height - y[1] + 0.25) / height, "border_max_y": (height - y[0] + 0.25) / height}
     with private_folder(picture.parent) as folder:
-        parts |= {"filepath": escape_braces(folder / picture.name), "use_file_extension": False}
+        values |= {"filepath": escape_braces(folder / picture.name), "use_file_extension": False}
         with _temporarily_set(render.image_settings, _image_settings(picture)), stale_renders.raise_for_stale_frames():
             if job is None:
-                with _temporarily_set(render, parts):
+                with _temporarily_set(render, values):
                     _start_render(scene)
             else:
-                yield from _render_beside_window(scene, parts, job)
+                yield from _render_beside_window(scene, values, job)
         if not (folder / picture.name).is_file():
             raise TerrainError(f"Blender wrote no picture into {picture.parent}", fix="check the disk")
         os.replace(folder / picture.name, picture)
@@ -128,18 +130,18 @@ def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: l
 
 
 def _start_render(scene, *how: str) -> None:
-    """Call Blender's operator that renders a scene. Raises TerrainError."""
+    """Call Blender's operator that renders a scene. how: "INVOKE_DEFAULT" or nothing. Raises TerrainError."""
     try:
         bpy.ops.render.render(*how, write_still=True, scene=scene.name)
     except RuntimeError as error:
         raise TerrainError(f"Blender cannot render the map ({str(error).strip()})") from None
 
 
-def _render_beside_window(scene, parts: dict, job: jobs.BackgroundJob) -> Iterator[None]:
+def _render_beside_window(scene, values: dict, job: jobs.BackgroundJob) -> Iterator[None]:
     """Yield while Blender renders a part of the frame on its own thread. Raises JobStopped if that was cancelled.
 
-    Another render ends first. `parts`, values of the render settings, are in effect only until Blender has copied them,
-    so that a file that is saved meanwhile does not get them.
+    Another render ends first. `values` of the render settings are in effect only until Blender has copied them, so that
+    a file that is saved meanwhile does not get them.
     """
     seen: set[str] = set()
     watched = {name: lambda *_, name=name: seen.add(name) for name in ("render_pre", "render_cancel")}
@@ -149,7 +151,7 @@ def _render_beside_window(scene, parts: dict, job: jobs.BackgroundJob) -> Iterat
     for name, note in watched.items():
         getattr(bpy.app.handlers, name).append(note)
     try:
-        with _temporarily_set(scene.render, parts):
+        with _temporarily_set(scene.render, values):
             with _temporarily_set(bpy.context.preferences.view, {"render_display_type": "NONE"}):
                 _start_render(scene, "INVOKE_DEFAULT")
             while jobs.is_rendering() and "render_pre" not in seen:

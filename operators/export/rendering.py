@@ -27,8 +27,8 @@ from .file_outputs import escape_braces, publish_outputs, redirected_outputs
 from .frame_sources import SceneFrames, bounds_of, detail_of
 from .summaries import file_sizes
 
-# Blender does not say that a picture found no room. But then there is none for this: more than a file's buffer, which
-# comes last, and is as large as a network folder's block.
+# Blender does not report that a disk was too full for a picture. So a file of this size is tried afterwards: more than
+# the buffer that is written last, and as large as a network folder's block.
 ROOM = 1 << 20
 
 
@@ -64,17 +64,18 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
     when all are complete.
     """
     start = time.perf_counter()
-    scene, terrains = source.scene, []
+    scene = source.scene
+    terrains: list[dict] = []  # filled by `_collect_figures` while Blender renders
     with paused():  # the render sets it again, and then updates each terrain once
         scene.frame_set(frame)
     _check_land(source.objects, frame)
     with private_folder(out) as folder:
-        single, others = folder / "pictures", folder / "outputs"
-        scene.render.filepath = escape_braces(single / f"frame_{frame:04d}")
+        picture_folder, output_folder = folder / "pictures", folder / "outputs"
+        scene.render.filepath = escape_braces(picture_folder / f"frame_{frame:04d}")
         scene.render.use_file_extension = True
         with (
             _collect_figures(terrains, source.objects),
-            redirected_outputs(scene, others),
+            redirected_outputs(scene, output_folder),
             stale_renders.raise_for_stale_frames(),
         ):
             try:
@@ -85,12 +86,12 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
                     fix="render this frame in Blender, which reports more",
                 ) from None
         stopping.check()
-        pictures = sorted(single.iterdir()) if single.is_dir() else []
+        pictures = sorted(picture_folder.iterdir()) if picture_folder.is_dir() else []
         if pictures:
             check_room(out / pictures[0].name, ROOM)
         for picture in pictures:
             check_target(out / picture.name)
-        files = publish_outputs(scene, others)
+        files = publish_outputs(scene, output_folder)
         for picture in pictures:
             os.replace(picture, out / picture.name)
     if not pictures:

@@ -24,7 +24,7 @@ def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None
     linear = placement[:3, :3]
     scale = np.cbrt(determinant(linear))
     turn = linear / scale if scale > 0 else np.zeros((3, 3))
-    if not np.abs(product(turn, turn.T) - np.eye(3)).max() < SAME:
+    if not np.abs(product(turn, turn.T) - np.eye(3)).max() < SAME:  # no rotation
         raise TerrainError(
             f"{path} cannot be written: the scatter, or its terrain, is mirrored or not scaled alike along all axes, "
             "which a rotation and a scale cannot express",
@@ -38,9 +38,9 @@ def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None
     with written_beside(path) as partial, partial.open("w", encoding="ascii", newline="") as file:
         file.write(COLUMNS)
         for first in range(0, len(points), ROWS):
-            part = slice(first, first + ROWS)
-            floats = np.column_stack([array[part] for array in (positions, points.size, rotation, normals)])
-            rows = zip(points.id[part].tolist(), floats.tolist(), points.variant[part].tolist(), strict=True)
+            block = slice(first, first + ROWS)
+            floats = np.column_stack([array[block] for array in (positions, points.size, rotation, normals)])
+            rows = zip(points.id[block].tolist(), floats.tolist(), points.variant[block].tolist(), strict=True)
             file.writelines(ROW % (number, *values, variant) for number, values, variant in rows)
 
 

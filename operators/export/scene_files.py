@@ -66,7 +66,10 @@ def _files_in(folder: str) -> list[str]:
 
 
 def _numbered_files(frames: Sequence[int]) -> dict[str, list[str]]:
-    """Map the path of each image, clip, volume and cache to the files that `frames` read in its place."""
+    """Map the path of each image, clip, volume and cache to the files that `frames` read in its place.
+
+    The file of a sequence's path is its first one; a clip's files are numbered from it on.
+    """
     found: dict[str, list[str]] = {}
     for image in bpy.data.images:
         found.setdefault(_path_of(image), []).extend(_image_files(image, frames))
@@ -103,14 +106,17 @@ def _image_files(image, frames: Sequence[int]) -> list[str]:
 
 
 def _image_numbers(image, frames: Sequence[int]) -> set[int] | None:
-    """Return the file numbers of an image sequence that nodes show at `frames`; None if any file may be shown."""
+    """Return the file numbers of an image sequence that nodes show at `frames`; None if any file may be shown.
+
+    Any may be if the settings are animated, or if something reads the image that `_image_users` does not find.
+    """
     numbers, readers = set(), set()
     for block, user in _image_users(image):
         if animated_paths(user.id_data):
             return None
         readers.add(block)
         numbers |= {_image_number(user, frame) for frame in frames}
-        if not getattr(user, "use_auto_refresh", True):
+        if not getattr(user, "use_auto_refresh", True):  # then the file of another frame may stay
             numbers.add(user.frame_current)
     return numbers if bpy.data.user_map(subset={image})[image] <= readers else None
 
@@ -139,22 +145,22 @@ def _image_number(user, frame: int) -> int:
     length = user.frame_duration
     if not length:
         return 0
-    at = frame - user.frame_start + 1
-    at = (at - 1) % length + 1 if user.use_cyclic else min(max(at, 0), length)
-    return at + user.frame_offset
+    position = frame - user.frame_start + 1  # in the sequence, from 1
+    position = (position - 1) % length + 1 if user.use_cyclic else min(max(position, 0), length)
+    return position + user.frame_offset
 
 
 def _volume_number(volume, frame: int) -> int | None:
     """Return the number of the file that Blender shows at a frame; None outside the sequence."""
-    length, at = volume.frame_duration, frame - volume.frame_start + 1
-    if not length or (volume.sequence_mode == "CLIP" and not 1 <= at <= length):
+    length, position = volume.frame_duration, frame - volume.frame_start + 1  # in the sequence, from 1
+    if not length or (volume.sequence_mode == "CLIP" and not 1 <= position <= length):
         return None
     if volume.sequence_mode == "REPEAT":
-        at = (at - 1) % length + 1
-    elif volume.sequence_mode == "PING_PONG" and length > 1:
-        at = (at - 1) % (2 * length - 2) + 1
-        at = 2 * length - at if at > length else at
-    return min(max(at, 1), length) + volume.frame_offset
+        position = (position - 1) % length + 1
+    elif volume.sequence_mode == "PING_PONG" and length > 1:  # both ends come once
+        position = (position - 1) % (2 * length - 2) + 1
+        position = 2 * length - position if position > length else position
+    return min(max(position, 1), length) + volume.frame_offset
 
 
 def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
@@ -173,7 +179,10 @@ def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
 
 
 def _cache_folders() -> Iterator[str]:
-    """Yield the folders of baked caches: simulations, oceans, geometry nodes. A render may write any other itself."""
+    """Yield the folders of baked caches, "" for none: simulations, oceans, geometry nodes.
+
+    Caches that are not baked are left out, since a render may write them itself.
+    """
     for obj in bpy.data.objects:
         points = [system.point_cache for system in obj.particle_systems]
         for modifier in obj.modifiers:
@@ -196,7 +205,7 @@ def _cache_folders() -> Iterator[str]:
 
 
 def _point_cache_folder(cache, block) -> str:
-    """Return the folder of a point cache that is read from files; "" if it is in memory."""
+    """Return the folder of a point cache that is read from files; "" if it is in memory. block: its owner."""
     if cache.use_external:
         return _absolute_path(cache.filepath, block)
     if not (cache.use_disk_cache and cache.is_baked):

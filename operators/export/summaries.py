@@ -99,8 +99,8 @@ def complete_summary(
 ) -> dict | None:
     """Return the summary of a frame that need not be made again, None for any other frame.
 
-    Such a frame was made with `settings` (a digest), from `inputs` (digests by name), in all `formats`, and its
-    files are unchanged.
+    Such a frame was made with `settings` (a digest), from `inputs` (digests by name), in all `formats` (suffixes
+    without dots), and its files are unchanged.
     """
     try:
         summary = read_summary(out, frame)
@@ -114,7 +114,7 @@ def complete_summary(
 
 
 def file_fault(summary: dict, name: str, out: Path) -> str | None:
-    """Return the fault of a file of a summary: "is missing", "is cut short", "has another content"; or None."""
+    """Return the fault of a file of a summary, such as "is missing" or "has another content"; None for none."""
     path = file_named(name, out)
     try:
         size = os.stat(path).st_size
@@ -171,5 +171,5 @@ def _is_count(value) -> bool:
 
 
 def _is_number(value) -> bool:
-    """Return whether a value is a number of a usual size."""
+    """Return whether a value is a number; a whole one may have 62 bits at most."""
     return type(value) is float or (type(value) is int and abs(value) < MAX_COUNT)

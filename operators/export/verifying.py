@@ -35,6 +35,7 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
             named = ((name, file_fault(summary, name, out)) for name in summary["files"])
             faults += [f"frame {frame}: {shown(name)} {fault}" for name, fault in named if fault]
             summaries.append(summary)
+    # Frames of other settings are named only if no file is missing or damaged.
     faults += _describe_stale_frames(summaries, out) + ([] if faults else _describe_odd_frames(summaries))
     if faults:
         more = f"; {len(faults) - MAX_NAMED_FAULTS:,} more" if len(faults) > MAX_NAMED_FAULTS else ""

@@ -66,8 +66,8 @@ def _entries(folder: Path) -> list:
 def start_writing(folder: Path) -> subprocess.Popen:
     """Start a process that writes the library. Raises OSError."""
     module, arguments = "operators.assets.build", (str(folder), _stamp())
-    given = ["-c", *child.bootstrap_arguments(module, *arguments)]
-    script = f"import sys\nsys.path[:], sys.argv[:] = {sys.path!r}, {given!r}\n{child.BOOTSTRAP}"
+    argv = ["-c", *child.bootstrap_arguments(module, *arguments)]
+    script = f"import sys\nsys.path[:], sys.argv[:] = {sys.path!r}, {argv!r}\n{child.BOOTSTRAP}"
     options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", script]
     streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return child.start_program([bpy.app.binary_path, *options], **streams)

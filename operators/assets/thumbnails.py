@@ -15,7 +15,7 @@ HILL, HILL_SIDE = 300.0, 65  # metres across, and samples a side, of the ground 
 
 
 class Studio:
-    """A scene with sun, grey sky and an orthographic camera that frames the objects in it."""
+    """A scene with sun, grey sky and an orthographic camera that frames the objects in it. `file`: the last picture."""
 
     def __init__(self, scene, folder: Path):
         self.scene, self.file = scene, folder / "preview.png"
@@ -39,10 +39,10 @@ class Studio:
 
     def take(self, item, objects) -> None:
         """Render objects side by side, and give the picture to a data-block as its preview."""
-        places = self._place(objects)
+        instances = self._place(objects)
         self.scene.render.filepath = str(self.file)
         bpy.ops.render.render(write_still=True)
-        for obj in places:
+        for obj in instances:
             bpy.data.objects.remove(obj)
         image = bpy.data.images.load(str(self.file))
         pixels = np.empty(4 * SIDE * SIDE, np.float32)
@@ -53,32 +53,38 @@ class Studio:
         preview.image_pixels_float.foreach_set(pixels)
 
     def _place(self, objects) -> list:
-        """Add instances of the objects in a row from the left to the right of the picture, and frame them."""
-        turn = AHEAD.to_track_quat("-Z", "Y").to_matrix()
-        right, at, corners, placed = Vector((turn.col[0].x, turn.col[0].y, 0.0)).normalized(), 0.0, [], []
+        """Add instances of the objects in a row from the left to the right of the picture, and frame them.
+
+        They overlap by a tenth of their widths. Return the instances.
+        """
+        turn = AHEAD.to_track_quat("-Z", "Y").to_matrix()  # from the camera to the world
+        right, offset, corners, instances = Vector((turn.col[0].x, turn.col[0].y, 0.0)).normalized(), 0.0, [], []
         for obj in objects:
-            place = Matrix.Translation(right * at)
-            shown = bpy.data.objects.new("Preview", obj.data)
-            shown.matrix_world = place
-            self.scene.collection.objects.link(shown)
-            placed.append(shown)
-            corners += [place @ Vector(corner) for corner in obj.bound_box]
-            at += 0.9 * np.ptp(obj.bound_box, axis=0)[:2].max()
-        seen = np.array([turn.transposed() @ corner for corner in corners])
-        low, high = seen.min(axis=0), seen.max(axis=0)
+            to_world = Matrix.Translation(right * offset)
+            instance = bpy.data.objects.new("Preview", obj.data)
+            instance.matrix_world = to_world
+            self.scene.collection.objects.link(instance)
+            instances.append(instance)
+            corners += [to_world @ Vector(corner) for corner in obj.bound_box]
+            offset += 0.9 * np.ptp(obj.bound_box, axis=0)[:2].max()
+        in_camera = np.array([turn.transposed() @ corner for corner in corners])
+        low, high = in_camera.min(axis=0), in_camera.max(axis=0)
         self.scene.camera.data.ortho_scale = float(1.08 * (high - low)[:2].max())
         middle = Vector(((low + high) / 2).tolist())
-        middle.z = high[2] + 100.0
+        middle.z = high[2] + 100.0  # in front of all
         self.scene.camera.matrix_world = Matrix.Translation(turn @ middle) @ turn.to_4x4()
-        return placed
+        return instances
 
     def add_ground(self, layers: int):
-        """Add a hill with the attribute splat_1, whose layers change with the height, and water_depth."""
+        """Return a hill with the attribute splat_1, whose layers change with the height, and water_depth.
+
+        layers: number of layers, 4 at most, from the lowest to the highest ground.
+        """
         x, y = np.meshgrid(*[np.linspace(-1.0, 1.0, HILL_SIDE)] * 2)
         z = 0.5 * np.exp(-2.5 * (x * x + y * y)) + 0.05 * np.sin(7.0 * x) * np.cos(6.0 * y)
         points = np.c_[x.ravel(), y.ravel(), z.ravel()] * HILL / 2
-        corner = np.add.outer(np.arange(HILL_SIDE - 1) * HILL_SIDE, np.arange(HILL_SIDE - 1)).ravel()
-        faces = np.c_[corner, corner + 1, corner + 1 + HILL_SIDE, corner + HILL_SIDE]
+        first = np.add.outer(np.arange(HILL_SIDE - 1) * HILL_SIDE, np.arange(HILL_SIDE - 1)).ravel()  # corner of a face
+        faces = np.c_[first, first + 1, first + 1 + HILL_SIDE, first + HILL_SIDE]
         mesh = bpy.data.meshes.new("Preview")
         mesh.from_pydata(points, [], faces)
         mesh.shade_smooth()

@@ -27,7 +27,7 @@ def changed_numbers(settings, name: str) -> tuple[tuple[str, float], ...]:
     group, found = getattr(settings.effects, name), []
     for parameter in filter(is_number, ATTRIBUTES[name].parameters):
         value = getattr(group, parameter.name)
-        if np.float32(value) != np.float32(parameter.default):  # as Blender keeps it
+        if np.float32(value) != np.float32(parameter.default):  # Blender stores float32
             found.append((parameter.name, min(max(value, parameter.min), parameter.max)))
     return tuple(found)
 
@@ -36,10 +36,10 @@ def _make_property(parameter: Parameter):
     """Return the Blender property for a declared parameter."""
     about = f"{parameter.about} ({parameter.unit})" if parameter.unit else parameter.about
     label = parameter.name.replace("_", " ").title()
-    words = {"name": label, "description": about, "default": parameter.default, "update": changed}
+    options = {"name": label, "description": about, "default": parameter.default, "update": changed}
     if isinstance(parameter.default, int):
-        return IntProperty(**words, min=int(parameter.min), max=int(parameter.max))
-    return FloatProperty(**words, min=parameter.min, max=parameter.max, precision=3)
+        return IntProperty(**options, min=int(parameter.min), max=int(parameter.max))
+    return FloatProperty(**options, min=parameter.min, max=parameter.max, precision=3)
 
 
 def _make_group(effect: AttributeDeclaration) -> type:

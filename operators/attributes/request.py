@@ -26,10 +26,10 @@ PIN = Reader("a pin", PICTURE)
 
 @dataclass(frozen=True)
 class Effects:
-    """`requests`: effects to compute.
+    """The attributes to compute for a terrain.
 
-    `off`: those that are switched off, by name, with who would read them. `geometry_metres`: the scale of what geometry
-    is made from; 0 is the raster's own.
+    `requests`: of these attributes. `off`: names of those that are switched off, with the names of their would-be
+    readers. `geometry_metres`: the scale of attributes from which geometry is made; 0 is the raster's own.
     """
 
     requests: tuple[AttributeRequest, ...] = ()
@@ -41,8 +41,9 @@ class Effects:
 class EffectStatus:
     """State of an effect after the last update.
 
-    `readers`: in words. `skipped`: why it was not computed, or "". `ms`, `nbytes` and `computed`: as of Ran in
-    attributes/evaluate.py. `note`: what else there is to know.
+    `readers`: their names. `family`: PICTURE or GEOMETRY, see Reader. `skipped`: why it was not computed, or "".
+    `ms`, `nbytes` and `computed` (number of new values): as of Ran in attributes/evaluate.py. `note`: why values may be
+    unexpected, or "".
     """
 
     readers: tuple[str, ...] = ()
@@ -54,14 +55,16 @@ class EffectStatus:
     note: str = ""
 
 
-# Parameters that are no numbers of the settings: by effect, made from (evaluated terrain, its placement, dependency
-# graph) if the effect is computed.
-Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
-GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
-GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layer_parameters(terrain.adaptive_terrain))
+# Parameters that come from the scene and are no numbers of the settings: by attribute, a function of (evaluated
+# terrain, its placement, dependency graph), called if the attribute is computed.
+SceneParameters = Callable[[object, np.ndarray, object], Mapping[str, object]]
+FROM_SCENE: dict[str, SceneParameters] = {
+    "sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}
+}
+FROM_SCENE |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layer_parameters(terrain.adaptive_terrain))
 
-GIVEN["detail_normal"] = partial(decal_parameters, tilts=True)
-GIVEN["color"] = lambda terrain, placement, depsgraph: (
+FROM_SCENE["detail_normal"] = partial(decal_parameters, tilts=True)
+FROM_SCENE["color"] = lambda terrain, placement, depsgraph: (
     color_parameters(terrain.adaptive_terrain) | decal_parameters(terrain, placement, depsgraph, tilts=False)
 )
 
@@ -84,14 +87,14 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
         readers, when = found.get(name, []), getattr(settings.effects, name).when
         if when == PINNED and names is None:
             readers = [*readers, PIN]
-        words = tuple(dict.fromkeys(reader.words for reader in readers))
+        labels = tuple(dict.fromkeys(reader.label for reader in readers))
         if when == OFF and names is None:
-            off.append((name, words))
+            off.append((name, labels))
         elif readers:
             family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
-            given = GIVEN[name](evaluated, placement, depsgraph) if name in GIVEN else {}
-            parameters = tuple(sorted((*changed_numbers(settings, name), *given.items())))
-            requests.append(AttributeRequest(name, words, family, parameters))
+            from_scene = FROM_SCENE[name](evaluated, placement, depsgraph) if name in FROM_SCENE else {}
+            parameters = tuple(sorted((*changed_numbers(settings, name), *from_scene.items())))
+            requests.append(AttributeRequest(name, labels, family, parameters))
     return Effects(tuple(requests), tuple(off), settings.effects.geometry_metres)
 
 
@@ -100,12 +103,12 @@ def statuses(
 ) -> dict[str, EffectStatus]:
     """Return an EffectStatus for every attribute by its name, computed or not.
 
-    plan: the attributes of the update. ran: cost of those that were computed.
+    effects: result of `gather_effects`. plan: the attributes of the update. ran: cost of those that were computed.
     """
     found = {}
     for step in plan.steps:
-        took = ran.get(step.name, Ran(0.0, 0, 0))
-        found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
+        cost = ran.get(step.name, Ran(0.0, 0, 0))
+        found[step.name] = EffectStatus(step.readers, step.family, cost.ms, cost.nbytes, cost.computed)
         found[step.name] = replace(found[step.name], note=_note_on(step, heights))
     off = dict(effects.off)
     for name, why in plan.skipped.items():
@@ -117,10 +120,10 @@ def _note_on(step: AttributeRequest, heights: HeightField) -> str:
     """Return why an attribute is 0 where one may not expect it, or ""."""
     if why := why_missing(heights, step.name):
         return f"0, since {why}"
-    given = dict(step.parameters)
-    if given.get("suns") == ():
+    parameters = dict(step.parameters)
+    if parameters.get("suns") == ():
         return "0, since no sun lamp shines in the scene"
-    return empty_layers_note(given.get("layers", ()))
+    return empty_layers_note(parameters.get("layers", ()))
 
 
 def _switched_off_text(readers: tuple[str, ...]) -> str:
@@ -129,7 +132,10 @@ def _switched_off_text(readers: tuple[str, ...]) -> str:
 
 
 def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
-    """Return the readers in the scene by attribute; "everything" and the active colours are resolved."""
+    """Return the readers in the scene by attribute.
+
+    A reader of everything counts for each attribute, and one of the active colours for the attributes that are active.
+    """
     demand = kept.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})
     everything = {name: demand.get(ALL, []) for name in ATTRIBUTES}

@@ -11,9 +11,10 @@ from ...cbt_terrain.view.linear import inverse
 
 
 class Sun(NamedTuple):
-    """`direction`: float64 [3], unit length, of the world, towards the sun.
+    """A sun lamp.
 
-    `angle`: diameter of its disc, radians. `strength`: W/m^2.
+    `direction`: float64 [3], unit length, of the world, towards the sun. `angle`: diameter of its disc, radians.
+    `strength`: W/m^2.
     """
 
     direction: np.ndarray
@@ -28,7 +29,7 @@ def sun_lamps(depsgraph) -> list[Sun]:
         axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
         length = float(np.sqrt((axis * axis).sum()))
         if lamp.data.energy > 0.0 and np.isfinite(length) and length > 0.0:
-            angle = min(lamp.data.angle, math.pi)  # of which Blender's float32 is larger
+            angle = min(lamp.data.angle, math.pi)  # Blender's float32 of pi is larger
             found.append(Sun(axis / length, angle, lamp.data.energy))
     return found
 

@@ -67,7 +67,8 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         import_source(ImportSettings(source="island", size=SIZE, seed=ISLAND_SEED), out / "source")
         warmup.wait()
         end_step("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
-        # Pixels of the flight cover at least 3 m. The finest level, 2 m, would change 1 m and take most of the time.
+        # A pixel of the flight covers 3 m or more. The finest level, of 2 m, would change heights by 1 m and take most
+        # of the time: it is left out.
         coarse = whole_land(open_store(out / "source").lattice, 1)
         report = shape_store(out / "source", STACK, store, coarse)
         tiles = f"{report['tiles_built']} of {report['tiles_there_are']} tiles"
@@ -77,7 +78,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         line = f"meshes: {len(FRAMES)} frames, {min(triangles):,} to {max(triangles):,} triangles"
         end_step(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
         flight = read_camera_path(out / "flight.json")
-        shown = crops(Terrain(open_store(store)), TimedFrame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
+        error_crops = crops(Terrain(open_store(store)), TimedFrame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
         end_step("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
         from ..session import session
         from . import scene as demo_scene
@@ -91,7 +92,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
             effects[frame] = session.record_of(obj).status.effects
             demo_scene.render(scene, out / name)
             end_step(f"Picture of frame {frame}", name, WEIGHT["picture"])
-        levels = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
+        num_triangles = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
         end_step("Pictures of the levels", "levels.png, plan.png", WEIGHT["levels"])
     finally:
         bar.close()
@@ -103,9 +104,9 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         error_px=ERROR_PX,
         summaries=summaries,
         pictures=pictures,
-        crops=shown,
+        crops=error_crops,
         effects=effects,
-        levels={"frame": LEVELS_FRAME, "error_px": LEVELS_ERROR_PX, "triangles": levels},
+        levels={"frame": LEVELS_FRAME, "error_px": LEVELS_ERROR_PX, "triangles": num_triangles},
         steps=steps,
     )
     print(f"{out / 'index.html'} shows it, made in {sum(steps.values()):.0f} s")

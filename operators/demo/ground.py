@@ -16,6 +16,7 @@ class Cover:
         color: linear RGB.
         noise: size of the noise in metres.
         bands: limits (low, high, edge) by quantity; None is an open limit.
+        ragged, strength: as of a terrain's layer.
     """
 
     name: str

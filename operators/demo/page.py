@@ -54,8 +54,13 @@ def write_page(
     """Write the page.
 
     Args:
+        machine: phrase about the machine.
+        size: samples along a side of the island.
+        resolution: pixels of the pictures.
+        error_px: criterion of the exported frames.
         summaries: one of each exported frame.
-        levels: figures of the drawings by level.
+        pictures: frame and file name of each picture, the first for the top of the page.
+        levels: "frame", "error_px" and "triangles" of the drawings by level.
         crops: enlarged parts of the frame of `levels`.
         effects: an EffectStatus by name for each pictured frame.
         steps: seconds by step.
@@ -201,7 +206,7 @@ def _chart(frames: list[dict]) -> str:
     width, height, left, right, top, bottom = 1040, 240, 72, 72, 16, 28
     wide, high = width - left - right, height - top - bottom
     max_triangles, max_ms = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)
-    pitch = wide / len(frames)
+    pitch = wide / len(frames)  # of the bars, which are 72 % as wide
     parts, line = [], []
     for i, frame in enumerate(frames):
         x, tall = left + i * pitch, high * frame["triangles"] / max_triangles
@@ -209,8 +214,8 @@ def _chart(frames: list[dict]) -> str:
         parts.append(text(x + pitch / 2, height - 8, str(frame["frame"]), "middle", "soft small"))
         line.append((x + pitch / 2, top + high * (1 - frame["ms"]["total"] / max_ms)))
     parts.append(path(line, RED, 2))
-    for share in (1, 0.5):
-        y = top + 4 + high * (1 - share)
-        parts.append(text(left - 8, y, f"{share * max_triangles:,.0f}", "end", "soft small"))
-        parts.append(text(width - right + 8, y, f"{share * max_ms:.0f} ms", look="small", colour=RED))
+    for fraction in (1, 0.5):  # labels of the two axes
+        y = top + 4 + high * (1 - fraction)
+        parts.append(text(left - 8, y, f"{fraction * max_triangles:,.0f}", "end", "soft small"))
+        parts.append(text(width - right + 8, y, f"{fraction * max_ms:.0f} ms", look="small", colour=RED))
     return picture(width, height, "Triangles and milliseconds for each frame", parts)

@@ -42,16 +42,16 @@ SAMPLES = 4
 MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 
 
-def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
-    """Build the scene with the terrain of `store` and the camera of `path` (a CameraPath), and save `out`/island.blend.
+def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, int], criterion):
+    """Build the scene with the terrain of `store` and a camera that follows `flight`, and save `out`/island.blend.
 
-    Returns the scene and the terrain's object.
+    flight: a CameraPath. criterion: of the terrain's detail. Returns the scene and the terrain's object.
     """
     open_empty_file()
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames[0], frames[-1]
     scene.render.use_lock_interface = True
-    scene.camera = _add_camera(scene, path, frames)
+    scene.camera = _add_camera(scene, flight, frames)
     add_sky(scene)
     set_up_render(scene, resolution)
     obj = bpy.data.objects.new("Island", bpy.data.meshes.new("Island"))
@@ -89,14 +89,14 @@ def bake_island_maps(obj) -> None:
         bpy.ops.adaptive_terrain.bake_maps()
 
 
-def _add_camera(scene, path, frames: range):
-    """Add a camera with a key at every frame of the path."""
+def _add_camera(scene, flight, frames: range):
+    """Add a camera with a key at each of the frames of a CameraPath."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
-    camera.data.clip_start, camera.data.clip_end = path.clip
+    camera.data.clip_start, camera.data.clip_end = flight.clip
     camera.rotation_mode = "QUATERNION"
     for frame in frames:
-        view = path.view(frame, (1, 1))
+        view = flight.view(frame, (1, 1))
         matrix = Matrix(inverse(view.world_to_camera).tolist())
         camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
         camera.data.angle = 2 * math.atan(1 / view.projection[0, 0])
@@ -203,7 +203,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
 def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
     """Add an orthographic camera over the whole terrain and make it the scene's.
 
-    A wedge over the terrain shows the view of `camera`.
+    Two strips over the terrain, from the eye along the sides of the picture, show the view of `camera`.
     """
     side, top = max(obj.dimensions.x, obj.dimensions.y), obj.dimensions.z + 5000.0
     above = bpy.data.objects.new("Above", bpy.data.cameras.new("Above"))
@@ -218,10 +218,10 @@ def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
     for turn in (-spread, spread):
         along = Vector((math.cos(heading + turn), math.sin(heading + turn), 0.0))
         across = Vector((-along.y, along.x, 0.0)) * half_width
-        foot = Vector((eye.x, eye.y, top / 2))
-        far = foot + along * 2 * side
+        near = Vector((eye.x, eye.y, top / 2))  # between terrain and camera
+        far = near + along * 2 * side
         faces.append(tuple(range(len(corners), len(corners) + 4)))
-        corners += [foot - across, far - across, far + across, foot + across]
+        corners += [near - across, far - across, far + across, near + across]
     wedge.from_pydata([tuple(c) for c in corners], [], faces)
     wedge.materials.append(plain_material("Wedge", (0.80, 0.10, 0.03, 1.0)))
     scene.collection.objects.link(bpy.data.objects.new("Wedge", wedge))

@@ -16,27 +16,30 @@ SEA_SAMPLES, RIVER_SAMPLES = 513, 2049  # maximum along a side
 
 
 def add_sea(scene, field: HeightField, material: bpy.types.Material):
-    """Add the sea at height 0: a grid with the attribute `water_depth`, without land, and four faces of open sea."""
+    """Add the sea at height 0: a grid with the attribute `water_depth`, without land, and four faces of open sea.
+
+    Each of the four joins a side of the grid to a side of a much larger square.
+    """
     heights, _ = _thinned(field.heights(), field.lattice, SEA_SAMPLES)
     rows, columns = heights.shape
     west, south, east, north = field.lattice.rectangle()
     x, y = np.meshgrid(np.linspace(west, east, columns), np.linspace(south, north, rows))
     far = OPEN_SEA_M * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    places = np.concatenate([np.stack([x.ravel(), y.ravel()], -1), far])
+    points = np.concatenate([np.stack([x.ravel(), y.ravel()], -1), far])  # the far corners are the last four
     number = np.arange(rows * columns).reshape(rows, columns)
     cells = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], -1).reshape(-1, 4)
     cells = cells[(heights.ravel()[cells] < BEHIND_M).any(axis=1)]
-    near, last = number[[0, 0, -1, -1], [0, -1, -1, 0]], len(places) - 4
-    sides = [(near[k], last + k, last + (k + 1) % 4, near[(k + 1) % 4]) for k in range(4)]
+    near, first_far = number[[0, 0, -1, -1], [0, -1, -1, 0]], len(points) - 4  # corners of the grid, in the same order
+    sides = [(near[k], first_far + k, first_far + (k + 1) % 4, near[(k + 1) % 4]) for k in range(4)]
     mesh = bpy.data.meshes.new("Sea")
-    mesh.from_pydata(np.pad(places, ((0, 0), (0, 1))).tolist(), [], [*cells.tolist(), *sides])
+    mesh.from_pydata(np.pad(points, ((0, 0), (0, 1))).tolist(), [], [*cells.tolist(), *sides])
     depth = np.append(sea_depth(heights, 0.0), np.full(4, OPEN_DEPTH_M)).astype(np.float32)
     mesh.attributes.new("water_depth", "FLOAT", "POINT").data.foreach_set("value", depth)
     return _add_object(scene, mesh, material)
 
 
 def add_rivers(scene, field: HeightField, material: bpy.types.Material):
-    """Add rivers and lakes as an object, and return it, or None without water."""
+    """Add rivers and lakes above the sea as an object, and return it, or None without water."""
     heights, lattice = _thinned(field.heights(), field.lattice, RIVER_SAMPLES)
     depth, speed = (_thinned(field.layers[name], field.lattice, RIVER_SAMPLES)[0] for name in NAMES[:2])
     depth = np.where(heights > 0.0, depth, np.float32(0.0))
@@ -50,9 +53,9 @@ def add_rivers(scene, field: HeightField, material: bpy.types.Material):
 
 def _thinned(samples: np.ndarray, lattice: Lattice, max_side: int) -> tuple[np.ndarray, Lattice]:
     """Return every n-th sample, at most `max_side` along a side, and the lattice of these samples."""
-    every = -(-(max(lattice.width, lattice.height) - 1) // (max_side - 1))
-    found = np.ascontiguousarray(samples[::every, ::every])
-    return found, fit(found.shape[1], found.shape[0], lattice.step_x * every, lattice.step_y * every)
+    step = -(-(max(lattice.width, lattice.height) - 1) // (max_side - 1))  # rounded up
+    found = np.ascontiguousarray(samples[::step, ::step])
+    return found, fit(found.shape[1], found.shape[0], lattice.step_x * step, lattice.step_y * step)
 
 
 def _add_object(scene, mesh: bpy.types.Mesh, material: bpy.types.Material):

@@ -29,10 +29,10 @@ def _object_corners(evaluated) -> np.ndarray:
         found.append(_box_corners(evaluated, evaluated.matrix_world))
     collection = evaluated.instance_collection if evaluated.instance_type == "COLLECTION" else None
     if collection is not None:
-        place = evaluated.matrix_world @ Matrix.Translation(-collection.instance_offset)
+        to_world = evaluated.matrix_world @ Matrix.Translation(-collection.instance_offset)
         for item in collection.all_objects:
             if item.type in GEOMETRY:
-                found.append(_box_corners(item, place @ item.matrix_world))
+                found.append(_box_corners(item, to_world @ item.matrix_world))
     return np.concatenate(found)
 
 

@@ -65,10 +65,10 @@ def chosen_grounds(context, depsgraph) -> list[world_ground.WorldGround]:
 
 
 def terrain_at(context, points: np.ndarray, what: str, depsgraph):
-    """Return the terrain that an operator acts on, and its ground.
+    """Return the terrain that an operator acts on, and its WorldGround.
 
-    It is the active terrain if that is selected, else the one below or above most points of the world, [n, 3].
-    what: name of the points for the error. Raises TerrainError if no terrain is there.
+    It is the active terrain if that is selected, else the one below or above most of the `points`, float64 [n, 3] in
+    the world. what: name of the points for the error. Raises TerrainError if no terrain is there.
     """
     terrain = active_terrain(context)
     if terrain is not None:
@@ -88,14 +88,17 @@ def selected_objects(context) -> list:
 
 
 def objects_to_move(objects) -> list:
-    """Return the objects to move in place of `objects`: the armature of a mesh, and no child of one that moves."""
-    tops = []
+    """Return the objects to move in place of `objects`, each once.
+
+    An object is replaced by its topmost ancestor, below any terrain, that is an armature or one of `objects`.
+    """
+    found = []
     for obj in objects:
-        up = obj
-        while up.parent is not None and not up.parent.adaptive_terrain.enabled:
-            up = up.parent
-            if up.type == "ARMATURE" or up in objects:
-                obj = up
-        if obj not in tops:
-            tops.append(obj)
-    return tops
+        ancestor = obj
+        while ancestor.parent is not None and not ancestor.parent.adaptive_terrain.enabled:
+            ancestor = ancestor.parent
+            if ancestor.type == "ARMATURE" or ancestor in objects:
+                obj = ancestor
+        if obj not in found:
+            found.append(obj)
+    return found

@@ -33,14 +33,14 @@ def drop_points(obj, world: Matrix, ground, offset: float) -> None:
         raise TerrainError(f"{name} has a curve without points", fix="add some")
     if world.determinant() == 0.0:
         raise TerrainError(f"{name} has a scale of 0", fix="give it another")
-    places = np.array([world @ point.co.to_3d() for point in points])
-    heights = world_ground.find_below(ground, places).heights
+    positions = np.array([world @ point.co.to_3d() for point in points])
+    heights = world_ground.find_below(ground, positions).heights
     if not np.isfinite(heights).any():
         raise TerrainError(f"{name} has no ground above or below its points", fix="move it over the terrain")
-    up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))
-    for point, place, height in zip(points, places, heights.tolist(), strict=True):
+    up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))  # a metre up in the world, in the curve's space
+    for point, position, height in zip(points, positions, heights.tolist(), strict=True):
         if np.isfinite(height):
-            _move_point(point, up * (height + offset - place[2]))
+            _move_point(point, up * (height + offset - position[2]))
     curve.update_tag()
 
 

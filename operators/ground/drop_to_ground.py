@@ -22,11 +22,11 @@ ORIGIN, BOUNDS = "ORIGIN", "BOUNDS"
 
 @dataclass(frozen=True)
 class RestPose:
-    """The pose of an object on the ground: heights of its origin and of the ground below in the world, and its turn."""
+    """The pose of an object on the ground, in metres of the world."""
 
-    height: float
-    ground: float
-    turn: Quaternion
+    height: float  # of the object's origin
+    ground: float  # height of the ground below the origin
+    turn: Quaternion  # rotation in the world that takes the object there
 
 
 class DropToGround(GroundOperator, bpy.types.Operator):
@@ -67,6 +67,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Drop the selected objects, and report those that cannot be moved with the reason."""
+        # keeping: objects that are kept on the ground already. left: why others were not moved, by object.
         depsgraph, objects, keeping, left = context.evaluated_depsgraph_get(), [], [], {}
         if not math.isfinite(self.offset):
             raise TerrainError(f"The offset from the ground is {self.offset}", expected="a number of metres")
@@ -115,9 +116,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
         moves.check_local(obj)
 
     def _drop(self, obj, ground, depsgraph, terrain) -> None:
-        """Move an object to the ground, or start keeping it there.
-
-        Raises TerrainError if it cannot be moved.
+        """Move an object to the ground, or start keeping it there. Raises TerrainError if it cannot be moved.
 
         ground: list of WorldGround. terrain: the only terrain to keep it on, None for any.
         """
@@ -152,7 +151,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
             if obj.type != "CURVE" and obj.constraints:
                 evaluated = obj.evaluated_get(depsgraph)
                 corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
-                pose = rest_pose(evaluated, corners, ground, False)
+                pose = rest_pose(evaluated, corners, ground, align=False)
                 z = evaluated.matrix_world.translation.z
                 if pose is None or abs(pose.height + self.offset - z) > 1e-3 + moves.rounding(evaluated, z):
                     what = f"The object {obj.name!r} does not reach the ground, because a constraint holds it"
@@ -163,7 +162,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
 def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
     """Return the pose that puts an evaluated object on the ground, None without ground.
 
-    Its lowest corner touches the ground below the corners' middle.
+    Its lowest corner gets the height of the ground below the corners' middle.
 
     Args:
         corners: float64 [n, 3], metres of the world; None to put the origin on the ground.
@@ -171,14 +170,14 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
         align: turn the object's Z axis to the ground's normal.
     """
     origin, turn = np.array(evaluated.matrix_world.translation, np.float64), Quaternion()
-    place = origin if corners is None else _middle(corners)
-    under = world_ground.find_below(ground, place[None])
-    if align and np.isfinite(under.heights[0]):
-        turn = moves.turn_to(evaluated, world_ground.normals_at(ground, place[None], under)[0])
-        if corners is not None:
+    position = origin if corners is None else _middle(corners)
+    below = world_ground.find_below(ground, position[None])
+    if align and np.isfinite(below.heights[0]):
+        turn = moves.turn_to(evaluated, world_ground.normals_at(ground, position[None], below)[0])
+        if corners is not None:  # turned about the origin
             corners = np.array([turn @ Vector(corner) for corner in corners - origin]) + origin
-            place = _middle(corners)
-    heights = world_ground.find_below(ground, np.array([place, origin])).heights.tolist()
+            position = _middle(corners)
+    heights = world_ground.find_below(ground, np.array([position, origin])).heights.tolist()
     if not np.isfinite(heights[0]):
         return None
     height = heights[0] if corners is None else origin[2] + heights[0] - corners[:, 2].min()

@@ -90,7 +90,7 @@ class LetGo(bpy.types.Operator):
 
 
 def _selected_or_active(context) -> list:
-    """Return the selected objects that are no terrains, and the active object."""
+    """Return the selected objects that are no terrains, and the active object, each once."""
     return list({*selected_objects(context), *filter(None, [context.object])})
 
 

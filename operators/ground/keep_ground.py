@@ -20,7 +20,7 @@ from . import vertical_moves as moves
 from . import world_ground
 from .properties import ON, is_any_on_ground
 
-MAX_MOVES = 3  # of an object; further ones correct float32 rounding
+MAX_MOVES = 3  # of an object: those after the first correct float32 rounding
 _settled: dict[int, tuple] = {}  # session_uid of a scene -> key of its settled state in the viewport
 _notes: dict[int, str] = {}  # session_uid of an object -> why it is not on the ground
 
@@ -99,23 +99,25 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
 
 
 def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> None:
-    """Move released objects to the ground, those that follow others after these.
+    """Move released objects to the ground, in rounds: an object waits until those that it follows are in place.
 
     grounds: list of WorldGround. frame_changes: the frame was just set, so animated channels are evaluated again.
     """
     for obj in objects:
         _notes.pop(obj.session_uid, None)
     everyone = set(objects)
-    followed, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
-    while off := _find_moves(todo, grounds, depsgraph, moved):
-        held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
+    # moved: metres of each move of an object so far.
+    leaders, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
+    while needed := _find_moves(todo, grounds, depsgraph, moved):
+        # A constraint holds an object if its first move has left more than half of the distance.
+        held = [obj for obj in needed if obj in moved and abs(needed[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _reset_deltas(obj)
             _set_note(obj, TerrainError(f"{obj.name!r} is not moved, because a constraint holds it", fix="mute it"))
-        now = [obj for obj in off if obj not in held and not followed[obj] & off.keys()]
+        now = [obj for obj in needed if obj not in held and not leaders[obj] & needed.keys()]
         for obj in now:
-            _apply_move(obj, depsgraph, *off[obj])
-            moved.setdefault(obj, []).append(off[obj][0])
+            _apply_move(obj, depsgraph, *needed[obj])
+            moved.setdefault(obj, []).append(needed[obj][0])
         todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MAX_MOVES]
         _evaluate([*now, *held], depsgraph, frame_changes)
         if not now:
@@ -132,28 +134,27 @@ def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
 def _find_moves(objects: list, grounds: list, depsgraph, moved) -> dict:
     """Return by object the metres to rise and the normal to turn to (None for no turn), for those not in place.
 
-    moved: objects that were moved before, which are not turned again.
+    moved: objects that were moved before, which are not turned again. An object that is not evaluated is left out; one
+    whose only terrain is not among `grounds` gets a note.
     """
-    shown = {obj: obj.evaluated_get(depsgraph) for obj in objects}
-    shown = {
-        obj: item for obj, item in shown.items() if item.is_evaluated and all(map(math.isfinite, _origin_of(item)))
-    }
-    found = {}
-    for only in {obj.adaptive_terrain_keep.terrain for obj in shown}:
-        chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
+    pairs = [(obj, obj.evaluated_get(depsgraph)) for obj in objects]
+    evaluated = {o: item for o, item in pairs if item.is_evaluated and all(map(math.isfinite, _origin_of(item)))}
+    moves = {}
+    for only in {obj.adaptive_terrain_keep.terrain for obj in evaluated}:  # None: any terrain
+        chosen = [obj for obj in evaluated if obj.adaptive_terrain_keep.terrain == only]
         allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
         for obj in () if allowed or only is None else chosen:
             what = f"{obj.name!r} is not moved, because its terrain {only.name!r} is not in the scene"
             _set_note(obj, TerrainError(what, fix="choose another terrain"))
-        places = np.array([_origin_of(shown[obj]) for obj in chosen], np.float64)
-        under = world_ground.find_below(allowed, places)
+        origins = np.array([_origin_of(evaluated[obj]) for obj in chosen], np.float64)
+        below = world_ground.find_below(allowed, origins)
         turning = [_is_aligned(obj) and obj not in moved for obj in chosen]
-        normals = world_ground.normals_at(allowed, places, under) if any(turning) else places
-        for obj, height, normal, turns in zip(chosen, under.heights.tolist(), normals, turning, strict=True):
-            rise = _rise_of(obj, shown[obj], height)
+        normals = world_ground.normals_at(allowed, origins, below) if any(turning) else origins  # else not used
+        for obj, height, normal, turns in zip(chosen, below.heights.tolist(), normals, turning, strict=True):
+            rise = _rise_of(obj, evaluated[obj], height)
             if rise or (turns and math.isfinite(height)):
-                found[obj] = rise, normal if turns else None
-    return {obj: found[obj] for obj in objects if obj in found}
+                moves[obj] = rise, normal if turns else None
+    return {obj: moves[obj] for obj in objects if obj in moves}
 
 
 def _origin_of(evaluated):

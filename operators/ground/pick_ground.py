@@ -88,7 +88,7 @@ class PickGround(GroundOperator, bpy.types.Operator):
         """Move the 3D cursor or the active object to where the ray first hits the ground."""
         depsgraph = context.evaluated_depsgraph_get()
         found = chosen_grounds(context, depsgraph)
-        hit = world_ground.first_hit(found, self.origin, self.direction)
+        hit = world_ground.first_hit(found, self.origin, self.direction)  # point, and number of its ground
         if hit is None:
             raise TerrainError("There is no ground under the mouse, or along the ray", fix="aim at the terrain")
         if self.moves == OBJECT:
@@ -96,9 +96,9 @@ class PickGround(GroundOperator, bpy.types.Operator):
         else:
             context.scene.cursor.location = hit[0]
         slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
-        place = ", ".join(f"{value:,.2f}" for value in hit[0])
+        position = ", ".join(f"{value:,.2f}" for value in hit[0])
         coordinates = found[hit[1]].coordinates(hit[0])
-        self.report({"INFO"}, ", ".join(filter(None, (f"Ground at {place} m, slope {plain(slope)}°", coordinates))))
+        self.report({"INFO"}, ", ".join(filter(None, (f"Ground at {position} m, slope {plain(slope)}°", coordinates))))
         return {"FINISHED"}
 
 
@@ -115,10 +115,10 @@ def _move_origin(obj, point, depsgraph) -> None:
 
 def _ray_under(context, event):
     """Return origin and direction of the ray under the mouse in a viewport of the window, or None."""
-    for window, _, region, part in cameras.viewports(context.window_manager):
-        place = event.mouse_x - region.x, event.mouse_y - region.y
-        inside = 0 <= place[0] < region.width and 0 <= place[1] < region.height
-        if window == context.window and inside:
-            kinds = view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d
-            return tuple(kind(region, part, place) for kind in kinds)
+    for window, _, region, region_3d in cameras.viewports(context.window_manager):
+        mouse = event.mouse_x - region.x, event.mouse_y - region.y
+        is_inside = 0 <= mouse[0] < region.width and 0 <= mouse[1] < region.height
+        if window == context.window and is_inside:
+            functions = view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d
+            return tuple(function(region, region_3d, mouse) for function in functions)
     return None

@@ -105,9 +105,9 @@ def _chosen_curves(context) -> list:
 def lines_of(curve, depsgraph) -> list[np.ndarray]:
     """Return the splines of a curve object, at its resolution, as lines in the world, float64 [n, 3] each.
 
-    Raises TerrainError if there is none.
+    A copy without bevel and extrusion is converted to a mesh of edges. Raises TerrainError if there is no line.
     """
-    plain = curve.data.copy()  # without bevel and extrusion
+    plain = curve.data.copy()
     plain.bevel_depth = plain.extrude = 0.0
     plain.bevel_object, plain.bevel_mode, plain.dimensions = None, "ROUND", "3D"
     stand_in = bpy.data.objects.new("Profile", plain)
@@ -127,17 +127,21 @@ def lines_of(curve, depsgraph) -> list[np.ndarray]:
 
 
 def _chains(pairs) -> list[list[int]]:
-    """Join edges to lines of vertices: a spline's edges are consecutive, and a cyclic one ends at its start."""
+    """Join edges to lines of vertices; the line of a cyclic spline ends with its first vertex.
+
+    pairs: vertices of each edge. A spline's vertices are consecutive, and a cyclic one has an edge between its ends.
+    """
     lines = []
+    # By the first vertex; the edge between the ends comes after the edge to the next vertex.
     for a, b in sorted(pairs, key=lambda pair: (min(pair), max(pair) - min(pair) != 1)):
         low, high = min(a, b), max(a, b)
         if lines and lines[-1][-1] == low:
             lines[-1].append(high)
         elif high == low + 1:
             lines.append([low, high])
-    ends = {(min(pair), max(pair)) for pair in pairs}
+    edges = {(min(pair), max(pair)) for pair in pairs}
     for line in lines:
-        if len(line) > 2 and (line[0], line[-1]) in ends:
+        if len(line) > 2 and (line[0], line[-1]) in edges:
             line.append(line[0])
     return lines
 
@@ -165,31 +169,35 @@ def profile_csv(along: np.ndarray, points: np.ndarray, ground) -> str:
     Two more columns have the coordinates in the system of the terrain, if it has one.
     """
     raster = ground.field.raster
-    names, places = "distance_m,x_m,y_m,height_m", np.empty((len(points), 0))
+    names, coordinates = "distance_m,x_m,y_m,height_m", np.empty((len(points), 0))
     if raster.crs and raster.known_place is not None:
         names += ",longitude,latitude" if is_in_degrees(raster.known_place) else ",easting,northing"
-        places = to_crs(raster.known_place, ground.to_local(np.nan_to_num(points))[:, :2])
+        coordinates = to_crs(raster.known_place, ground.to_local(np.nan_to_num(points))[:, :2])
     rows = [names]
-    for distance, (x, y, z), place in zip(along.tolist(), points.tolist(), places.tolist(), strict=True):
-        row = f"{distance:.6g}", f"{x:.9g}", f"{y:.9g}", "" if z != z else f"{z:.9g}", *(f"{c:.12g}" for c in place)
-        rows.append(",".join(row))
+    for distance, (x, y, z), more in zip(along.tolist(), points.tolist(), coordinates.tolist(), strict=True):
+        height = "" if np.isnan(z) else f"{z:.9g}"
+        rows.append(",".join((f"{distance:.6g}", f"{x:.9g}", f"{y:.9g}", height, *(f"{c:.12g}" for c in more))))
     return "\n".join(rows) + "\n"
 
 
 def _new_curve(context, name: str, lines: list[np.ndarray]):
-    """Add a curve object through points of the world, split where there is no height."""
+    """Add a curve object through points of the world, split where there is no height; its origin is the first point.
+
+    lines: float64 [n, 3] each, with height NaN without ground.
+    """
     data = bpy.data.curves.new(name, "CURVE")
     data.dimensions = "3D"
     first = next(p for line in lines for p in line if np.isfinite(p).all())
     for line in lines:
-        ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(line[:, 2]), False].astype(np.int8)))
-        for begin, end in ends.reshape(-1, 2):
+        # Where parts with heights begin and end, in turn.
+        borders = np.flatnonzero(np.diff(np.r_[False, np.isfinite(line[:, 2]), False].astype(np.int8)))
+        for begin, end in borders.reshape(-1, 2):
             if end - begin < 2:
                 continue
             spline = data.splines.new("POLY")
-            spline.points.add(end - begin - 1)
-            places = np.c_[line[begin:end] - first, np.ones(end - begin)]
-            spline.points.foreach_set("co", places.astype(np.float32).ravel())
+            spline.points.add(end - begin - 1)  # a new spline has one point
+            points = np.c_[line[begin:end] - first, np.ones(end - begin)]  # with weights of 1
+            spline.points.foreach_set("co", points.astype(np.float32).ravel())
     obj = bpy.data.objects.new(name, data)
     obj.location = Vector(first.tolist())
     context.collection.objects.link(obj)

@@ -18,7 +18,7 @@ def channels_to_world(evaluated) -> Matrix:
     It includes constraints that carry an object (Follow Path, Child Of). Raises TerrainError if it is singular.
     """
     acting, world = [c.type for c in evaluated.constraints if not c.mute], evaluated.matrix_world
-    if acting and STAY.issuperset(acting):  # leaves out rotations by constraints
+    if acting and STAY.issuperset(acting):  # only the parent counts: their rotations are left out
         frame = world @ evaluated.matrix_local.inverted_safe()
         if evaluated.parent is not None:
             frame = frame @ evaluated.matrix_parent_inverse
@@ -47,12 +47,12 @@ def channel_rise(frame: Matrix, metres: float) -> Vector:
 
 
 def channel_turn(frame: Matrix, turn: Quaternion) -> Quaternion:
-    """Convert a rotation in the world to one that precedes the object's rotation channels.
+    """Convert a rotation in the world to one that is multiplied from the left to the object's rotation channels.
 
     frame: result of `channels_to_world`.
     """
-    around = frame.to_quaternion()
-    return around.inverted() @ turn @ around
+    rotation = frame.to_quaternion()
+    return rotation.inverted() @ turn @ rotation
 
 
 def turn_to(evaluated, normal: np.ndarray) -> Quaternion:

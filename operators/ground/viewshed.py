@@ -66,8 +66,9 @@ class Viewshed(GroundOperator, bpy.types.Operator):
 
 
 def _eye(context):
-    """Return the object that looks: the active object if it is no terrain, else a selected object or the camera;
-    None without.
+    """Return the object that looks, None without one.
+
+    It is the active object if that is no terrain, else a selected object, else the camera.
     """
     obj = context.object
     if obj is not None and not obj.adaptive_terrain.enabled:
@@ -81,11 +82,11 @@ def _find_marked(items, terrain):
 
 
 def _make_image(terrain, seen: np.ndarray):
-    """Return a packed image that is white where `seen`, bool [rows, columns], row 0 in the south.
+    """Return a packed image that is white where `seen` is True, bool [rows, columns], row 0 in the south.
 
     Large rasters get a pixel per n-th sample. The terrain's old image is reused if its size fits.
     """
-    step = -(-max(seen.shape) // MAX_PIXELS)
+    step = -(-max(seen.shape) // MAX_PIXELS)  # rounded up
     seen = seen[::step, ::step]
     rows, columns = seen.shape
     image = _find_marked(bpy.data.images, terrain)
@@ -113,9 +114,9 @@ def _add_modifier(terrain, image) -> None:
     node.inputs["Image"].default_value = image
     # UV is 0 and 1 at the first and the last sample, but pixels have their centres half a pixel inside.
     size = np.array([*image.size, 1.0])
-    scale = next(node for node in group.nodes if node.bl_idname == "ShaderNodeVectorMath")
-    scale.inputs[1].default_value = (size - [1.0, 1.0, 0.0]) / size
-    scale.inputs[2].default_value = [*(0.5 / size[:2]), 0.0]
+    to_image = next(node for node in group.nodes if node.bl_idname == "ShaderNodeVectorMath")  # a factor and a sum
+    to_image.inputs[1].default_value = (size - [1.0, 1.0, 0.0]) / size
+    to_image.inputs[2].default_value = [*(0.5 / size[:2]), 0.0]
 
 
 def _create_group(name: str):
@@ -125,14 +126,14 @@ def _create_group(name: str):
         group.interface.new_socket(name="Geometry", in_out=in_out, socket_type="NodeSocketGeometry")
     kinds = ("NodeGroupInput", "GeometryNodeInputNamedAttribute", "ShaderNodeVectorMath", "GeometryNodeImageTexture",
              "GeometryNodeStoreNamedAttribute", "NodeGroupOutput")  # fmt: skip
-    begin, uv, place, texture, store, end = (group.nodes.new(kind) for kind in kinds)
-    for number, node in enumerate((begin, uv, place, texture, store, end)):
+    begin, uv, to_image, texture, store, end = (group.nodes.new(kind) for kind in kinds)
+    for number, node in enumerate((begin, uv, to_image, texture, store, end)):
         node.location = (200 * number, 0)
-    uv.data_type, place.operation, texture.extension = "FLOAT_VECTOR", "MULTIPLY_ADD", "EXTEND"
+    uv.data_type, to_image.operation, texture.extension = "FLOAT_VECTOR", "MULTIPLY_ADD", "EXTEND"
     uv.inputs["Name"].default_value, store.inputs["Name"].default_value = UV_LAYER, NAME
     links = (
-        (begin.outputs[0], store.inputs["Geometry"]), (uv.outputs["Attribute"], place.inputs[0]),
-        (place.outputs["Vector"], texture.inputs["Vector"]), (texture.outputs["Color"], store.inputs["Value"]),
+        (begin.outputs[0], store.inputs["Geometry"]), (uv.outputs["Attribute"], to_image.inputs[0]),
+        (to_image.outputs["Vector"], texture.inputs["Vector"]), (texture.outputs["Color"], store.inputs["Value"]),
         (store.outputs["Geometry"], end.inputs[0]),
     )  # fmt: skip
     for source, goal in links:

@@ -28,12 +28,12 @@ HEADROOM = 0.01  # fraction of a terrain's height: rays down start this far abov
 
 @dataclass(frozen=True, eq=False)
 class WorldGround:
-    """One terrain in the world. `placement` (float64 [4, 4]) maps points with heights `height * scale + offset`."""
+    """One terrain in the world."""
 
-    uid: int
+    uid: int  # session_uid of its object
     field: HeightField
-    placement: np.ndarray
-    scale: float
+    placement: np.ndarray  # float64 [4, 4], from the terrain's space to the world
+    scale: float  # a point's z in the terrain's space is height * scale + offset
     offset: float
 
     @property
@@ -54,7 +54,7 @@ class WorldGround:
         return _transform_points(self.placement, points)
 
     def top(self) -> float:
-        """Return a height of the world above all of the terrain."""
+        """Return a height of the world above all of the terrain, from which rays may start downwards."""
         west, south, east, north = self.field.lattice.rectangle()
         heights = [h * self.scale + self.offset for h in (self.field.min_height, self.field.max_height)]
         corners = np.array([(x, y, z) for x in (west, east) for y in (south, north) for z in heights])
@@ -67,20 +67,23 @@ class WorldGround:
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return the points where rays of the world first hit the ground, float64 [n, 3]; NaN for rays that miss."""
-        back = inverse(self.placement)
-        along = _transform_vectors(back[:3, :3], directions)
-        return self.to_world(pick(self.field, _transform_points(back, origins), along, **self.heights).points)
+        to_local = inverse(self.placement)
+        local_directions = _transform_vectors(to_local[:3, :3], directions)
+        local_origins = _transform_points(to_local, origins)
+        return self.to_world(pick(self.field, local_origins, local_directions, **self.heights).points)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Return upward unit normals in the world, float64 [n, 3], at points of the world on the surface."""
         local = ground_at(self.field, self.to_local(points)[:, :2], **self.heights).normals
-        normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)
+        normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)  # by the inverse transpose
         normals = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]
         return np.where(normals[:, 2:] < 0.0, -normals, normals)
 
 
 class Below(NamedTuple):
-    """Ground below n positions: `heights` in the world, float64 [n], NaN without; `which` ground, int [n], or -1."""
+    """Ground below n positions: its `heights` in the world, float64 [n], NaN without ground; `which`, its number in the
+    list of grounds, int [n], -1 without ground.
+    """
 
     heights: np.ndarray
     which: np.ndarray
@@ -139,7 +142,7 @@ def find_below(grounds: Sequence[WorldGround], places: np.ndarray) -> Below:
     down = np.tile([0.0, 0.0, -1.0], (len(places), 1))
     for number, ground in enumerate(grounds):
         found = ground.hits(np.c_[places, np.full(len(places), ground.top())], down)[:, 2]
-        higher = np.isfinite(found) & ~(found <= heights)
+        higher = np.isfinite(found) & ~(found <= heights)  # also where `heights` is NaN
         heights[higher], which[higher] = found[higher], number
     return Below(heights, which)
 

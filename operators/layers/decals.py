@@ -40,9 +40,9 @@ def _to_decal(name: str, empty, matrix: np.ndarray) -> Decal:
     picture = cached_value(image, DecalPicture, f"of the decal {name!r}", _to_picture)
     sides = np.array(image.size, np.float64) * np.array(image.display_aspect, np.float64)
     sides *= empty.empty_display_size / sides.max()
-    along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]
-    upwards = np.cross(matrix[:3, 0], matrix[:3, 1])
-    up = up * (abs(upwards[2]) > 1e-5 * length(upwards))  # of one that stands upright there are rounding errors left
+    along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]  # sides of the image in plan, metres
+    normal = np.cross(matrix[:3, 0], matrix[:3, 1])
+    up = up * (abs(normal[2]) > 1e-5 * length(normal))  # 0 for an upright one, where only rounding errors are left
     corner = matrix[:2, 3] + along * empty.empty_image_offset[0] + up * empty.empty_image_offset[1]
     opacity = empty.color[3] if empty.use_empty_image_alpha else 1.0
     return Decal(name, picture, *(tuple(v.tolist()) for v in (corner, along, up)), float(opacity))
@@ -54,11 +54,14 @@ def _is_normal_map(image) -> bool | None:
 
 
 def _to_picture(image, pixels: np.ndarray) -> DecalPicture:
-    """Return a DecalPicture from Blender's pixels, float32 [rows, columns, channels]: linear colours and alpha."""
+    """Return a DecalPicture from Blender's pixels, float32 [rows, columns, channels]: linear colours and alpha.
+
+    One channel is grey; without an alpha channel, or if the image ignores it, alpha is 1.
+    """
     channels = pixels.shape[2]
     alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])
     colors = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    if image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL"):  # which Blender holds times alpha
+    if image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL"):  # Blender holds its colours multiplied by alpha
         colors = colors / np.maximum(alpha, np.float32(1e-6))
     elif not image.is_float and image.colorspace_settings.name == "sRGB":
         colors = LINEAR[(np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)]

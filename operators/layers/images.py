@@ -39,8 +39,9 @@ def _to_painted(_image, pixels: np.ndarray) -> Painted:
 def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.ndarray], T]) -> T:
     """Return `make(image, pixels)`, cached until the image changes.
 
-    pixels: float32 [rows, columns, channels], row 0 at the lower edge. Raises TerrainError for an image without pixels,
-    or with a truncated file.
+    pixels: float32 [rows, columns, channels], row 0 at the lower edge. kind: type of the value, of which an image has
+    one each. user: its reader in words, for errors. Raises TerrainError for an image without pixels, or with a
+    truncated file.
     """
     image = image.original
     check_image_files(image, user)

@@ -18,7 +18,7 @@ from ..bridge.nodes import Nodes
 GROUP = "Terrain Layers"
 PLAIN = (0.2, 0.19, 0.17)  # without any layer
 MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
-FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
+FIELDS = 100.0  # default sizes of the variation in the terrain's longer side
 A_GROUP = 4  # layers in one attribute or map
 COLORS, NORMAL, SKY, SUN = "color", "detail_normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
@@ -40,9 +40,9 @@ class LayerSources:
     """Inputs of the group.
 
     `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS. `light`: which of SKY and SUN
-    darken the colours. `maps`: baked images by effect; effects without one are attributes. `place`: adds nodes to a
-    tree that give the place in them; returns their output. `tile`: metres of the world across an image of several that
-    make a map.
+    darken the colours. `maps`: baked images by attribute; attributes without one are read from the mesh. `place`: adds
+    nodes to a tree that give the position in a map; returns their output. `tile`: metres of the world across one tile
+    of a map.
     """
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
@@ -63,10 +63,10 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
     sources = replace(sources, layers=layers)
     low, high = obj.bound_box[0], obj.bound_box[6]
     side = max(high[0] - low[0], high[1] - low[1])
-    had = set(node.inputs.keys())
+    names_before = set(node.inputs.keys())
     build_group(node.node_tree, sources, side / FIELDS if side > 0 else 1.0)
     for item in _input_sockets(node.node_tree):
-        if item.name not in had:  # the node's own socket was made before this had its value
+        if item.name not in names_before:  # the node's own socket was made before the interface had its default
             node.inputs[item.name].default_value = item.default_value
     for name, colour in sources.layers:
         node.inputs[name].default_value = (*colour, 1.0)
@@ -165,7 +165,7 @@ def _socket_names(names: Sequence[str]) -> list[str]:
     for name in names:
         numbered = (f"{name or 'Layer'} {number}" for number in count(2))
         names_in_use.append(next(free for free in chain([name or "Layer"], numbered) if free not in names_in_use))
-    return names_in_use[4:]
+    return names_in_use[4:]  # without the four other sockets
 
 
 def build_group(tree, sources: LayerSources, size: float) -> None:
@@ -174,23 +174,23 @@ def build_group(tree, sources: LayerSources, size: float) -> None:
     size: default of the input Variation Size, metres.
     """
     names = [name for name, _ in sources.layers]
-    light = {SKY: OCCLUSION, SUN: SHADOW}
+    strengths = {SKY: OCCLUSION, SUN: SHADOW}  # input that sets how much each darkens
     inputs = {name: "NodeSocketColor" for name in names}
-    inputs |= {name: "NodeSocketFloat" for name in (VARIATION, SIZE, *(light[name] for name in sources.light))}
+    inputs |= {name: "NodeSocketFloat" for name in (VARIATION, SIZE, *(strengths[name] for name in sources.light))}
     outputs = {COLOUR: "NodeSocketColor"} | ({"Normal": "NodeSocketVector"} if NORMAL in sources.maps else {})
     _set_interface(tree, inputs, outputs)
     tree.nodes.clear()
     n = Nodes(tree)
-    given = n.add("NodeGroupInput").outputs
-    noise = _add_noise(n, given[SIZE])
-    colour = _add_mixture(n, sources, [given[name] for name in names], noise) if names else PLAIN
+    group_inputs = n.add("NodeGroupInput").outputs
+    noise = _add_noise(n, group_inputs[SIZE])
+    colour = _add_mixture(n, sources, [group_inputs[name] for name in names], noise) if names else PLAIN
     if COLORS in sources.maps:
         colour = _add_map(n, sources, COLORS)["Color"]
-    colour = _add_variation(n, colour, noise, given[VARIATION])
-    for name in sources.light:
-        seen = _add_value(n, sources, name)
-        darker = n.math("SUBTRACT", 1.0, n.math("MULTIPLY", given[light[name]], n.math("SUBTRACT", 1.0, seen)))
-        colour = n.scaled(colour, darker)
+    colour = _add_variation(n, colour, noise, group_inputs[VARIATION])
+    for name in sources.light:  # colour * (1 - strength * (1 - seen))
+        seen, strength = _add_value(n, sources, name), group_inputs[strengths[name]]
+        factor = n.math("SUBTRACT", 1.0, n.math("MULTIPLY", strength, n.math("SUBTRACT", 1.0, seen)))
+        colour = n.scaled(colour, factor)
     out = n.add("NodeGroupOutput", {COLOUR: colour})
     if NORMAL in sources.maps:
         normal = n.add("ShaderNodeNormalMap", {"Color": _add_map(n, sources, NORMAL)["Color"]}, space="OBJECT")
@@ -209,14 +209,14 @@ def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) 
     """
     for panel in [item for item in tree.interface.items_tree if item.item_type == "PANEL"]:
         tree.interface.remove(panel)
-    wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
-    wanted += [(name, kind, "INPUT") for name, kind in inputs.items()]
-    have = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}
-    for key in have.keys() - set(wanted):
-        tree.interface.remove(have[key])
-    for place, (name, kind, way) in enumerate(wanted):
-        item = have.get((name, kind, way)) or tree.interface.new_socket(name, in_out=way, socket_type=kind)
-        tree.interface.move(item, place)
+    sockets = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # Blender keeps them before the inputs
+    sockets += [(name, kind, "INPUT") for name, kind in inputs.items()]
+    existing = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}
+    for key in existing.keys() - set(sockets):
+        tree.interface.remove(existing[key])
+    for position, (name, kind, in_out) in enumerate(sockets):
+        item = existing.get((name, kind, in_out)) or tree.interface.new_socket(name, in_out=in_out, socket_type=kind)
+        tree.interface.move(item, position)
 
 
 def _input_sockets(tree) -> list:
@@ -241,26 +241,26 @@ def _add_map(n: Nodes, sources: LayerSources, name: str):
     """
     place = sources.place(n.tree) if sources.place else None
     inputs = {"Vector": place} if place else {}
-    given = {"image": sources.maps[name], "extension": "EXTEND"}
-    found = n.add("ShaderNodeTexImage", inputs, **given).outputs
-    if place is None or given["image"].source != "TILED":
-        return {name: found[name] for name in ("Color", "Alpha")}
-    sharp = n.add("ShaderNodeTexImage", inputs, interpolation="Cubic", **given).outputs
+    settings = {"image": sources.maps[name], "extension": "EXTEND"}
+    usual = n.add("ShaderNodeTexImage", inputs, **settings).outputs
+    if place is None or settings["image"].source != "TILED":
+        return {name: usual[name] for name in ("Color", "Alpha")}
+    cubic = n.add("ShaderNodeTexImage", inputs, interpolation="Cubic", **settings).outputs
     near = _add_seam_mask(n, place, sources.tile)
-    alpha = n.math("MULTIPLY_ADD", near, n.math("SUBTRACT", sharp["Alpha"], found["Alpha"]), found["Alpha"])
-    return {"Color": n.mix(near, found["Color"], sharp["Color"]), "Alpha": alpha}
+    alpha = n.math("MULTIPLY_ADD", near, n.math("SUBTRACT", cubic["Alpha"], usual["Alpha"]), usual["Alpha"])
+    return {"Color": n.mix(near, usual["Color"], cubic["Color"]), "Alpha": alpha}
 
 
 def _add_seam_mask(n: Nodes, place, tile: float):
     """Add nodes that give 1 within a few pixels of the border between tiles of `tile` metres, else 0.
 
-    place: output socket of the position in tiles. Returns the output socket of the number.
+    place: output socket of the position in tiles. Returns the output socket of the number. Distances are in tiles.
     """
-    off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
-    x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
-    inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
-    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
-    return n.math("LESS_THAN", inside, n.math("MULTIPLY", away, SEAM / max(tile, 1e-9)))
+    from_middle = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
+    x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: from_middle}).outputs
+    from_border = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
+    from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    return n.math("LESS_THAN", from_border, n.math("MULTIPLY", from_camera, SEAM / max(tile, 1e-9)))
 
 
 def _add_weights(n: Nodes, sources: LayerSources, group: int):
@@ -279,16 +279,16 @@ def _add_noise(n: Nodes, size):
     size: metres. Each octave fades with distance, so that it does not flicker.
     """
     place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
-    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
-    parts = []
-    for share in (BROAD, FINE):
-        length = n.math("MULTIPLY", size, share)
+    from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    octaves = []
+    for factor in (BROAD, FINE):
+        length = n.math("MULTIPLY", size, factor)
         inputs = {"Vector": n.vector("DIVIDE", place, length), "Scale": 1.0, "Detail": 4.0, "Roughness": 0.7}
         noise = n.math("SUBTRACT", n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.5)
-        seen = n.math("POWER", 0.5, n.math("DIVIDE", away, n.math("MULTIPLY", length, SEEN)))
-        parts.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", seen, 4.0)))
-    both = n.math("ADD", *parts)
-    inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *parts)}
+        fading = n.math("POWER", 0.5, n.math("DIVIDE", from_camera, n.math("MULTIPLY", length, SEEN)))
+        octaves.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", fading, 4.0)))
+    both = n.math("ADD", *octaves)
+    inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *octaves)}
     return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
 
 
@@ -298,6 +298,7 @@ def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     n: adds nodes to the tree. colours: output sockets, one for each layer. noise: output socket of a vector. Returns
     the output socket of the mixed colour.
     """
+    # Factors of the weights about 1: of the first three layers of a group, and of the fourth, opposite to the first.
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
     three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
     opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])
@@ -305,12 +306,12 @@ def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     colour = total = None
     for first in range(0, len(colours), A_GROUP):
         vector, alpha = _add_weights(n, sources, first // A_GROUP)
-        shares = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
-        shares.append(n.math("MULTIPLY", alpha, fourth))
-        for share, layer in zip(shares, colours[first : first + A_GROUP], strict=False):
-            part = n.scaled(layer, share)
-            colour = part if colour is None else n.vector("ADD", colour, part)
-            total = share if total is None else n.math("ADD", total, share)
+        weights = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
+        weights.append(n.math("MULTIPLY", alpha, fourth))
+        for weight, layer in zip(weights, colours[first : first + A_GROUP], strict=False):
+            weighted = n.scaled(layer, weight)
+            colour = weighted if colour is None else n.vector("ADD", colour, weighted)
+            total = weight if total is None else n.math("ADD", total, weight)
     return n.scaled(colour, n.math("DIVIDE", 1.0, n.math("MAXIMUM", total, 1e-6)))
 
 

@@ -32,11 +32,12 @@ class AddLayer(_LayerOperator, bpy.types.Operator):
         settings = context.object.adaptive_terrain
         layers, names = settings.layers, {layer.name for layer in settings.layers}
         layer = layers.add()
+        # A terrain has 12 layers at most, so one of these names is free.
         layer.name = next(name for number in range(1, 14) if (name := f"Layer {number}") not in names)
         layer.seed = len(layers)
-        at = min(settings.active_layer + 1, len(layers) - 1)
-        layers.move(len(layers) - 1, at)
-        settings.active_layer = at
+        position = min(settings.active_layer + 1, len(layers) - 1)
+        layers.move(len(layers) - 1, position)
+        settings.active_layer = position
         return {"FINISHED"}
 
 
@@ -70,7 +71,7 @@ class MoveLayer(_LayerOperator, bpy.types.Operator):
     )
 
     def execute(self, context):
-        """Move the active layer `by` places; cancel at the end of the list."""
+        """Move the active layer by `by` rows, down if above 0; cancel if that is beyond the list's ends."""
         settings = context.object.adaptive_terrain
         to = settings.active_layer + self.by
         if not 0 <= to < len(settings.layers):

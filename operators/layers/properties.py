@@ -35,13 +35,14 @@ def band(
 ) -> type:
     """Return a PropertyGroup class for a rule about one quantity: a switch, a low and a high limit, and a soft edge.
 
-    about: the quantity in words, for tooltips. low, high, edge: defaults. ends: range of the limits; a limit at an
-    end of the range is open. decades: the edge is in powers of ten, so it has no unit. options: further arguments
-    of the limits.
+    label, about: name of the quantity, and a phrase for tooltips. low, high, edge: defaults. ends: range of the limits;
+    a limit at an end of the range is open. decades: the edge is in powers of ten, so it has no unit. options: further
+    arguments of the limits.
     """
     lowest, highest = ends
     options = {"min": lowest, "max": highest, "update": changed, "precision": 3} | options
-    without = {name: value for name, value in options.items() if name not in ("min", "max", "unit" if decades else "")}
+    left_out = ("min", "max", "unit") if decades else ("min", "max")  # the edge has its own
+    edge_options = {name: value for name, value in options.items() if name not in left_out}
     limits = {
         "use": BoolProperty(name=label, description=f"Limit to ground with a certain {about}", update=changed),
         "low": FloatProperty(name="From", description=f"Lower limit of the {about}", default=low, **options),
@@ -50,7 +51,7 @@ def band(
             name="Edge",
             description="Width of the soft transition at each limit; 0 is a hard border"
             + (". In powers of ten" if decades else ""),
-            default=edge, min=0.0, max=min(highest - lowest, rules.MAX_EDGE), **without,
+            default=edge, min=0.0, max=min(highest - lowest, rules.MAX_EDGE), **edge_options,
         ),
     }  # fmt: skip
     members = {"__annotations__": limits, "__doc__": about}
@@ -105,7 +106,10 @@ class AspectSettings(bpy.types.PropertyGroup):
 
 
 def _on_rename(self, context) -> None:
-    """Update the layers' masks and the scatters that name a layer, after the user has renamed it."""
+    """Update the layers' masks and the scatters that name a layer, after the user has renamed it.
+
+    They stay if another layer still has the name.
+    """
     terrain, before = self.id_data, self.last_name
     self.last_name = self.name
     layers = terrain.adaptive_terrain.layers
@@ -186,19 +190,22 @@ MIN_NOISE_M = 0.002  # metres: a property cannot hold the size 0 of no noise
 
 
 def has_default_layers(settings) -> bool:
-    """Return whether the layers of a terrain are those of `add_default_layers`, unchanged."""
+    """Return whether the layers of a terrain are those of `add_default_layers`, unchanged.
+
+    Numbers are compared with a tolerance, since properties are float32.
+    """
     layers = settings.layers
     if len(layers) != len(rules.DEFAULT) or any(layer.mask or layer.detail.amplitude for layer in layers):
         return False
     found = [layer_alone(layer) for layer in layers]
-    if [_words(layer) for layer in found] != [_words(layer) for layer in rules.DEFAULT]:
+    if [_exact_values(layer) for layer in found] != [_exact_values(layer) for layer in rules.DEFAULT]:
         return False
     colors = np.ravel([layer.color for layer in layers]), np.ravel(DEFAULT_COLORS)
-    numbers = (np.concatenate([_numbers(layer) for layer in some]) for some in (found, rules.DEFAULT))
+    numbers = (np.concatenate([_numbers(layer) for layer in either]) for either in (found, rules.DEFAULT))
     return np.allclose(*colors, rtol=1e-6) and np.allclose(*numbers, rtol=1e-6, atol=MIN_NOISE_M)
 
 
-def _words(layer: rules.Layer) -> tuple:
+def _exact_values(layer: rules.Layer) -> tuple:
     return layer.name, layer.on_top, layer.seed, tuple(rule.of for rule in layer.rules)
 
 
@@ -247,23 +254,28 @@ def _layer_of(layers, number: int) -> rules.Layer:
 
 
 def layer_alone(settings) -> rules.Layer:
-    """Return the layer of a LayerSettings with its own rules, without its mask by another layer."""
-    found = []
+    """Return the layer of a LayerSettings with its own rules, without its mask by another layer.
+
+    The rule of aspect has the cosine of the largest angle from its direction as its low limit.
+    """
+    layer_rules = []
     for kind in BANDS:
         band = getattr(settings, kind)
         if band.use:
-            found.append(rule_of(kind, band))
+            layer_rules.append(rule_of(kind, band))
     if settings.aspect.use:
         aspect = settings.aspect
-        found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
+        layer_rules.append(
+            rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction)
+        )
     if settings.image is not None:
-        found.append(rules.image_rule(painted_of(settings.image)))
+        layer_rules.append(rules.image_rule(painted_of(settings.image)))
     numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
-    return rules.Layer(settings.name, tuple(found), *numbers, settings.seed)
+    return rules.Layer(settings.name, tuple(layer_rules), *numbers, settings.seed)
 
 
 def rule_of(kind: str, band) -> rules.Rule:
-    """Return the rule of a band of BANDS, whether or not it is switched on."""
+    """Return the rule of a band of BANDS, whether or not it is switched on; a limit at an end of its range is open."""
     limits = band.bl_rna.properties["low"]
     low = -math.inf if band.low <= limits.hard_min else band.low
     high = math.inf if band.high >= limits.hard_max else band.high

@@ -44,8 +44,8 @@ def sources_of(obj, light) -> LayerSources:
     light: SKY and SUN that the user chose; those with a baked map are always used.
     """
     layers = colors_of(obj.adaptive_terrain)
-    names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
+    names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])  # as many groups as the layers need
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
-    layers = [] if COLORS in maps else layers  # they are in it
+    layers = [] if COLORS in maps else layers  # the map has their colours
     light = [name for name in (SKY, SUN) if name in light or name in maps]
     return LayerSources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))

@@ -72,25 +72,28 @@ def _color_errors(field, request, surface) -> Overlay:
 
 
 def _color_levels(lattice, level: np.ndarray) -> Overlay:
-    """Return the overlay of levels.
+    """Return the overlay of levels. level: int [triangles], bisections of each.
 
-    Triangles of a cell's size end the scale and finer ones are beyond it, in every frame.
-
-    Odd levels are darker, which separates neighbours. level: int [triangles], bisections of each.
+    Triangles of a cell's size end the scale and finer ones are beyond it, in every frame. Odd levels are darker, which
+    separates neighbours. The legend has LEGEND_LINES of the levels at most, evenly spaced.
     """
-    every = np.arange(MAX_LEVEL + 1)
-    span = max(1, min(SCALE_LEVELS, lattice.cell_depth - 1))
-    colours = scale_colours(1.0 + (every - lattice.cell_depth) / span)
+    all_levels = np.arange(MAX_LEVEL + 1)
+    span = max(1, min(SCALE_LEVELS, lattice.cell_depth - 1))  # levels on the scale
+    colours = scale_colours(1.0 + (all_levels - lattice.cell_depth) / span)
     colours[1::2] *= DARKER
-    found = np.unique(level)
-    if len(found):
-        found = np.unique(found[np.linspace(0, len(found) - 1, LEGEND_LINES).round().astype(int)])
-    texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in found.tolist()]
-    return Overlay(_corner_colours(colours, level), _make_legend(texts, colours[found]))
+    named = np.unique(level)
+    if len(named):
+        named = np.unique(named[np.linspace(0, len(named) - 1, LEGEND_LINES).round().astype(int)])
+    texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in named.tolist()]
+    return Overlay(_corner_colours(colours, level), _make_legend(texts, colours[named]))
 
 
 def _shortest_edge_m(lattice, level: int) -> float:
-    """Return the shortest horizontal edge of a triangle of this level in metres."""
+    """Return the shortest horizontal edge of a triangle of this level in metres.
+
+    Two more bisections halve all edges. Triangles of odd levels are halves of a square; those of even levels are
+    quarters, with half of its diagonal as an edge.
+    """
     x, y = (step * 2.0 ** (lattice.levels - (level - 1) // 2) for step in (lattice.step_x, lattice.step_y))
     return min(x, y) if level % 2 else min(x, y, math.hypot(x, y) / 2)
 
@@ -108,8 +111,8 @@ def _corner_colours(table: np.ndarray, rows: np.ndarray) -> dict[str, Attribute]
 
 def _scale_table() -> np.ndarray:
     """Return the colours of the scale in sRGB, with BEYOND as its last row, float64 [STEPS + 1, 3]."""
-    places, stops = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(VIRIDIS))
-    scale = [np.interp(places, stops, channel) for channel in VIRIDIS.T]
+    fractions, stops = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(VIRIDIS))
+    scale = [np.interp(fractions, stops, channel) for channel in VIRIDIS.T]
     return np.vstack([np.stack(scale, -1), BEYOND]) / 255.0
 
 

@@ -30,13 +30,13 @@ FADE = -0.01, 0.12  # sines of the angles above the horizon between which its co
 
 
 def sun_vector(elevation: float, azimuth: float) -> Vector:
-    """Return the unit vector towards a sun; `azimuth` in radians, clockwise from +Y."""
-    level = math.cos(elevation)
-    return Vector((math.sin(azimuth) * level, math.cos(azimuth) * level, math.sin(elevation)))
+    """Return the unit vector towards a sun; both angles in radians, `azimuth` clockwise from +Y."""
+    horizontal = math.cos(elevation)
+    return Vector((math.sin(azimuth) * horizontal, math.cos(azimuth) * horizontal, math.sin(elevation)))
 
 
 def add_sun(scene, elevation: float, azimuth: float):
-    """Add a sun lamp, warmer the lower it stands, and return it."""
+    """Add a sun lamp, warmer the lower it stands, and return it. Angles as of `sun_vector`."""
     lamp = bpy.data.lights.new(SUN, "SUN")
     lamp.energy, lamp.angle = SUN_STRENGTH, math.radians(SUN_DISC_DEG)
     white = min(max(elevation / WHITE_ELEVATION, 0.0), 1.0)
@@ -49,9 +49,9 @@ def add_sun(scene, elevation: float, azimuth: float):
 
 
 def haze_color(elevation: float) -> list[float]:
-    """Return the color of the haze for a sun, linear RGB."""
+    """Return the color of the haze for a sun's elevation in radians, linear RGB times its radiance."""
     radiance = float(np.interp(elevation, ELEVATIONS, RADIANCE))
-    cool = min(elevation / ELEVATIONS[-1], 1.0)
+    cool = min(elevation / ELEVATIONS[-1], 1.0)  # 0 for a sun at the horizon, 1 for a high one
     return [radiance * (warm + (cold - warm) * cool) for warm, cold in zip(WARM_HAZE, COOL_HAZE, strict=True)]
 
 
@@ -62,7 +62,7 @@ def add_sky(scene, towards: Vector) -> None:
     """
     world = bpy.data.worlds.new(SKY)
     keep_built(scene, built.SKY, world)
-    # Smooth without a disc: Cycles' own choice, a map of 2048 pixels, takes it ten seconds.
+    # The sky is smooth without the sun's disc: Cycles' own choice, a map of 2048 pixels, takes ten seconds to make.
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
     tree = tree_of_new(world)
     tree.nodes.clear()

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 CUBE, LAMP, CAMERA, WORLD = "Cube", "Light", "Camera", "World"
-PLACES = {CUBE: (0.0, 0.0, 0.0), LAMP: (4.076245, 1.005454, 5.903862), CAMERA: (7.358891, -6.925791, 4.958309)}
+LOCATIONS = {CUBE: (0.0, 0.0, 0.0), LAMP: (4.076245, 1.005454, 5.903862), CAMERA: (7.358891, -6.925791, 4.958309)}
 LAMP_WATTS, WORLD_GREY = 1000.0, 0.050876
 CAMERA_TURN, CAMERA_LENS = (1.109319, 0.0, 0.814928), {"type": "PERSP", "lens": 50.0, "shift_x": 0.0, "shift_y": 0.0}
 VIEW_TURN = 0.712376, 0.441062, 0.287358, 0.464123  # of the viewport
@@ -51,10 +51,10 @@ def is_default_world(world) -> bool:
 
 
 def _stands_alone(obj) -> bool:
-    """Return whether an object is at its first place, without parents, children, modifiers, constraints, animation."""
+    """Return whether an object has its first location and no parents, children, modifiers, constraints or animation."""
     attached = obj.parent, *obj.children, *obj.modifiers, *obj.constraints, obj.animation_data
-    unscaled = np.allclose(obj.scale, 1.0)
-    return not any(attached) and unscaled and np.allclose(obj.location, PLACES[obj.name], atol=1e-4)
+    is_unscaled = np.allclose(obj.scale, 1.0)
+    return not any(attached) and is_unscaled and np.allclose(obj.location, LOCATIONS[obj.name], atol=1e-4)
 
 
 def _is_cube(obj) -> bool:

@@ -24,7 +24,8 @@ THIN = 1e-3  # difference of heights, in scale heights, below which the density 
 def set_haze(obj, amount: float, color) -> None:
     """Give the terrain's own material haze that hides `amount`, 0 to 1, of ground as far away as the terrain is long.
 
-    Water and plants that have haze already follow it; materials of other terrains and of the user stay.
+    Water and plants that have haze already get the same; materials of other terrains and of the user stay. color:
+    linear RGB. DISTANCE is the one at which haze of constant density leaves 1 / e of the ground's light.
     """
     box = sight.box_of(obj)
     sides, low = box.max(axis=0) - box.min(axis=0), float(box[:, 2].min())
@@ -92,12 +93,12 @@ def haze_group() -> bpy.types.NodeTree:
         socket = tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.subtype, socket.default_value = "DISTANCE", {DISTANCE: 1e5, BASE: 0.0, HEIGHT: 2000.0}[name]
     n = Nodes(tree)
-    given = n.add("NodeGroupInput").outputs
+    group_inputs = n.add("NodeGroupInput").outputs
     geometry = n.add("ShaderNodeNewGeometry").outputs
     away = n.add("ShaderNodeCameraData").outputs["View Distance"]
-    # Heights of the point and of the camera above the base, in scale heights.
-    height = n.math("MAXIMUM", given[HEIGHT], 1e-6)
-    above = n.math("SUBTRACT", _z(n, geometry["Position"]), given[BASE])
+    # Height of the point above the base, and of the camera above the point (rise), in scale heights.
+    height = n.math("MAXIMUM", group_inputs[HEIGHT], 1e-6)
+    above = n.math("SUBTRACT", _z(n, geometry["Position"]), group_inputs[BASE])
     point = n.math("DIVIDE", above, height)
     rise = n.math("DIVIDE", n.math("MULTIPLY", _z(n, geometry["Incoming"]), away), height)
     # Mean density along the line of sight: the integral of exp(-z) over a segment, by its length.
@@ -105,11 +106,11 @@ def haze_group() -> bpy.types.NodeTree:
     span = n.math("MAXIMUM", n.math("ABSOLUTE", rise), THIN)
     mean = n.math("DIVIDE", n.math("SUBTRACT", 1.0, _decay(n, span)), span)
     density = n.math("MULTIPLY", mean, _decay(n, lower))
-    depth = n.math("DIVIDE", n.math("MULTIPLY", density, away), n.math("MAXIMUM", given[DISTANCE], 1e-6))
+    depth = n.math("DIVIDE", n.math("MULTIPLY", density, away), n.math("MAXIMUM", group_inputs[DISTANCE], 1e-6))
     hidden = n.math("SUBTRACT", 1.0, _decay(n, depth))
-    seen = n.math("MULTIPLY", hidden, n.add("ShaderNodeLightPath").outputs["Is Camera Ray"])
-    haze = n.add("ShaderNodeEmission", {"Color": given[COLOR]}).outputs[0]
-    mixed = n.add("ShaderNodeMixShader", {0: seen, 1: given[SHADER], 2: haze})
+    factor = n.math("MULTIPLY", hidden, n.add("ShaderNodeLightPath").outputs["Is Camera Ray"])
+    haze = n.add("ShaderNodeEmission", {"Color": group_inputs[COLOR]}).outputs[0]
+    mixed = n.add("ShaderNodeMixShader", {0: factor, 1: group_inputs[SHADER], 2: haze})
     n.add("NodeGroupOutput", {SHADER: mixed.outputs[0]})
     n.arrange()
     return tree

@@ -111,29 +111,29 @@ class SetUpScene(bpy.types.Operator):
         """
         scene, viewport = context.scene, viewpoint.viewport_of(context)
         through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
-        mine = find_built(scene, built.CAMERA)
-        if mine is not None and scene.objects.get(mine.name) != mine:
-            mine = None  # deleted by the user
+        built_camera = find_built(scene, built.CAMERA)
+        if built_camera is not None and scene.objects.get(built_camera.name) != built_camera:
+            built_camera = None  # deleted by the user
         current = scene.camera
         if self.view == CURRENT and through_camera and current is not None and not defaults.is_default_camera(current):
             frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
             return current
-        if mine is None:
-            mine = current if defaults.is_default_camera(current) else _add_camera(scene)
-            keep_built(scene, built.CAMERA, mine)
-        mine.data.lens = viewpoint.LENS_MM
+        if built_camera is None:
+            built_camera = current if defaults.is_default_camera(current) else _add_camera(scene)
+            keep_built(scene, built.CAMERA, built_camera)
+        built_camera.data.lens = viewpoint.LENS_MM
         if self.view == CURRENT and viewport is not None and not through_camera:
             space, region_3d = viewport
-            place, mine.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
+            to_world, built_camera.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
         else:
-            place = viewpoint.across(obj)
+            to_world = viewpoint.across(obj)
             if viewport is not None:
-                viewpoint.look_from(viewport[1], place, 0.5 * sight.diagonal(sight.box_of(obj)))
-        mine.matrix_world = place
-        mine.data.clip_start, mine.data.clip_end = viewpoint.clip_range(obj, place.translation)
+                viewpoint.look_from(viewport[1], to_world, 0.5 * sight.diagonal(sight.box_of(obj)))
+        built_camera.matrix_world = to_world
+        built_camera.data.clip_start, built_camera.data.clip_end = viewpoint.clip_range(obj, to_world.translation)
         leave_map(scene)
-        scene.camera = mine
-        return mine
+        scene.camera = built_camera
+        return built_camera
 
 
 def _add_camera(scene):
@@ -146,7 +146,7 @@ def _add_camera(scene):
 def _light(scene, elevation: float, azimuth: float) -> Vector:
     """Light a scene by a sun and the sky around it, and return the unit vector towards the sun.
 
-    A sun lamp of the user stays and the sky follows it.
+    A sun lamp of the user stays and the sky follows it. The sky of an earlier click is replaced.
     """
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)

@@ -10,19 +10,20 @@ from ..land import shaped_land
 from ..terrain import frame_terrain, sight
 
 SAMPLES = 129  # a side, of the heights that decide the view across
-# Eyes of the view across that are compared: a side, and the part of the sides on which they stand. At each, views.
+# Eyes that are compared for the view across: number a side, the fraction of the sides over which they are spread, and
+# the number of directions at each.
 EYES, SPREAD, VIEWS = 15, 0.84, 24
-# Rays of a view: their angles from its middle, and the distances of their samples in parts of the shorter side.
+# Rays of a view: their angles from its middle, and the distances of their samples as fractions of the shorter side.
 RAYS, DISTANCES = np.radians(np.linspace(-30.0, 30.0, 9)), np.geomspace(0.015, 1.0, 28)
-NEAR = 0.03  # of the shorter side: radius of the ground above which an eye is
-ABOVE_SIDE, ABOVE_RELIEF = 0.012, 0.08  # parts of the shorter side and of the relief by which an eye is above that
+NEAR = 0.03  # fraction of the shorter side: an eye is above the ground within this distance
+ABOVE_SIDE, ABOVE_RELIEF = 0.012, 0.08  # fractions of the shorter side and of the relief by which it is above
 PITCH = math.radians(-7.0)
 BOTTOM = math.tan(PITCH - math.radians(19.0))  # of the frame: rise over distance
 GENTLE = math.tan(math.radians(24.0))  # ground that is no scree
-# What a view should show, each in parts of the frame's height that are enough: water or lowest ground, gentle ground
-# in the lower half of the relief, and the skyline's variation.
+# Height in the frame, as rise over distance, at which a view shows enough of: water or lowest ground, gentle ground in
+# the lower half of the relief, and variation of the skyline.
 ENOUGH_LOW, ENOUGH_GENTLE, ENOUGH_SKYLINE = 0.05, 0.2, 0.04
-SKYLINE, ENOUGH_OFF = 0.03, 0.1  # rise over distance of the best skyline, and a bad difference from it
+SKYLINE, ENOUGH_OFF = 0.03, 0.1  # rise over distance of the best skyline, and the difference that costs one point
 EDGE = 2.5  # weight of the terrain's border where it stands before the sky
 MIN_SEA, INLAND = 0.01, 0.05  # as of Add Water: parts of the ground that are a sea, and that it floods inland
 LENS_MM, SENSOR_MM = 28.0, 36.0
@@ -44,25 +45,25 @@ def lens_of(space) -> float:
     return space.lens * SENSOR_MM / frame_terrain.VIEWPORT_SENSOR_MM
 
 
-def look_from(region_3d, place: Matrix, distance: float) -> None:
+def look_from(region_3d, camera_to_world: Matrix, distance: float) -> None:
     """Move a viewport to a camera's matrix in the world; it turns about a point `distance` metres ahead."""
     region_3d.view_perspective = "PERSP"
-    region_3d.view_rotation = place.to_quaternion()
+    region_3d.view_rotation = camera_to_world.to_quaternion()
     region_3d.view_distance = distance
-    region_3d.view_location = place @ Vector((0.0, 0.0, -distance))
+    region_3d.view_location = camera_to_world @ Vector((0.0, 0.0, -distance))
 
 
 def across(obj) -> Matrix:
-    """Return the place of a camera on low ground that looks across a terrain, towards high ground."""
+    """Return the matrix to the world of a camera on low ground that looks across a terrain, towards high ground."""
     settings = obj.adaptive_terrain
     x, y, z, lowest = _heights(obj)
     scale, offset = settings.vertical_scale, settings.vertical_offset
     z, lowest = z * scale + offset, lowest * scale + offset
     eye, azimuth = _best_view(x, y, z, lowest)
     ahead = Vector((math.sin(azimuth), math.cos(azimuth), math.tan(PITCH)))
-    placed = obj.matrix_world
-    turn = (placed.to_3x3() @ -ahead).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    return Matrix.Translation(placed @ Vector(eye)) @ turn
+    to_world = obj.matrix_world
+    turn = (to_world.to_3x3() @ -ahead).to_track_quat("Z", "Y").to_matrix().to_4x4()
+    return Matrix.Translation(to_world @ Vector(eye)) @ turn
 
 
 def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -88,17 +89,20 @@ def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
 def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple[tuple, float]:
     """Return the eye and the azimuth, clockwise from +Y in radians, of the view that shows most kinds of ground.
 
-    x [n], y [m]: places of the heights z [m, n], metres. low: level up to which ground counts as water.
+    x [n], y [m]: positions of the heights z [m, n], metres. low: level up to which ground counts as water. The eyes
+    are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes after a
+    mean. A score is the sum of what is seen, 1 each at most, less the faults of the skyline and the border.
     """
     side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
     slope = np.hypot(*np.gradient(z, y, x))
     is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > low)
 
-    def nearest(places: np.ndarray, along: np.ndarray) -> np.ndarray:
-        return np.rint((places - along[0]) / (along[-1] - along[0]) * (len(along) - 1)).astype(int)
+    def nearest(coordinates: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Return the numbers of the samples of `axis`, x or y, nearest to some coordinates."""
+        return np.rint((coordinates - axis[0]) / (axis[-1] - axis[0]) * (len(axis) - 1)).astype(int)
 
     spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
-    eye_x, eye_y = (part.ravel() for part in np.meshgrid(spread * np.ptp(x), spread * np.ptp(y)))
+    eye_x, eye_y = (grid.ravel() for grid in np.meshgrid(spread * np.ptp(x), spread * np.ptp(y)))
     around = [(i, j) for i in (-NEAR, 0.0, NEAR) for j in (-NEAR, 0.0, NEAR)]
     ground = np.max([z[nearest(eye_y + j * side, y), nearest(eye_x + i * side, x)] for i, j in around], axis=0)
     eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
@@ -111,15 +115,15 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple
         inside = (abs(at_x) <= x[-1]) & (abs(at_y) <= y[-1])
         row, column = nearest(np.clip(at_y, y[0], y[-1]), y), nearest(np.clip(at_x, x[0], x[-1]), x)
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
-        horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)
-        shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # part of the frame that each sample fills
+        horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
+        shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
         flat, gentle = z[row, column] <= low, is_gentle[row, column]
         low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
         skyline = horizon[..., -1].std(axis=-1)
-        last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]
+        last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
         edge = np.take_along_axis(rise, last, axis=-1)[..., 0]
         is_edge_seen = (edge < 0.0) & (np.take_along_axis(shown, last, axis=-1)[..., 0] > 0.0)
-        cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)
+        cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)  # worse the nearer the border is
         off = abs(horizon[..., -1].mean(axis=-1) - SKYLINE) / ENOUGH_OFF
         score = np.minimum(low_seen / ENOUGH_LOW, 1.0) + np.minimum(gentle_seen / ENOUGH_GENTLE, 1.0)
         score = score + np.minimum(skyline / ENOUGH_SKYLINE, 1.0) - off - EDGE * cut_off

@@ -42,6 +42,7 @@ class Progress:
 
     Args:
         total: number of steps. Steps without work do not count in the estimate of the time left.
+        label: name of the work, before the bar.
         show: OPENJD for a line on stdout at each whole per cent; None for a bar in a terminal only.
     """
 

@@ -43,7 +43,7 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
     label = f"{y_label} against {x_label}, both logarithmic"
     if not curves:
         return picture(WIDTH, HEIGHT, label, [])
-    xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]
+    xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]  # of spans the minima
     xs += [max_x for curve in curves for _, max_x in curve.spans]
     ys = [y for curve in curves for _, y in curve.points]
     x_axis, y_axis = _Axis(xs, LEFT, WIDTH - RIGHT), _Axis(ys, HEIGHT - BOTTOM, TOP)
@@ -83,11 +83,11 @@ def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float)
 
 def _drawable(curves: Sequence[Curve]) -> list[Curve]:
     """Return the curves without points that are 0, infinite or negligible, and without curves that are then empty."""
-    places = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
-    limits = [NEGLIGIBLE * max(values) for values in zip(*places, strict=True)]
+    valid = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
+    limits = [NEGLIGIBLE * max(values) for values in zip(*valid, strict=True)]  # of x and of y
     found = []
     for curve in curves:
-        flags = [p in places and p[0] > limits[0] and p[1] > limits[1] for p in curve.points]
+        flags = [p in valid and p[0] > limits[0] and p[1] > limits[1] for p in curve.points]
         points, spans = (
             [value for value, keep in zip(values, flags, strict=False) if keep]
             for values in (curve.points, curve.spans)

@@ -134,7 +134,7 @@ def as_markdown(title: str, blocks: list) -> str:
 
 
 def _block_to_markdown(block) -> str:
-    """Return one block as Markdown."""
+    """Return one block as Markdown. Pages with Code or a PagePicture outside of a strip are written as HTML only."""
     match block:
         case Heading(text):
             return f"## {text}"
@@ -149,7 +149,7 @@ def _block_to_markdown(block) -> str:
             return _markdown_table(*rows, rule=" :-: ")
         case Plot(name, caption):
             return f"![{caption}]({name})"
-    return _markdown_table(block.head, *block.rows)
+    return _markdown_table(block.head, *block.rows)  # a Table
 
 
 def _markdown_table(head: list[str], *rows: list[str], rule: str = "") -> str:
@@ -193,7 +193,7 @@ def _block_to_html(block) -> str:
             return f"<pre>{html.escape(text)}</pre>"
         case Plot(_, caption, svg):
             return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
-    lines = [("th", block.head), *(("td", cells) for cells in block.rows)]
+    lines = [("th", block.head), *(("td", cells) for cells in block.rows)]  # a Table
     rows = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) for tag, cells in lines)
     return f'<div class="scroll"><table>{"".join(f"<tr>{row}</tr>" for row in rows)}</table></div>'
 

@@ -19,7 +19,7 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     known = np.isfinite(heights)
     if not known.any():
         return picture(WIDTH, HEIGHT, title, [text(LEFT, TOP, "No ground below the line")])
-    keep = np.unique(np.linspace(0, len(along) - 1, min(len(along), MAX_POINTS)).astype(int))
+    drawn = np.unique(np.linspace(0, len(along) - 1, min(len(along), MAX_POINTS)).astype(int))  # numbers of points
     low, high = float(heights[known].min()), float(heights[known].max())
     margin = 0.05 * (high - low) or 1.0
     x = _linear_axis(0.0, float(along[-1]) or 1.0, LEFT, WIDTH - RIGHT)
@@ -31,11 +31,11 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     for metres in _round_values(low - margin, high + margin):
         parts.append(path([(LEFT, y(metres)), (WIDTH - RIGHT, y(metres))], LINE, 1))
         parts.append(text(LEFT - 8, y(metres) + 4, f"{plain(metres, 6)} m", "end"))
-    for run in _split_at_gaps(along[keep], heights[keep]):
-        places = [(x(a), y(h)) for a, h in run.tolist()]
+    for piece in _split_at_gaps(along[drawn], heights[drawn]):
+        pixels = [(x(a), y(h)) for a, h in piece.tolist()]
         floor = HEIGHT - BOTTOM
-        parts.append(path([(places[0][0], floor), *places, (places[-1][0], floor)], "none", 0, WASH))
-        parts.append(path(places, TEAL, 2))
+        parts.append(path([(pixels[0][0], floor), *pixels, (pixels[-1][0], floor)], "none", 0, WASH))
+        parts.append(path(pixels, TEAL, 2))
     return picture(WIDTH, HEIGHT, f"{title}: height over distance", parts)
 
 
@@ -55,5 +55,6 @@ def _round_values(low: float, high: float) -> list[float]:
 def _split_at_gaps(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
     """Return the parts of the line between gaps without ground, float64 [k, 2] each: distance and height."""
     points = np.stack([along, heights], axis=1)
-    ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(heights), False].astype(np.int8)))
-    return [points[a:b] for a, b in ends.reshape(-1, 2)]
+    is_known = np.r_[False, np.isfinite(heights), False].astype(np.int8)
+    borders = np.flatnonzero(np.diff(is_known))  # begin and end of each part in turn
+    return [points[begin:end] for begin, end in borders.reshape(-1, 2)]

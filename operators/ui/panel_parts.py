@@ -20,10 +20,10 @@ def panels_of(classes) -> list[type]:
     A class is a panel or a sub-panel without `bpy.types.Panel`, because Blender cannot register one for two editors.
     """
     found = []
-    for place, suffix in ((SIDEBAR, ""), (PROPERTIES, SUFFIX)):
+    for editor, suffix in ((SIDEBAR, ""), (PROPERTIES, SUFFIX)):
         for cls in classes:
             names = {key: getattr(cls, key) + suffix for key in ("bl_idname", "bl_parent_id") if hasattr(cls, key)}
-            found.append(type(f"{cls.__name__}{suffix}", (cls, bpy.types.Panel), names | place))
+            found.append(type(f"{cls.__name__}{suffix}", (cls, bpy.types.Panel), names | editor))
     return found
 
 

@@ -48,7 +48,7 @@ def _tick() -> float:
     """Redraw the status bar if needed, and return the seconds until Blender calls this timer again."""
     try:
         _redraw_if_changed()
-    except Exception:  # Blender would silently take a timer off that raises
+    except Exception:  # Blender silently removes a timer that raises
         traceback.print_exc()
     return TURN_S
 

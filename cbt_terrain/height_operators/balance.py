@@ -36,26 +36,31 @@ def balance_mass(
         max_eroded: limit of erosion.
         change: change of this level before the correction; it includes `deposited`.
         net: the coarser level's change, interpolated to this level. Its sum over that level's samples is 0.
+        ground: this level or tile; only its position in the whole level is read.
     """
-    missing = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
+    # A gain is metres by which a sample rises above the coarser change; it is summed over 2^gathered samples a side.
+    without_deposits = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
-    within = tuple(slice(before, None) for before, _ in padding)
-    deposited, gain, done = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
+    unpadded = tuple(slice(start, None) for start, _ in padding)
+    deposited, gain, gathered = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
     for halvings in HALVINGS:
-        available, gain = _gather(deposited, halvings), _gather(gain, halvings - done)
-        fraction, done = _fraction(gain, available), halvings
+        available, gain = _gather(deposited, halvings), _gather(gain, halvings - gathered)
+        fraction, gathered = _fraction(gain, available), halvings
         gain = gain - fraction * available
         deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
-    deposited, before = deposited[within], eroded
+    deposited, eroded_before = deposited[unpadded], eroded
     if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
         for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
             available = np.pad(available, padding)
-            fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, done))
-            eroded = eroded + (np.float32(sign) * _interpolate(fraction, available.shape, done) * available)[within]
-    if all(ground.rims):  # nothing was near enough, or the coarser level's sum was not exactly 0
+            fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, gathered))
+            more = np.float32(sign) * _interpolate(fraction, available.shape, gathered) * available
+            eroded = eroded + more[unpadded]
+    # Of a whole raster, deposits far away make up for the rest: nothing was near enough, or the coarser level's sum was
+    # not exactly 0.
+    if all(ground.rims):
         total = deposited.sum(dtype=np.float64)
-        missing -= (eroded - before).sum(dtype=np.float64)
-        deposited = deposited - np.float32(_fraction(missing + total, total)) * deposited
+        without_deposits -= (eroded - eroded_before).sum(dtype=np.float64)
+        deposited = deposited - np.float32(_fraction(without_deposits + total, total)) * deposited
     return deposited, eroded
 
 
@@ -85,14 +90,16 @@ def _interpolate(samples: np.ndarray, shape: tuple[int, ...], halvings: int) -> 
 
 
 def _complete(net: np.ndarray, ground: OperatorGround) -> np.ndarray:
-    """Return an interpolated change with the missing material at the raster's borders.
+    """Return an interpolated change, metres, with the material added that interpolation loses at the raster's borders.
 
-    A coarser sample there has finer samples on one side only, or is beyond the last of them.
+    Along an axis a coarser sample has the weights 1/2, 1 and 1/2 at finer ones, 2 in all. At the border it has finer
+    samples on one side only (1 1/2 in all), or is beyond the last of them (1/2).
     """
     net, rims = net.copy(), ground.rims
     for axis, (start, end) in enumerate((rims[:2], rims[2:])):
         along = np.moveaxis(net, axis, 0)
         odd = (ground.first[axis] + len(along)) % 2 == 1
+        # A last coarser sample beyond the finer ones is 2 * along[-1] - along[-2], of which 1 1/2 times are missing.
         last = 0.5 * along[-1] if odd else 3.0 * along[-1] - 1.5 * along[-2]
         if start:
             along[0] *= np.float32(1.5)

@@ -15,7 +15,8 @@ def limit_at_cliffs(
     """Clamp `heights` to `drop` metres above or below all surrounding coarser samples.
 
     A sample that was above or below these before the operator may stay so by as much. All float32 [rows, columns] m.
-    before, after: heights without and with the coarser change, of which only the coarser level's samples are read.
+    heights: start of the finer level. before, after: heights at its samples without and with the coarser change; of
+    `after` only the coarser level's samples are read.
     first: row and column of sample [0, 0] in the whole level.
     """
     for sign in (np.float32(1.0), np.float32(-1.0)):
@@ -27,17 +28,17 @@ def limit_at_cliffs(
 
 
 def _max_around(samples: np.ndarray, first: tuple[int, int]) -> np.ndarray:
-    """Return the maximum of the coarser level's samples that surround each sample, or are at it.
+    """Return the maximum of the coarser level's samples around each sample; of one that is coarser itself, its value.
 
     samples: of this level, of which every second one is of the coarser level. first: row and column of the first
     sample in the whole level.
     """
     for axis, number in enumerate(first):
-        odd, count = number % 2, samples.shape[axis]
+        odd, count = number % 2, samples.shape[axis]  # odd: 1 if the first sample is between two coarser ones
         coarser = np.moveaxis(samples, axis, 0)[odd::2]
-        between = np.pad(coarser, [(odd, 1), (0, 0)], mode="edge")
-        maxima = np.empty((2 * len(between) - 2, coarser.shape[1]), np.float32)
-        maxima[::2] = between[:-1]
-        np.maximum(between[:-1], between[1:], out=maxima[1::2])
+        padded = np.pad(coarser, [(odd, 1), (0, 0)], mode="edge")
+        maxima = np.empty((2 * len(padded) - 2, coarser.shape[1]), np.float32)
+        maxima[::2] = padded[:-1]
+        np.maximum(padded[:-1], padded[1:], out=maxima[1::2])
         samples = np.moveaxis(maxima[odd : odd + count], 0, axis)
     return samples

@@ -65,9 +65,9 @@ class Land:
     Attributes:
         source: folder of the source's store.
         whole: folder of the derived store of all of it, whether or not it is there.
-        waits: whether the store is needed, and a preview is not enough.
+        waits: whether the user waits for the store, as a render does, since a preview is not enough.
         stack: the height operators to apply.
-        of_views: whether only the parts in view are fine, which has another store.
+        of_views: whether only the parts in view are fine; such land has a store of its own.
         seen: the views that need fine land, None for all of it.
     """
 
@@ -130,7 +130,10 @@ class Land:
 
 
 def use(user: int, land: Land) -> None:
-    """Note that a user wants this land: it is not removed as old, and is rebuilt if it is damaged."""
+    """Note that a user wants this land: it is not removed as old, and is rebuilt if it is damaged.
+
+    user: any number that identifies it, as the session_uid of an object.
+    """
     if _in_use.get(user) != land.folder:
         _in_use[user] = land.folder
         for folder in (land.folder, land.of_views_alone.folder):
@@ -158,7 +161,8 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
     """Return the height field of a store or of land, which is shaped first if it is needed. For any thread.
 
     Args:
-        store: folder that counts without land.
+        store: folder of the store to open if `land` is None.
+        land: land to open instead; its preview if it is not shaped and `land.waits` is False.
         open_field: opens the store in a folder.
         verified: check all files of a derived store first, as for an export: meshes do not read all of them.
 
@@ -308,9 +312,10 @@ def _open(store: str, open_field: OpenField) -> HeightField:
 
 
 def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainError | None:
-    """Remove a derived store with a fault, and say so; return the fault if the store is gone.
+    """Remove a damaged derived store, and notify the user; return its fault, None if the store stays.
 
-    Without a fault all its files are checked. Other stores stay, and so do files of others in its folder.
+    fault: the error of opening it; None to check all its files. Stores that no stack in use makes stay, and so do files
+    of others in its folder.
 
     Raises:
         NotOursError: the store is a link.

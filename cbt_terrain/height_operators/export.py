@@ -73,8 +73,11 @@ def _file_of(file: Path, name: str) -> Path:
 
 
 def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
-    """Return at most LINES lines from line `first` on, counted from the north, float32 [lines, columns]."""
-    end = field.lattice.height - first
+    """Return at most LINES lines from line `first` on, counted from the north, float32 [lines, columns].
+
+    name: HEIGHTS or a layer's.
+    """
+    end = field.lattice.height - first  # rows of the field are counted from the south
     rows = slice(max(end - LINES, 0), end)
     found = np.array(field.heights(rows) if name == HEIGHTS else field.layers[name][rows], np.float32)
     if field.valid is not None:
@@ -94,7 +97,7 @@ def _strips(field: HeightField, names: Sequence[str], number: int, on_progress: 
 
 
 def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
-    """Write heights and layers as OpenEXR files. files: by name of the layer."""
+    """Write heights and layers as OpenEXR files. files: the file of each layer, by its name."""
     for number, path in enumerate(files.values()):
         _write_exr(field, _strips(field, list(files), number, on_progress), path)
 
@@ -121,7 +124,7 @@ def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> 
 def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
     """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
 
-    files: by name of the layer.
+    files: the file of each layer, by its name.
     """
     request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
     try:
@@ -153,7 +156,7 @@ class RasterShape:
 
 
 class RowFile:
-    """A raster that is written in bands of rows from the top. `file`: a PngFile, an ExrFile, or a binary file."""
+    """A raster that is written in blocks of rows from the top. `file`: a PngFile, an ExrFile, or a binary file."""
 
     def __init__(self, file: PngFile | ExrFile | BinaryIO, dtype: np.dtype):
         self._file, self._dtype = file, dtype
@@ -179,7 +182,8 @@ class RowFile:
 
 def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
     """Open a PNG file for rows of 8 or 16 bits."""
-    return RowFile(PngFile(path, shape.width, 1, 8 * dtype.itemsize, "", pool, shape.height), dtype)
+    depth = 8 * dtype.itemsize
+    return RowFile(PngFile(path, shape.width, channels=1, depth=depth, text="", pool=pool, lines=shape.height), dtype)
 
 
 def _open_exr(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:

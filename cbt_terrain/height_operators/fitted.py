@@ -7,8 +7,8 @@ from dataclasses import replace
 from .mask import HEIGHT, GroundRule, HeightMask
 from .stack import Entry, Stack
 
-# Parameters that are heights of the land, and those that are in proportion to its relief.
-LEVELS, RATES = {("snow", "line")}, {("rivers", "rise")}
+# Operators and names of parameters that are heights of the land, and of those that are in proportion to its relief.
+HEIGHTS, RATES = {("snow", "line")}, {("rivers", "rise")}
 MIN_RELIEF = 1.0  # metres
 
 
@@ -25,7 +25,7 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
     designed_foot, designed_top = stack.heights
     ratio = (high - foot) / (designed_top - designed_foot)
 
-    def level(metres: float) -> float:
+    def move_height(metres: float) -> float:
         """Return the height in this land for a height in the stack's own land, metres."""
         return foot + (metres - designed_foot) * ratio
 
@@ -33,7 +33,7 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
         """Adapt the limits of a rule if they are heights."""
         if rule.of != HEIGHT:
             return rule
-        return replace(rule, low=level(rule.low), high=level(rule.high), edge=rule.edge * ratio)
+        return replace(rule, low=move_height(rule.low), high=move_height(rule.high), edge=rule.edge * ratio)
 
     def adapt_mask(mask: HeightMask | None) -> HeightMask | None:
         """Adapt the rules of a mask, if there is one."""
@@ -44,9 +44,9 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
         found = dict(entry.parameters)
         for parameter in entry.declaration.parameters:
             key = entry.effect, parameter.name
-            if parameter.name in found and key in LEVELS | RATES:
+            if parameter.name in found and key in HEIGHTS | RATES:
                 value = found[parameter.name]
-                value = level(value) if key in LEVELS else value * ratio
+                value = move_height(value) if key in HEIGHTS else value * ratio
                 found[parameter.name] = min(max(value, parameter.min), parameter.max)
         return found
 

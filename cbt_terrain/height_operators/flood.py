@@ -34,10 +34,11 @@ class Flood:
         bed, water: height and depth in metres; rain: m/s.
         metres: spacing of samples to the east and north.
         rough: Manning's coefficient.
-        outlets: indices of border samples and holes, whose depth is always `deep` metres.
-        left: sum of the depths that left there.
-        fluxes: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and north, with a row before and
-            after the raster's. `pushed` and `part` are scratch arrays of this kind.
+        outlets: int64 [n], indices in C order of border samples and holes, whose depth is always `deep` metres, [n].
+        left: metres, sum of the depths that left there.
+        fluxes: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and north, with a row of 0 before
+            and after the raster's. old_fluxes: those of the step before.
+        outflow_fraction: float64 [rows + 2, columns], fraction of its outflow for which a sample has water.
     """
 
     bed: np.ndarray
@@ -49,8 +50,8 @@ class Flood:
     deep: np.ndarray
     left: float
     fluxes: np.ndarray
-    pushed: np.ndarray
-    part: np.ndarray
+    old_fluxes: np.ndarray
+    outflow_fraction: np.ndarray
     threads: int = 1
 
     @property
@@ -87,10 +88,10 @@ def still(
     border[:, [0, -1]] = True
     outlets = np.flatnonzero(border)
     deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
-    fluxes, pushed = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
+    fluxes, old_fluxes = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    part = np.ones_like(fluxes[0])
-    return Flood(bed, depth, metres, rough, rains, outlets, deep, 0.0, fluxes, pushed, part, threads)
+    fraction, left = np.ones_like(fluxes[0]), 0.0
+    return Flood(bed, depth, metres, rough, rains, outlets, deep, left, fluxes, old_fluxes, fraction, threads)
 
 
 def longest_step(flood: Flood) -> float:
@@ -119,7 +120,10 @@ def step_once(flood: Flood, seconds: float) -> None:
 
 
 def march(flood: Flood, seconds: float, progress: Callable[[float], None] = lambda _part: None) -> int:
-    """Advance in steps of at most SAFE times the longest stable one; return their number."""
+    """Advance by `seconds` in steps of at most SAFE times the longest stable one; return their number.
+
+    progress: called with the finished fraction after each step but the last.
+    """
     now, steps = 0.0, 0
     while now < seconds:
         left = seconds - now
@@ -138,15 +142,16 @@ def _advance(flood: Flood, dt: float) -> None:
 
     Outlets keep the depth beyond the border; water that leaves or enters there is added to `flood.left`.
     """
-    flood.fluxes, flood.pushed = flood.pushed, flood.fluxes
+    flood.fluxes, flood.old_fluxes = flood.old_fluxes, flood.fluxes
     s = kernels.FloodStep()
     s.height, s.width = flood.bed.shape
     s.step_x, s.step_y = flood.metres
     s.seconds, s.rough = dt, flood.rough
     s.bed, s.rain, s.depth = flat(flood.bed, wp.float32), flat(flood.rain, wp.float32), flat(flood.water, wp.float64)
-    s.was_east, s.was_north = (flat(a[1:], wp.float64) for a in flood.pushed)
+    # Kernels index from the raster's first row, after the row of 0.
+    s.was_east, s.was_north = (flat(a[1:], wp.float64) for a in flood.old_fluxes)
     s.east, s.north = (flat(a[1:], wp.float64) for a in flood.fluxes)
-    s.part = flat(flood.part[1:], wp.float64)
+    s.part = flat(flood.outflow_fraction[1:], wp.float64)
     for phase in (kernels.update_fluxes, kernels.limit_outflow, kernels.update_depths):
         launch.spread(phase, s.height, [s], step="flood", threads=flood.threads, cost=flood.bed.shape[1] / 4)
     # The depth at an outlet is that beyond it; a surplus has left the raster, a deficit has come in.
@@ -156,9 +161,12 @@ def _advance(flood: Flood, dt: float) -> None:
 
 
 def speeds(flood: Flood) -> np.ndarray:
-    """Return the speeds, float32 [rows, columns] m/s: the mean flux of both sides over the depth, at most critical."""
+    """Return the speeds, float32 [rows, columns] m/s: the mean flux of both sides over the depth.
+
+    They are at most critical, sqrt(g depth), the speed of waves.
+    """
     to_east, to_north = flood.fluxes[0, 1:-1], flood.fluxes[1, 1:-1]
-    x, y = to_east.copy(), to_north + flood.fluxes[1, :-2]
+    x, y = to_east.copy(), to_north + flood.fluxes[1, :-2]  # each with the flux from the west or south: twice the mean
     x[:, 1:] += to_east[:, :-1]
     through = 0.5 * np.sqrt(x * x + y * y)
     critical = np.sqrt(GRAVITY * flood.water)

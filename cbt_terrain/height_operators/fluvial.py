@@ -48,6 +48,7 @@ class Bed:
     """The state of a level and its boundary conditions, arrays of n samples in C order.
 
     Attributes:
+        shape: rows and columns; samples are `step_x` and `step_y` metres apart.
         heights, sediment: float32 metres; heights include sediment.
         fixed: bool, samples that let water leave and do not change.
         weight: float32, 0 to 1, the mask.
@@ -126,8 +127,8 @@ def curvature_of(bed: Bed) -> np.ndarray:
 def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.ndarray | None) -> None:
     """Diffuse heights at `rate`, m2 a year, and at least by MIN_CREEP.
 
-    The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes, whose
-    surface is `filled`.
+    The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes. base:
+    uint8 [n], 1 where heights stay. filled: float32 [n] m, surface of lakes, or None.
     """
     spread = years * rate
     surplus = max(MIN_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
@@ -141,8 +142,8 @@ def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.nda
 def vary_rock(bed: Bed, variety: float) -> None:
     """Multiply the erodibility by noise, so that rivers are not alike. variety: standard deviation of its logarithm."""
     grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
-    place = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
-    inputs = [grid, *place, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
+    position = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
+    inputs = [grid, *position, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
     rows, columns = bed.shape
     launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)
 
@@ -163,7 +164,8 @@ def _incise(
     The state is an input of `_deposit`. The water surface, float32 [n] in metres, is computed only with deposition,
     otherwise it is None. values: the operator's parameters by name.
     """
-    r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
+    r, (rows, columns) = kernels.River(), bed.shape
+    rate = np.empty_like(bed.heights)  # samples that erosion travels upstream in the step
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
     r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
     r.cell, r.hillslope, r.strength = bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years
@@ -173,7 +175,7 @@ def _incise(
     r.area = flat(drainage.catchments, wp.float64)
     r.erodibility, r.weight = flat(bed.erodibility, wp.float32), flat(bed.weight, wp.float32)
     r.rate, r.h = flat(rate, wp.float32), flat(bed.heights, wp.float32)
-    r.filled = r.rate if filled is None else flat(filled, wp.float32)
+    r.filled = r.rate if filled is None else flat(filled, wp.float32)  # not written without `lakes`
     launch.spread(kernels.find_rates, rows, [r], step="rivers", threads=bed.threads, cost=columns / 8)
     launch.once(kernels.cut_down, [r], step="rivers")
     return r, filled
@@ -187,12 +189,13 @@ def diffuse(
     weight: np.ndarray,
     preserved: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Diffuse `values`, float32 [n], over `spread` m2 by stable explicit steps or an implicit one; overwrites them.
+    """Return `values`, float32 [n], diffused by stable explicit steps or an implicit one; overwrites them.
 
-    still: uint8 [n], 1 where they do not change, which includes the border. weight: float32 [n], factor on the change.
-    preserved: float32 [n], part of the change in metres that explicit steps leave out.
+    spread: diffusivity times time, m2. still: uint8 [n], 1 where they do not change, which includes the border.
+    weight: float32 [n], factor on the change. preserved: float32 [n], part of the change in metres that explicit steps
+    leave out.
     """
-    ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
+    ew, ns = spread / bed.step_x**2, spread / bed.step_y**2  # diffusion numbers along both axes
     rounds = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, values.copy()
     soil, run = creep_kernels.Soil(), partial(launch.spread, step="rivers", threads=bed.threads)
@@ -236,29 +239,29 @@ def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
 
     lake: bool [n], no sample of the border. raised: heights after uplift, before the incision, float32 [n] m.
     """
-    at = np.flatnonzero(lake)
-    was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
+    wet = np.flatnonzero(lake)
+    before = np.maximum(bed.sediment[wet] + (bed.heights[wet] - raised[wet]), np.float32(0.0))  # metres of sediment
     rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
-    rock[at], old[at], new[at] = bed.heights[at] - was, was, was
+    rock[wet], old[wet], new[wet] = bed.heights[wet] - before, before, before
     for apart in APART:
         open_water = _inside(lake.reshape(bed.shape), apart - 1).reshape(-1)
-        wide = np.flatnonzero(open_water)
-        ends = np.flatnonzero(np.diff(wide // bed.shape[1], append=-1))
-        last = wide[ends].astype(np.int32)
-        first = wide[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
+        samples = np.flatnonzero(open_water)
+        ends = np.flatnonzero(np.diff(samples // bed.shape[1], append=-1))  # the last sample of each row with water
+        last = samples[ends].astype(np.int32)
+        first = samples[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
         where = [bed.shape[1], apart, flat(first, wp.int32), flat(last, wp.int32)]
         where.append(flat(open_water.view(np.uint8), wp.uint8))
-        cost = len(wide) / max(len(ends), 1) / 8
+        cost = len(samples) / max(len(ends), 1) / 8
         for _ in range(SETTLING if len(ends) else 0):
             arrays = [flat(a, wp.float32) for a in (rock, old, new)]
             launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
             old, new = new, old
-    bed.heights[at] += old[at] - was
+    bed.heights[wet] += old[wet] - before
 
 
 def _inside(lake: np.ndarray, distance: int) -> np.ndarray:
     """Return the samples of lakes with water all round within a distance, bool [rows, columns]."""
     inside = lake
-    for axis in (0, 1) if distance else ():
+    for axis in (0, 1) if distance else ():  # no lake touches the border, so that nothing wraps around
         inside = np.logical_and.reduce([np.roll(inside, by, axis) for by in range(-distance, distance + 1)])
     return inside

@@ -48,6 +48,7 @@ class OperatorGround:
         target: rows and columns whose change is needed, None for all.
         size: metres from the raster's first row and column to its last, beyond which a coarser level may extend;
             None for the extent of the level.
+        seed: of the operator's noise.
     """
 
     heights: np.ndarray
@@ -74,7 +75,7 @@ class OperatorGround:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """The result of an operator: metres to add and layers, float32 [rows, columns] each.
+    """The result of an operator, float32 [rows, columns] each: `heights`, metres to add, and `layers` by name.
 
     Changes are separate from heights, since small ones would be lost in large heights. `state`: further arrays for the
     operator's next finer level; empty at level 0.

@@ -30,7 +30,10 @@ def finer_change(
 def _parts(
     source: np.ndarray, before: np.ndarray, change: np.ndarray, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the interpolated coarse ground and change, and the source's detail: as it is, and clipped."""
+    """Return the interpolated coarse ground and change, and the source's detail above that ground, float32 m.
+
+    The last array is the detail that the change removes: all of it, within the extremes of the change around it.
+    """
     ground, mean = interpolate(before, rows, columns), interpolate(change, rows, columns)
     low, high = (interpolate(_extreme(of, change), rows, columns) for of in (np.minimum, np.maximum))
     detail = source - ground
@@ -45,7 +48,7 @@ def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:
 
 
 def interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate a grid bilinearly at rows and columns, float32 [rows, columns]."""
+    """Interpolate a grid bilinearly, float32 [rows, columns]. rows, columns: positions in samples, float64."""
     low = np.minimum(rows.astype(np.int64), max(len(samples) - 2, 0))
     fraction = (rows - low)[:, None].astype(np.float32)
     lines = interpolate_columns(samples, columns)
@@ -53,7 +56,7 @@ def interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> n
 
 
 def interpolate_columns(samples: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate each row linearly at columns."""
+    """Interpolate each row of a grid linearly at `columns`, float64 positions in samples."""
     last = samples.shape[1] - 1
     low = np.minimum(columns.astype(np.int64), max(last - 1, 0))
     fraction = (columns - low).astype(np.float32)

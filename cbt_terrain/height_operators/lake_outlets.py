@@ -21,46 +21,54 @@ MIN_AREA = 96**2
 
 
 def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
-    """Set the bed's path to the samples along the outlets of lakes, and lower its heights where there are dams."""
-    every = tuple(slice(first % 2, None, 2) for first in ground.first)
-    floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
-    fixed, wet = bed.fixed.reshape(bed.shape)[every], coarser.state[LAKE][every] > 0.0
+    """Set the bed's path to the samples along the outlets of lakes, and lower its heights where there are dams.
+
+    coarser: the coarser level's change, interpolated to `ground`.
+    """
+    coarse = tuple(slice(first % 2, None, 2) for first in ground.first)  # the coarser level's samples
+    floor = np.ascontiguousarray((ground.heights + coarser.heights)[coarse])
+    fixed, wet = bed.fixed.reshape(bed.shape)[coarse], coarser.state[LAKE][coarse] > 0.0
     if not wet.any():
         return
-    surface = floor + coarser.state[LAKE][every]
+    surface = floor + coarser.state[LAKE][coarse]
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
-    flow = coarser.layers["flow"][every] / np.float32(ground.step_x * ground.step_y)
-    found, free = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
+    flow = coarser.layers["flow"][coarse] / np.float32(ground.step_x * ground.step_y)
+    path_level, max_ground = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
     heights, y, x = bed.heights.reshape(bed.shape), *_find_outlets(surface, wet, to, flow)
 
-    def lower(half: int, after: Positions) -> None:
-        """Lower the path at a sample or halfway to the next; under lakes only where the floor is above the level."""
+    def lower_path(half: int, after: Positions) -> None:
+        """Lower the path at the samples (half = 0) or halfway to the next ones (1) to the surface at `after`.
+
+        Under lakes it is lowered only where the floor is above that surface.
+        """
         way, water = to[y, x].astype(np.int64), wet[y, x] | wet[after]
-        j, i = (2 * n + s.start + half * a for n, s, a in zip((y, x), every, (way // 3 - 1, way % 3 - 1), strict=True))
+        by = way // 3 - 1, way % 3 - 1
+        j, i = (2 * n + s.start + half * step for n, s, step in zip((y, x), coarse, by, strict=True))
         level = surface[after]
         some = ~water | (heights[j, i] > level)
-        np.minimum.at(found, (j[some], i[some]), level[some])
+        np.minimum.at(path_level, (j[some], i[some]), level[some])
 
-    def breach(after: Positions) -> None:
-        """Limit the ground halfway to the heights of both ends."""
-        ends = [tuple(2 * n + s.start for n, s in zip(at, every, strict=True)) for at in ((y, x), after)]
+    def breach_dams(after: Positions) -> None:
+        """Limit the ground halfway to the next samples to the heights of both ends."""
+        ends = [tuple(2 * n + s.start for n, s in zip(end, coarse, strict=True)) for end in ((y, x), after)]
         halfway = tuple((a + b) // 2 for a, b in zip(*ends, strict=True))
-        np.minimum.at(free, halfway, np.maximum(*(heights[end] for end in ends)))
+        np.minimum.at(max_ground, halfway, np.maximum(*(heights[end] for end in ends)))
 
     for _ in range(LENGTH):
-        lower(half=0, after=(y, x))
+        lower_path(half=0, after=(y, x))
         below = neighbour(y, x, to[y, x])
-        lower(half=1, after=below)
-        breach(below)
-        y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)
+        lower_path(half=1, after=below)
+        breach_dams(below)
+        y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)  # a path ends where there is no receiver
     cut = np.zeros(bed.shape, bool)
     for side, border in zip(sides(bed.shape), ground.rims, strict=True):
         cut[side] |= not border
     constant = cut | bed.fixed.reshape(bed.shape)
-    dams = np.isfinite(free) & ~constant
-    heights[dams] += np.minimum(free - heights, np.float32(0.0))[dams] * bed.weight.reshape(bed.shape)[dams]
-    bed.path = np.flatnonzero(np.isfinite(found) & ~constant)
-    bed.path_level = found.reshape(-1)[bed.path] - np.float32(WALL)
+    dams = np.isfinite(max_ground) & ~constant
+    heights[dams] += np.minimum(max_ground - heights, np.float32(0.0))[dams] * bed.weight.reshape(bed.shape)[dams]
+    bed.path = np.flatnonzero(np.isfinite(path_level) & ~constant)
+    # The trench is so deep that no other pass is lower.
+    bed.path_level = path_level.reshape(-1)[bed.path] - np.float32(WALL)
 
 
 def _find_outlets(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np.ndarray) -> Positions:

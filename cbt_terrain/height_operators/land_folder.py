@@ -47,15 +47,15 @@ def is_land_name(name: str) -> bool:
 def records(provenance: dict, folder: str, source_key: str) -> bool:
     """Return whether a store records that it is the land its folder is named for, and False for an older record.
 
-    provenance: the store's. source_key: key of the store next to the folder. Raises TerrainError for the store
-    of another terrain, which this program did not make for that folder.
+    provenance: the store's. folder: where it is. source_key: key of the source, the store beside. Raises TerrainError
+    for the store of another terrain, which this program did not make for that folder.
     """
     shaped, name = provenance.get("shaped"), Path(folder).name
     if isinstance(shaped, dict):
         if shaped.get("land") == name.removesuffix(OF_VIEWS):
             return is_of_views(name) or shaped.get("everywhere") is True
         if "land" not in shaped and shaped.get("source_key") == source_key:
-            return False
+            return False  # a record without its land's name is of an older version
     raise TerrainError(
         f"The folder {folder!r} holds the store of another terrain",
         expected="land that was shaped from the store beside it",

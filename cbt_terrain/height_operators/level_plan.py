@@ -19,10 +19,12 @@ MAX_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
 
 
 class LevelPlan:
-    """How entries are applied at each level, the cost of each entry, and the total in nanoseconds on one thread.
+    """How entries are applied at each level, and the cost of that in nanoseconds on one thread.
 
-    The finer levels of `doubted` entries, whose tiles differ too much from a level in one piece, are computed in one
-    piece if possible.
+    Lists are indexed by the level's number. levels: the finest first. wants_whole: whether all of a level is requested.
+    wanted: requested tiles with their allowed error in metres. needed: these and those that they start from. costs,
+    total: of each entry and of all. doubted: numbers of entries whose tiles differ too much from a level in one piece;
+    their finer levels are computed in one piece if possible.
     """
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted) -> None:
@@ -80,9 +82,9 @@ class LevelPlan:
         """
         found: list[list[int]] = []
         for number, entry in enumerate(self.entries):
-            alone = self.how(number, level) == WHOLE
-            apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
-            if alone or apart or not found or self.how(found[-1][-1], level) == WHOLE:
+            is_whole = self.how(number, level) == WHOLE
+            reads_whole = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
+            if is_whole or reads_whole or not found or self.how(found[-1][-1], level) == WHOLE:
                 found.append([])
             found[-1].append(number)
         return found
@@ -90,7 +92,7 @@ class LevelPlan:
     def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
         """Return the rows and columns around a tile that each entry of a run reads, and last those of the result.
 
-        Each entry computes the region that the next one reads.
+        Each entry computes the region that the next one reads. numbers: the run's entries, by index.
         """
         found = [(BAND, BAND)]
         for number in reversed(numbers):
@@ -101,7 +103,7 @@ class LevelPlan:
 
     def _max_halo(self, level: Level) -> tuple[int, int]:
         """Return the largest number of rows and columns beyond a tile and its BAND that a run reads."""
-        first = [self.margins(level, numbers)[0] for numbers in self.runs(level)]
+        first = [self.margins(level, numbers)[0] for numbers in self.runs(level)]  # the widest of each run
         rows, columns = np.max([(BAND, BAND), *first], axis=0) - BAND
         return int(rows), int(columns)
 
@@ -114,11 +116,11 @@ class LevelPlan:
         """Add the planned nanoseconds of all entries at a level."""
         tiles = self.with_neighbours(level, self.needed[level.number])
         for numbers in self.runs(level) if level.is_whole or tiles else ():
-            for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
+            for number, margin in zip(numbers, self.margins(level, numbers)[:-1], strict=True):
                 entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:
                     self.costs[number] += self.cost(entry, level.whole)
-                elif how == TILES:
+                elif how == TILES:  # every tile is counted like the first
                     self.costs[number] += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
 
     def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:

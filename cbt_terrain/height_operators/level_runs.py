@@ -30,17 +30,13 @@ from .tiles import BAND, Level, Window
 
 @dataclass(eq=False)
 class TileSums:
-    """The changes of an entry in each tile of a level, metres and metres squared.
+    """Statistics of the changes of an entry at a level, by tile."""
 
-    Also whether its mask is not 0 everywhere there, the number of pieces that were not cached, and the milliseconds
-    spent on and planned for them.
-    """
-
-    max_change: np.ndarray
-    mean_square: np.ndarray
-    unmasked: np.ndarray
-    computed: int = 0
-    ms: float = 0.0
+    max_change: np.ndarray  # float64 [tiles], largest change in metres
+    mean_square: np.ndarray  # float64 [tiles], metres squared
+    unmasked: np.ndarray  # bool [tiles], whether the mask is not 0 everywhere
+    computed: int = 0  # pieces that were not cached
+    ms: float = 0.0  # spent on these pieces, and planned for them
     planned_ms: float = 0.0
 
     @classmethod
@@ -50,7 +46,7 @@ class TileSums:
         return cls(np.zeros(count), np.zeros(count), np.zeros(count, bool))
 
     def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
-        """Record the masked change of a tile, which is a part of a window."""
+        """Record the masked change of a tile. delta, mask: change in metres and weights in a window around it."""
         inner = within(level.window(tile), window)
         change = delta[inner] if mask is None else delta[inner] * mask[inner]
         self.max_change[tile] = np.abs(change).max()
@@ -59,32 +55,36 @@ class TileSums:
 
 
 def apply_run(
-    run: Shaping,
+    shaping: Shaping,
     work: LevelWork,
     numbers: list[int],
     tiles: list[int],
     coarse: Sequence[Arrays | None],
     land: LandWindow,
 ) -> tuple[Sequence[Arrays], list[TileSums]]:
-    """Apply a run of entries (LevelPlan.runs) to a level, and update `land`.
+    """Apply a run of entries (LevelPlan.runs) to a level, add its changes to `land`, and return changes and statistics.
 
-    Return the arrays and the sums of each. coarse: their changes at the coarser level, or None.
+    Changes of level 0 are not returned for a run in tiles, since no finer level reads them.
+
+    numbers: the run's entries, by index; a single one if it is applied to the whole level. tiles: tiles to compute
+    otherwise. coarse: each entry's change at the coarser level, None at the coarsest.
     """
-    entry = run.entries[numbers[0]]
-    if run.plan.how(numbers[0], work.level) != WHOLE:
-        return _apply_tiles(run, work, numbers, tiles, coarse, land)
+    entry = shaping.entries[numbers[0]]
+    if shaping.plan.how(numbers[0], work.level) != WHOLE:
+        return _apply_tiles(shaping, work, numbers, tiles, coarse, land)
     sums, level, coarser = TileSums.zeros(work.level), work.level, coarse[0]
-    mask, cost = work.mask(entry, land), run.plan.cost(entry, level.whole)
-    report = run.progress(cost, level, entry)
+    mask, cost = work.mask(entry, land), shaping.plan.cost(entry, level.whole)
+    report = shaping.progress(cost, level, entry)
     report(0.0)
     start = None if coarser is None else _upsample(coarser, level.shape)
-    with _counted(run, entry, sums, cost):
+    with _counted(shaping, entry, sums, cost):
         change = apply_whole(work, entry, land, mask, start, report)
-    run.done += cost
-    if start is not None and level.number and numbers[0] not in run.plan.doubted:
+    shaping.done += cost
+    # If the change contradicts the interpolated coarser one, finer levels are computed in one piece.
+    if start is not None and level.number and numbers[0] not in shaping.plan.doubted:
         before, after = (unpacked(entry.declaration, arrays) for arrays in (start, change))
         if entry.declaration.doubts(before, after, level.step_x * level.step_y):
-            run.plan.doubt(numbers[0])
+            shaping.plan.doubt(numbers[0])
     delta = change[0] if start is None else change[0] - start[0]
     for tile in range(level.tile_count):
         sums.add(level, tile, delta, mask, level.whole)
@@ -101,51 +101,51 @@ def _upsample(arrays: Arrays, shape: tuple[int, int]) -> np.ndarray:
 
 
 @contextmanager
-def _counted(run: Shaping, entry: Entry, sums: TileSums, cost: float) -> Iterator[None]:
-    """Add the time and the computed pieces of the block to `sums`; cost: planned nanoseconds."""
-    before, start = run.cache.made[entry.effect], time.perf_counter()
+def _counted(shaping: Shaping, entry: Entry, sums: TileSums, cost: float) -> Iterator[None]:
+    """Add the time of the block and the pieces that it computed to `sums`. cost: planned nanoseconds."""
+    before, start = shaping.cache.made[entry.effect], time.perf_counter()
     yield
-    sums.computed += run.cache.made[entry.effect] - before
+    sums.computed += shaping.cache.made[entry.effect] - before
     sums.ms += (time.perf_counter() - start) * 1e3
     sums.planned_ms += cost / 1e6
 
 
 def _apply_tiles(
-    run: Shaping,
+    shaping: Shaping,
     work: LevelWork,
     numbers: list[int],
     tiles: list[int],
     coarse: Sequence[Arrays | None],
     land: LandWindow,
 ) -> tuple[Sequence[Arrays], list[TileSums]]:
-    """Apply a run of entries to tiles, and blend these into the interpolated coarser level; update `land`.
+    """Apply a run of entries to tiles, blend these into the interpolated coarser level, and update `land`.
 
-    It blends the land after all entries, not each change, so that depths that are nowhere negative stay so. coarse:
-    changes of the entries at the coarser level. Return those at this level, and the sums of each entry.
+    The land after all entries is blended, not each change, so that depths that are nowhere negative stay so. Arguments
+    and result are those of `apply_run`.
     """
     level, first, changes = work.level, None, []
-    start = land.crop(level.whole)
+    start = land.crop(level.whole)  # the land before the run, as `land` is updated below
     for number, arrays in zip(numbers, coarse, strict=True):
-        entry = run.entries[number]
+        entry = shaping.entries[number]
         assert arrays is not None  # the coarsest level is computed as a whole
         mask, count = work.mask(entry, land), num_arrays(entry.declaration, level)
         change = [finer(array, level.shape) for array in arrays[:count]]
-        first = mask if number == numbers[0] else first
+        first = mask if number == numbers[0] else first  # the mask of the first entry
         land.total = land.total + work.accumulate(entry, change, mask, land)
         changes += [change] if level.number else []
     sums = [TileSums.zeros(level) for _ in numbers]
-    if all(run.plan.how(number, level) == UPSAMPLED for number in numbers):
+    if all(shaping.plan.how(number, level) == UPSAMPLED for number in numbers):
         return changes, sums
-    rest = np.ones(level.shape, np.float32)
+    rest = np.ones(level.shape, np.float32)  # weight of the interpolated coarser level
     for tile in tiles:
         rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
-    names = {layer.name for number in numbers for layer in run.entries[number].declaration.layers}
+    names = {layer.name for number in numbers for layer in shaping.entries[number].declaration.layers}
     land.layers |= {name: land.layers[name] * rest for name in names}  # copies, since changes may share the arrays
     for total in (land.total, *(array for change in changes for array in change)):
         total *= rest
     for tile in tiles:
         window, weights = level.window(tile, BAND, BAND), level.weights(tile)
-        tile_changes, tile_land = _compute_tile(run, work, numbers, tile, coarse, start, first, sums)
+        tile_changes, tile_land = _compute_tile(shaping, work, numbers, tile, coarse, start, first, sums)
         land.total[window] += tile_land.total * weights
         for name in names:
             land.layers[name][window] += tile_land.layers[name] * weights
@@ -156,7 +156,7 @@ def _apply_tiles(
 
 
 def _compute_tile(
-    run: Shaping,
+    shaping: Shaping,
     work: LevelWork,
     numbers: list[int],
     tile: int,
@@ -172,24 +172,24 @@ def _compute_tile(
     sums: statistics of each entry's changes, to which those of the tile are added.
     """
     level, changes = work.level, []
-    windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]
+    windows = [level.window(tile, *margin) for margin in shaping.plan.margins(level, numbers)]
     land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
     for number, arrays, entry_sums, target in zip(numbers, coarse, sums, windows[1:], strict=True):
         assert arrays is not None
-        entry, window = run.entries[number], land.window
+        entry, window = shaping.entries[number], land.window
         mask = mask if number == numbers[0] else work.mask(entry, land)
         here = within(target, window)
         coarser = np.stack([finer_window(array, *window) for array in arrays])
         change = coarser[(slice(num_arrays(entry.declaration, level)), *here)]
-        if run.plan.how(number, level) == TILES:
-            cost = run.plan.cost(entry, window)
-            report = run.progress(cost, level, entry)
+        if shaping.plan.how(number, level) == TILES:
+            cost = shaping.plan.cost(entry, window)
+            report = shaping.progress(cost, level, entry)
             report(0.0)
             # A mask of 0 everywhere spares the work.
             if mask is None or entry.declaration.masks or mask[here].any():
-                with _counted(run, entry, entry_sums, cost):
+                with _counted(shaping, entry, entry_sums, cost):
                     change = apply_tile(work, entry, land, mask, coarser, target, report)
-            run.done += cost
+            shaping.done += cost
         land, mask = land.crop(target), None if mask is None else mask[here]
         entry_sums.add(level, tile, change[0] - coarser[0][here], mask, target)
         land.total = land.total + work.accumulate(entry, change, mask, land)

@@ -74,14 +74,14 @@ class LandWindow:
 
 @dataclass(frozen=True, eq=False)
 class LevelWork:
-    """Input that all operators share at a level: mask images by file name, names of the layers that are depths."""
+    """Input that all operators share at a level."""
 
     cache: TileCache
     plan: LevelPlan
     level: Level
     source: LevelGround
-    images: Mapping[str, np.ndarray]
-    depths: set[str]
+    images: Mapping[str, np.ndarray]  # of masks, by file name, float32 [rows, columns], row 0 south
+    depths: set[str]  # names of the layers that are depths, which add up
     threads: int
 
     def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
@@ -91,8 +91,8 @@ class LevelWork:
         names = sorted({rule.of for rule in entry.mask.rules})
         layers = {name: self._layer(name, land) for name in names if name in {*land.layers, *self.source.layers}}
         heights, image = partial(self._heights, land), self.images.get(entry.mask.image)
-        read = values_of(names, self.level, heights, self.source.missing, layers, self.threads)
-        return compute_mask(entry.mask, image, self.level, heights, read, land.window)
+        attributes = values_of(names, self.level, heights, self.source.missing, layers, self.threads)
+        return compute_mask(entry.mask, image, self.level, heights, attributes, land.window)
 
     def _heights(self, land: LandWindow, window: Window) -> np.ndarray:
         """Return the ground in a window: the source's heights plus the change so far, float32 [rows, columns] m."""
@@ -138,9 +138,10 @@ class LevelWork:
         return np.ascontiguousarray(source if current is None else current)
 
     def accumulate(self, entry: Entry, change: Arrays, mask: np.ndarray | None, land: LandWindow) -> np.ndarray:
-        """Add an entry's layers to those of the land and return its masked change of heights.
+        """Add an entry's layers to those of the land and return its masked change of heights, float32 metres.
 
-        It copies as little as possible: an array of a fine level takes hundreds of megabytes.
+        change, mask: in the window of `land`. As little as possible is copied: an array of a fine level takes hundreds
+        of megabytes.
         """
         missing = None if self.source.missing is None else self.source.missing[land.window]
         result = apply_mask(entry.declaration, unpacked(entry.declaration, change), mask)
@@ -199,7 +200,7 @@ def unpacked(effect: HeightOperator, change: Arrays) -> Change:
 def _pack_change(effect: HeightOperator, change: Change, count: int) -> np.ndarray:
     """Return a change as one array [count, rows, columns], for the cache: heights, layers, then state.
 
-    Layers that the operator did not write are 0.
+    Layers that the operator did not write are 0. count: `num_arrays`, which leaves out the state at level 0.
     """
     none, found = np.zeros_like(change.heights), change.layers | change.state
     names = [*_layer_names(effect), *effect.state][: count - 1]
@@ -240,9 +241,10 @@ def apply_tile(
     target: Window,
     report: Report,
 ) -> np.ndarray:
-    """Return the change of the window `target`, [arrays, rows, columns].
+    """Apply an operator to a tile and return its change, packed, float32 [arrays, rows, columns] of `target`.
 
-    coarser: the change of the next coarser level, interpolated to the window of `land`.
+    target: window of the level whose change is needed, inside that of `land`. mask, coarser: weights, and the change of
+    the next coarser level, interpolated; both in the window of `land`.
     """
     effect = entry.declaration
     count = num_arrays(effect, work.level)

@@ -36,6 +36,7 @@ def coarser(samples: np.ndarray) -> np.ndarray:
 def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
     """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest."""
     south, west = rows.start // 2, columns.start // 2
+    # One coarse sample after the last row and column, as odd ones are between two coarse samples.
     coarse = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
     fine = finer(coarse, (2 * coarse.shape[0] - 1, 2 * coarse.shape[1] - 1))
     return fine[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
@@ -68,7 +69,7 @@ def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: 
     if max(rows, columns) > COARSEST:
         change = finer_change(_apply_without_mask(effect, _coarser_ground(ground), values), (rows, columns))
     if change is not None and effect.finest and max(rows, columns) > effect.finest:
-        return change
+        return change  # finer levels only interpolate
     return effect.apply(ground, values, change)
 
 

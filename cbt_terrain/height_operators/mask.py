@@ -93,27 +93,28 @@ def compute_mask(
     image: np.ndarray | None,
     level: Level,
     heights: Callable[[Window], np.ndarray],
-    read: Mapping[str, np.ndarray] | None = None,
+    attributes: Mapping[str, np.ndarray] | None = None,
     window: Window | None = None,
 ) -> np.ndarray:
     """Return the weights of a window of a level, float32 [rows, columns], 0 to 1.
 
-    image: float32 [rows, columns], row 0 south, or None. heights(window): returns float32 metres of the ground. read:
-    values of MASK_ATTRIBUTES, float32 [rows, columns] of the window (mask_reads.py). window: None for the whole level.
+    image: float32 [rows, columns], row 0 south, or None. heights(window): returns float32 metres of the ground.
+    attributes: values of MASK_ATTRIBUTES, float32 [rows, columns] of the window (mask_reads.py). window: None for the
+    whole level.
     """
-    window, read = window or level.whole, read or {}
+    window, attributes = window or level.whole, attributes or {}
     out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
     for first in range(0, len(out), BAND_ROWS):
         rows = slice(first, min(first + BAND_ROWS, len(out)))
-        at = slice(window[0].start + rows.start, window[0].start + rows.stop)
+        level_rows = slice(window[0].start + rows.start, window[0].start + rows.stop)
         if image is not None:
-            out[rows] *= _image_at(image, level, at, window[1])
+            out[rows] *= _image_at(image, level, level_rows, window[1])
         ground_rules = [rule for rule in mask.rules if rule.of not in MASK_ATTRIBUTES]
         if ground_rules:
-            out[rows] *= _weigh_ground(ground_rules, level, at, window, heights)
+            out[rows] *= _weigh_ground(ground_rules, level, level_rows, window, heights)
         for rule in mask.rules:
             if rule.of in MASK_ATTRIBUTES:
-                out[rows] *= _weigh_attribute(rule, read[rule.of][rows])
+                out[rows] *= _weigh_attribute(rule, attributes[rule.of][rows])
     return out
 
 
@@ -126,21 +127,21 @@ def _image_at(image: np.ndarray, level: Level, rows: slice, columns: slice) -> n
     south, north, v = _pixels(np.arange(rows.start, rows.stop), level.rows, image.shape[0])
     west, east, u = _pixels(np.arange(columns.start, columns.stop), level.columns, image.shape[1])
 
-    def interpolate_row(row: np.ndarray) -> np.ndarray:
-        """Interpolate some rows of the image at the columns of the level."""
-        line = image[row]
-        return line[:, west] + (line[:, east] - line[:, west]) * u
+    def interpolate_rows(numbers: np.ndarray) -> np.ndarray:
+        """Interpolate the image's rows of these numbers at the columns of the level."""
+        lines = image[numbers]
+        return lines[:, west] + (lines[:, east] - lines[:, west]) * u
 
-    low, high = interpolate_row(south), interpolate_row(north)
+    low, high = interpolate_rows(south), interpolate_rows(north)
     return low + (high - low) * v[:, None]
 
 
-def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pixels(samples: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the pixels on both sides of samples along an axis, and the fraction of the way from the first one.
 
-    at: numbers of samples. count: samples of the whole axis. pixels: the image's pixels along it.
+    samples: their numbers. count: samples of the whole axis. pixels: the image's pixels along it.
     """
-    position = np.clip(at * (pixels / (count - 1)) - 0.5, 0.0, pixels - 1.0)
+    position = np.clip(samples * (pixels / (count - 1)) - 0.5, 0.0, pixels - 1.0)
     first = np.minimum(position.astype(np.int64), pixels - 1)
     return first, np.minimum(first + 1, pixels - 1), (position - first).astype(np.float32)
 
@@ -150,8 +151,10 @@ def _weigh_ground(
 ) -> np.ndarray:
     """Return the product of rules about height, slope and aspect at some rows of a window of a level.
 
-    heights: function that returns the heights in a window. The result is float32 [rows, columns], 0 to 1.
+    rows: of the level. heights: function that returns the heights in a window, metres. The result is float32 [rows,
+    columns], 0 to 1.
     """
+    # Slopes read a row beyond these, if the window has one.
     wide = slice(max(rows.start - 1, window[0].start), min(rows.stop + 1, window[0].stop))
     ground = heights((wide, window[1]))
     inner = slice(rows.start - wide.start, rows.stop - wide.start)
@@ -163,7 +166,7 @@ def _weigh_ground(
         if rule.of == HEIGHT:
             out *= _weigh_interval(ground[inner], rule.low, rule.high, rule.edge)
         elif rule.of == SLOPE:
-            out *= _between_mapped(tangent, rule, _tangent)
+            out *= _weigh_mapped(tangent, rule, _tangent)
         else:
             angle = math.radians(rule.direction)
             downhill = -(east * np.float32(math.sin(angle)) + north * np.float32(math.cos(angle)))
@@ -183,10 +186,10 @@ def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
     if rule.of not in LOGARITHMIC:
         return _weigh_interval(values, rule.low, rule.high, rule.edge)
     low, high = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))
-    return _between_mapped(values, replace(rule, low=low, high=high), _power)
+    return _weigh_mapped(values, replace(rule, low=low, high=high), _power)
 
 
-def _between_mapped(values: np.ndarray, rule: GroundRule, to_value: Callable[[float], float]) -> np.ndarray:
+def _weigh_mapped(values: np.ndarray, rule: GroundRule, to_value: Callable[[float], float]) -> np.ndarray:
     """Weigh values by limits and edges in degrees or powers of ten, which `to_value` maps to values.
 
     Each half of an edge is linear in the values, which needs no function whose last bits differ between machines.

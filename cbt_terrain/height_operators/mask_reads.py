@@ -30,9 +30,10 @@ def values_of(
     layers: Mapping[str, np.ndarray],
     threads: int,
 ) -> dict[str, np.ndarray]:
-    """Return the values of those `names` that are in MASK_ATTRIBUTES, float32 [rows, columns] of a level.
+    """Return the values of those `names` that are in MASK_ATTRIBUTES, float32 [rows, columns].
 
-    heights(window): returns float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
+    Those of SHAPES are for the whole level; by-products are taken from `layers` as they are. heights(window): returns
+    float32 metres of the ground. missing: bool [rows, columns] of the level, holes, or None.
     """
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
     requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]

@@ -40,30 +40,23 @@ class _TooSlow(Exception):
 
 @dataclass
 class _Applied:
-    """The coarsest level after the first entries of a stack.
-
-    The sum of their changes in metres, the digest of these entries, and the milliseconds of the last one.
-    """
+    """The coarsest level after the first entries of a stack."""
 
     ground: OperatorGround
-    change: np.ndarray
-    key: str = ""
-    ms: float = 0.0
+    change: np.ndarray  # sum of the entries' changes, float32 [rows, columns] m
+    key: str = ""  # digest of these entries
+    ms: float = 0.0  # of the last entry
 
 
 @dataclass
 class Preview:
-    """Heights in memory and how they were computed.
-
-    The milliseconds of each applied entry, the metres between samples of the level that they were applied to, the label
-    of the first entry that the time limit left out, or "", and the milliseconds of measuring errors.
-    """
+    """Heights in memory and how they were computed."""
 
     field: HeightField
-    ms: list[float]
-    step_m: float = 0.0
-    left_out_entry: str = ""
-    build_ms: float = 0.0
+    ms: list[float]  # of each applied entry
+    step_m: float = 0.0  # metres between samples of the level that they were applied to
+    left_out_entry: str = ""  # label of the first entry that the time limit left out, "" if there is none
+    build_ms: float = 0.0  # of measuring errors
 
 
 @dataclass
@@ -106,12 +99,12 @@ def preview(
     level = levels_of(source.lattice)[-1]
     states = _apply_entries(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)
-    rows, columns = (at / (1 << level.number) for at in positions)
+    rows, columns = (position / (1 << level.number) for position in positions)  # in samples of the coarsest level
     heights = add_change(_source_heights(source), states[0].ground.heights, states[-1].change, rows, columns)
     step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
     if source.valid is not None:
-        near = [np.rint(at).astype(np.int64) for at in positions]
+        near = [np.rint(position).astype(np.int64) for position in positions]
         heights[source.valid[np.ix_(*near)] == 0] = np.nan
     start = time.perf_counter()
     result = from_array(
@@ -144,7 +137,7 @@ def _apply_entries(
         if time.monotonic() > end:
             raise _TooSlow
 
-    cached_states = source.cache.results.get(_FOUND, {})
+    cached_states = source.cache.results.get(_FOUND, {})  # by their keys, the least recently used first
     start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
     states = [start]
     for entry in stack.active:
@@ -158,7 +151,7 @@ def _apply_entries(
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=check_time)
         try:
             check_time(0.0)
-            states.append(_after(states[-1], ground, entry, key))
+            states.append(_apply_entry(states[-1], ground, entry, key))
         except _TooSlow:
             break
     used = {state.key: state for state in states}
@@ -176,8 +169,8 @@ def _compute_weights(
     images: values of mask images by file.
     """
     names = sorted({rule.of for rule in mask.rules})
-    read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
-    return compute_mask(mask, images.get(mask.image), level, ground.heights.__getitem__, read)
+    attributes = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
+    return compute_mask(mask, images.get(mask.image), level, ground.heights.__getitem__, attributes)
 
 
 def _ground(source: HeightField, level: Level) -> OperatorGround:
@@ -196,10 +189,10 @@ def _ground(source: HeightField, level: Level) -> OperatorGround:
     )
 
 
-def _after(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> _Applied:
-    """Apply an entry to the ground before it and return the changed ground with the time it took.
+def _apply_entry(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> _Applied:
+    """Apply an entry and return the state after it.
 
-    `key`: digest of the ground and the entry, by which the result is reused.
+    before: state that it starts from. ground: the same ground, with the entry's mask and seed. key: of the new state.
     """
     start, effect = time.perf_counter(), entry.declaration
     change = apply_mask(effect, effect.apply(ground, entry.values, None), ground.mask)

@@ -24,7 +24,11 @@ MAX_BYTES = 1 << 26
 
 @dataclass(frozen=True, eq=False)
 class SeenTiles:
-    """Views of a terrain at `placement`, float64 [4, 4], with the other arguments of `tiles_seen`."""
+    """Views of a terrain at `placement`, float64 [4, 4], with the other arguments of `tiles_seen`.
+
+    `error_px`: requested error in pixels, 0 if none is requested. Heights are multiplied by `vertical_scale`, then
+    `vertical_offset` metres are added.
+    """
 
     views: tuple[View, ...]
     placement: np.ndarray
@@ -33,7 +37,7 @@ class SeenTiles:
     vertical_offset: float
 
     def tiles(self, source: HeightField) -> Tiles:
-        """Return the tiles that these views need."""
+        """Return the tiles that these views need, for an error of 1 pixel if none is requested."""
         scale = self.vertical_scale, self.vertical_offset
         return tiles_seen(source, self.views, self.placement, self.error_px or 1.0, *scale)
 
@@ -62,7 +66,7 @@ def _digest(text: str) -> str:
 
 
 def has(folder: str, wanted: Tiles | None) -> bool:
-    """Return whether these tiles were requested of a store with at most these errors."""
+    """Return whether these tiles were requested of a store with at most these errors; True for None, all tiles."""
     if wanted is None:
         return True
     there = read_requested(folder)
@@ -89,7 +93,7 @@ def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
 
 
 def note(folder: str, wanted: Tiles | None) -> None:
-    """Record the tiles that were requested of a store, if its folder can be written."""
+    """Record the tiles that were requested of a store, if its folder can be written; nothing for None, all tiles."""
     if wanted is not None:
         with suppress(OSError), written_beside(_record_file(folder)) as partial:
             text = json.dumps([sorted(level.items()) for level in wanted])

@@ -43,31 +43,34 @@ def sides(shape: tuple[int, ...]) -> list[tuple]:
 
 
 def border_motion(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
-    """Return a function that moves the border samples after each step; `years`: sum of all steps.
+    """Return a function that moves the border samples after each step.
+
+    origin: float32 [n] m, heights before all steps. coarser: the coarser level's change, None at the coarsest level.
+    years: sum of all steps.
 
     At the coarsest level they sink with the sample inside them, so that a border is no dam, but not below their lowest,
     which is the base level; they never rise. At finer levels they follow the coarser change as an uplift in every
     step. If they moved at the end, they would be a moat around rising land that drains all of it.
     """
-    (rows, columns), side = bed.shape, np.zeros(bed.shape, bool)
-    for which in sides(bed.shape):
-        side[which] = True
-    side &= ~bed.fixed.reshape(bed.shape)
-    j, i = np.nonzero(side)
-    at = j * columns + i
-    if not len(at):
+    (rows, columns), is_border = bed.shape, np.zeros(bed.shape, bool)
+    for side in sides(bed.shape):
+        is_border[side] = True
+    is_border &= ~bed.fixed.reshape(bed.shape)
+    j, i = np.nonzero(is_border)
+    border = j * columns + i
+    if not len(border):
         return lambda: None
     if coarser is not None:
-        way = origin[at] + coarser.heights.reshape(-1)[at] - bed.heights[at]
-        bed.uplift[at] = way / np.float32(max(years, 1.0))
-        return lambda: None
+        motion = origin[border] + coarser.heights.reshape(-1)[border] - bed.heights[border]
+        bed.uplift[border] = motion / np.float32(max(years, 1.0))
+        return lambda: None  # the steps move it
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
-    lowest = origin[at].min()
+    lowest = origin[border].min()
 
     def lower_border() -> None:
         """Lower the border by as much as the samples inside of it have sunk since the start, down to `lowest`."""
         change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
-        bed.heights[at] = np.maximum(origin[at] + change, lowest)
+        bed.heights[border] = np.maximum(origin[border] + change, lowest)
 
     return lower_border
 
@@ -77,12 +80,12 @@ class _Coarse:
     """The coarser level at its samples in a tile, every second one; arrays [rows, columns].
 
     Attributes:
-        odd: row and column of the first.
+        odd: row and column of the first in the tile, 0 or 1 each.
         surface: float32 m, of ground and lakes.
         flow: float64, drainage area in fine samples. load: float64, sediment, metres times fine samples a year.
         wet: bool, lakes.
         inside: bool, not the outermost two samples along a cut, since the receivers of the outermost are unknown.
-        to: receivers by the surface, on the floors of lakes by the floor.
+        to: directions of receivers (`neighbour`), by the surface; in lakes by the floor.
     """
 
     odd: tuple[int, int]
@@ -99,7 +102,7 @@ class _Ring:
     """The outermost coarse samples with known receivers, once around a tile; arrays [samples].
 
     Attributes:
-        at: rows and columns.
+        at: rows and columns in the arrays of _Coarse.
         cut: bool, along the cut of a tile and not the raster's border.
         shut: bool, no water leaves.
         flow: float64, drainage area in fine samples, for a lake its maximum.
@@ -112,41 +115,46 @@ class _Ring:
 
 
 def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
-    """Set inflow, closed border samples and outlet levels of a tile's bed from the coarser level."""
+    """Set inflow, closed border samples and outlet levels of a tile's bed from the coarser level.
+
+    coarser: its change, interpolated to `ground`.
+    """
     if all(ground.rims):  # no side is a cut
         return
-    seen = _coarse_samples(bed, ground, coarser)
+    coarse = _coarse_samples(bed, ground, coarser)
     cell_weight, load = np.ones(bed.shape), np.zeros(bed.shape)
 
     def add_inflow(some: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
         """Add water and sediment that come from some coarser samples to this level's samples.
 
-        some: indices of the ring. y, x: the coarser samples. sign: -1 to take them away.
+        some: bool, coarse samples that they come from. y, x: coarse row and column that each sample's come to. sign:
+        -1 to take them away.
         """
-        fine = 2 * y[some] + seen.odd[0], 2 * x[some] + seen.odd[1]
-        np.add.at(cell_weight, fine, sign * seen.flow[some])
-        np.add.at(load, fine, sign * seen.load[some])
+        fine = 2 * y[some] + coarse.odd[0], 2 * x[some] + coarse.odd[1]
+        np.add.at(cell_weight, fine, sign * coarse.flow[some])
+        np.add.at(load, fine, sign * coarse.load[some])
 
-    y, x = _receivers(seen)
-    enters = ~seen.inside & (seen.to != 4) & seen.inside[y, x]
-    enters &= ~seen.wet | (seen.flow[y, x] > seen.flow)
+    y, x = _receivers(coarse)
+    enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
+    enters &= ~coarse.wet | (coarse.flow[y, x] > coarse.flow)
     add_inflow(enters, y, x)
     # The water of a river that winds along the cut and comes back is in the tile already. Drainage area grows
     # downstream; where it does not, the path of a lake's water is unknown.
-    grows = seen.flow[y, x] > seen.flow
-    y, x = (np.where(grows, n, at) for n, at in zip((y, x), np.indices(y.shape), strict=True))
-    back = _ends(seen, y, x)
-    again, into = (back[0][y, x], back[1][y, x]), seen.inside[back]
-    add_inflow(seen.inside & ~seen.inside[y, x] & seen.inside[again], again[0], again[1], sign=-1.0)
-    ring = _ring(seen, ground, into)
-    for lake in _lakes(seen, ring):
+    grows = coarse.flow[y, x] > coarse.flow
+    y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
+    entry = _entries(coarse, y, x)
+    into, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])  # back: where a sample's receiver enters
+    add_inflow(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
+    ring = _ring(coarse, ground, into)
+    # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.
+    for lake in _lakes(coarse, ring):
         largest = lake[np.argmax(ring.flow[lake])]
         j, i = (n[largest] for n in ring.at)
         ring.flow[lake] = ring.flow[largest]
         ring.shut[lake] = into[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
     # A stream that comes back may carry less sediment, and less water where tiles of the coarser level meet.
     bed.cell_weight, bed.inflow = np.maximum(cell_weight, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
-    _close(bed, ground, seen, ring)
+    _close(bed, ground, coarse, ring)
 
 
 def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coarse:
@@ -175,7 +183,7 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
 
 
 def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
-    """Return the direction of an outermost sample's receiver, 4 if there is none.
+    """Return the direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
 
     The receiver is the neighbour that is no higher and has the least larger drainage area.
     """
@@ -187,10 +195,11 @@ def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
 
 
 def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple[Positions, np.ndarray]:
-    """Return rows and columns of the samples along four sides of a tile, and which of them are on cuts.
+    """Return rows and columns of the samples along four sides of a tile, and which of them are on cuts (bool).
 
-    rims: whether the south, north, west and east side is the raster's border; the others are cuts, whose samples are
-    taken `inset` samples inside.
+    They go around counter-clockwise from the south-west, and each corner belongs to one side. rims: whether the south,
+    north, west and east side is the raster's border; the others are cuts, whose samples are taken `inset` samples
+    inside.
     """
     south, north, west, east = rims
     low, high = inset * (not south), shape[0] - 1 - inset * (not north)
@@ -201,50 +210,49 @@ def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple
     return (j, i), np.repeat([not south, not east, not north, not west], [len(along), len(up)] * 2)
 
 
-def _receivers(seen: _Coarse) -> tuple[np.ndarray, np.ndarray]:
+def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column of each sample's receiver.
 
     On the floor of a lake the path to its pit is reversed towards the outlet, which may be outside. Where the drainage
     area does not grow downstream, the receiver is the neighbour inside with the largest one.
     """
-    y, x = np.indices(seen.to.shape)
-    y, x = neighbour(y, x, seen.to)
-    within = np.where(seen.inside, seen.flow, -1.0)
-    turned = seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)
+    y, x = np.indices(coarse.to.shape)
+    y, x = neighbour(y, x, coarse.to)
+    inner_flow = np.where(coarse.inside, coarse.flow, -1.0)
+    turned = coarse.wet & ~coarse.inside & (coarse.to != 4) & (coarse.flow[y, x] <= coarse.flow)
     for j, i in zip(*np.nonzero(turned), strict=True):
-        near = within[j - 1 : j + 2, i - 1 : i + 2]
-        if near.max() > seen.flow[j, i]:
+        near = inner_flow[j - 1 : j + 2, i - 1 : i + 2]
+        if near.max() > coarse.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)
     return y, x
 
 
-def _ring(seen: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
+def _ring(coarse: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
     """Return the ring of border samples, shut where water would flow into the tile from samples without a lake.
 
     into: whether the coarser level's water flows into the tile, bool.
     """
-    at, cut = _around(seen.to.shape, ground.rims, inset=1)
-    return _Ring(at, cut, (into & ~seen.wet)[at] & cut, seen.flow[at])
+    at, cut = _around(coarse.to.shape, ground.rims, inset=1)
+    return _Ring(at, cut, (into & ~coarse.wet)[at] & cut, coarse.flow[at])
 
 
-def _ends(seen: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns where the water of each sample enters the tile, followed for up to 16 samples.
 
-    seen: where the samples lie inside of the tile. y, x: row and column of each sample's receiver, to which its water
-    flows.
+    For a sample inside it is the sample itself. y, x: row and column of each sample's receiver.
     """
     shape, itself = y.shape, np.arange(y.size).reshape(y.shape)
-    down = np.where(seen.inside, itself, y * shape[1] + x).reshape(-1)
-    for _ in range(4):
+    down = np.where(coarse.inside, itself, y * shape[1] + x).reshape(-1)
+    for _ in range(4):  # each time the followed path becomes twice as long
         down = down[down]
     row, column = np.unravel_index(down.reshape(shape), shape)
     return row, column
 
 
-def _lakes(seen: _Coarse, ring: _Ring) -> list[np.ndarray]:
+def _lakes(coarse: _Coarse, ring: _Ring) -> list[np.ndarray]:
     """Return the indices in the ring of each lake on it; samples of one level are one lake."""
-    at = np.flatnonzero(seen.wet[ring.at] & ring.cut)
-    level = seen.surface[ring.at][at]
+    at = np.flatnonzero(coarse.wet[ring.at] & ring.cut)
+    level = coarse.surface[ring.at][at]
     order = np.argsort(level, kind="stable")
     return [] if not len(at) else np.split(at[order], np.flatnonzero(np.diff(level[order]) > LEVEL) + 1)
 
@@ -254,7 +262,7 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 
-def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None:
+def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
     """Set the bed's closed border samples and the levels where water leaves there.
 
     Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where about as much
@@ -262,16 +270,16 @@ def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None
     would leave that does not at the coarser level: a stream may leave to join one outside and come back with it, and a
     tile, which ends at the outlet, would lose the river.
     """
-    wet = seen.wet[ring.at]
+    wet = coarse.wet[ring.at]
     is_open = ring.cut & ~ring.shut
     inflow = _max_along(np.where(ring.shut, ring.flow, 0.0), BESIDE)
     outflow = _max_along(np.where(is_open, ring.flow, 0.0), WANDER)
-    is_open &= ~wet
+    is_open &= ~wet  # those of lakes are decided in `set_boundary`
     shut = ring.shut | (is_open & (inflow > LESS * outflow))
-    at, index = _along(bed, ground, seen, ring)
+    at, index = _along(bed, ground, coarse, ring)
     for _ in range(ROUNDS):
         some = (shut | wet)[index]
-        bed.border, bed.outlet_level = at[some], (seen.surface[ring.at] + np.float32(WALL) * shut)[index[some]]
+        bed.border, bed.outlet_level = at[some], (coarse.surface[ring.at] + np.float32(WALL) * shut)[index[some]]
         out = np.zeros(len(shut))
         np.maximum.at(out, index, bed.drain().catchments[at])
         more = is_open & ~shut & (inflow > outflow) & (out > MORE * outflow)
@@ -280,12 +288,15 @@ def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None
         shut |= is_open & _max_along(more, WANDER)
 
 
-def _along(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
-    """Return the samples along the cut where water may leave and the nearest index in the ring of each, int64."""
+def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples along the cut where water may leave, and the index in the ring of each one's nearest, int64.
+
+    Samples are those of the tile, in C order.
+    """
     at, cut = _around(bed.shape, ground.rims, inset=0)
-    halves = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
+    halves = ((n - odd + 1) // 2 for n, odd in zip(at, coarse.odd, strict=True))
     near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
-    indices = np.zeros(seen.to.shape, np.int64)
+    indices = np.zeros(coarse.to.shape, np.int64)
     indices[ring.at] = np.arange(len(ring.flow))
     samples = at[0] * bed.shape[1] + at[1]
     cut &= ~bed.fixed[samples]

@@ -54,11 +54,13 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     first_draw, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
+        # At the coarsest level all steps of the first half have one noise of receivers (see SPREAD).
         step_load = step(bed, years / steps, values, max(number, first_draw))
         if step_load is not None and number >= steps // 2:  # the years that the finer level simulates again
             load += step_load
         move_border()
-    return _change_of_bed(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
+    years_of_load = years * (1.0 - steps // 2 / steps)
+    return _change_of_bed(bed, ground, values, origin, load / max(years_of_load, 1e-9))
 
 
 def _change_of_bed(
@@ -72,7 +74,7 @@ def _change_of_bed(
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
     wear = bed.uplift * np.float32(values["years"]) - change + bed.sediment
-    for side in sides(bed.shape):  # no uplift of rock there
+    for side in sides(bed.shape):  # bed.uplift is the given motion of the border there (`border_motion`), not of rock
         wear.reshape(bed.shape)[side] = (bed.sediment - change).reshape(bed.shape)[side]
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": drainage.catchments * cell}
@@ -93,12 +95,15 @@ def doubts(coarser: Change, change: Change, cell: float) -> bool:
 
 
 def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
-    """Return the fraction of all water in big rivers that the other level lacks; float32 [rows, columns] samples."""
+    """Return the fraction of all water that is in big rivers which the other level lacks.
+
+    flow, other: drainage areas at both levels, float32 [rows, columns] in samples.
+    """
     j, i = np.nonzero(flow > BIG)
-    water, near, nearby = flow[j, i], np.pad(other, REACH), np.zeros(len(j), np.float32)
+    water, padded, max_nearby = flow[j, i], np.pad(other, REACH), np.zeros(len(j), np.float32)
     for north, east in np.ndindex(2 * REACH + 1, 2 * REACH + 1):
-        np.maximum(nearby, near[j + north, i + east], out=nearby)
-    lost = water[nearby * np.float32(ALIKE) <= water].sum(dtype=np.float64)
+        np.maximum(max_nearby, padded[j + north, i + east], out=max_nearby)
+    lost = water[max_nearby * np.float32(ALIKE) <= water].sum(dtype=np.float64)
     return float(lost / max(flow.sum(dtype=np.float64), 1.0))
 
 
@@ -132,10 +137,24 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     uplift *= (ground.layers["uplift"] if "uplift" in ground.layers else _fade(ground)).reshape(-1)
     for side in sides(shape):
         uplift.reshape(shape)[side] = 0.0
-    arrays = origin.copy(), np.zeros(n, np.float32), fixed, weight, weight.copy(), uplift, np.ones(n)
-    bed = Bed((shape[0], shape[1]), ground.step_x, ground.step_y, *arrays, ground.first, ground.seed, ground.threads)
+    bed = Bed(
+        (shape[0], shape[1]),
+        ground.step_x,
+        ground.step_y,
+        heights=origin.copy(),
+        sediment=np.zeros(n, np.float32),
+        fixed=fixed,
+        weight=weight,
+        erodibility=weight.copy(),
+        uplift=uplift,
+        cell_weight=np.ones(n),
+        first=ground.first,
+        seed=ground.seed,
+        threads=ground.threads,
+    )
     bed.curvature = curvature_of(bed)
     if coarser is not None:
+        # Fraction of the coarser change that is there when the years begin that this level simulates again.
         done = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
         change, sediment = _diffused_change(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + done * change, sea))
@@ -160,8 +179,8 @@ def _fade(ground: OperatorGround) -> np.ndarray:
 
         first: number of the first sample in the raster. spacing: metres between samples. size: the raster's, metres.
         """
-        at = np.arange(first, first + count) * spacing
-        t = np.clip(np.minimum(at, size - at) / max(wide, spacing), 0.0, 1.0)
+        metres = np.arange(first, first + count) * spacing
+        t = np.clip(np.minimum(metres, size - metres) / max(wide, spacing), 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
     north, east = map(fade_along, ground.first, ground.heights.shape, spacings, sizes)

@@ -30,8 +30,9 @@ class Shaped:
     """The result of a stack: float32 [rows, columns] metres to add to the raster's samples, and layers likewise.
 
     Layers named in `depths` are added to those of the source, others replace them. `level`: finest level that was
-    computed anywhere. `tiles`: computed tiles by level, of `tile_counts`. `left_out_m`: root mean square and largest
-    change of the last level where finer ones were left out; the missing detail is of that size.
+    computed anywhere. `tiles`: computed tiles by level, of `tile_counts`. `added`: statistics of each operator at each
+    level. `left_out_m`: root mean square and largest change of the last level where finer ones were left out; the
+    missing detail is of that size. `finished_early`: whether the caller's `finish` ended the work.
     """
 
     change: np.ndarray
@@ -49,18 +50,17 @@ class Shaped:
 class LevelState:
     """The result of a level, which the next finer one starts from.
 
-    The arrays of each entry (`num_arrays`) without its mask, total and layers; and sums over entries for each tile,
-    metres and metres squared. A tile is `uncertain` if an operator changed no height though its mask is not 0: finer
-    levels may have shorter waves, or it changes layers.
+    A tile is `uncertain` if an operator changed no height though its mask is not 0: finer levels may have shorter
+    waves, or it changes layers.
     """
 
     level: Level
-    changes: list[Arrays | None]
-    total: np.ndarray
+    changes: list[Arrays | None]  # of each entry (`num_arrays`), without its mask; None at level 0
+    total: np.ndarray  # sum of all changes with their masks, float32 [rows, columns] m
     layers: dict[str, np.ndarray]
-    max_change: np.ndarray
-    mean_square: np.ndarray
-    uncertain: np.ndarray
+    max_change: np.ndarray  # [tiles], sum over entries of the largest change, metres
+    mean_square: np.ndarray  # [tiles], likewise, metres squared
+    uncertain: np.ndarray  # bool [tiles]
 
 
 def shape(
@@ -80,56 +80,57 @@ def shape(
     [rows, columns], row 0 south. on_progress: may raise, which stops the work. finish: called as often; True ends the
     work with the complete levels.
     """
-    run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
-    state, early = run_levels(run)
-    return _result(run, state, early)
+    shaping = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
+    state, early = run_levels(shaping)
+    return _result(shaping, state, early)
 
 
-def run_levels(run: Shaping) -> tuple[LevelState | None, bool]:
+def run_levels(shaping: Shaping) -> tuple[LevelState | None, bool]:
     """Return the state of the last computed level, and whether the run finished early."""
-    state = None
-    for level in reversed(run.plan.levels):
-        known = (None, None) if state is None else (state.max_change, state.uncertain)
-        chosen = run.plan.choose_tiles(level, *known)
-        if not run.entries or not (level.is_whole or chosen):
+    state: LevelState | None = None
+    for level in reversed(shaping.plan.levels):
+        max_change = None if state is None else state.max_change
+        uncertain = None if state is None else state.uncertain
+        chosen = shaping.plan.choose_tiles(level, max_change, uncertain)
+        if not shaping.entries or not (level.is_whole or chosen):
             break
         try:
-            state = _compute_level(run, level, chosen, state)
+            state = _compute_level(shaping, level, chosen, state)
         except Finished:
             return state, True
     return state, False
 
 
-def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: LevelState | None) -> LevelState:
+def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: LevelState | None) -> LevelState:
     """Apply all entries to the chosen tiles of a level and return its state.
 
     `chosen`: indices of tiles; their neighbours within the operators' halos are computed too. `coarser`: state of the
     next coarser level, None at the coarsest. Its arrays are dropped as they are used, to save memory.
     """
-    ground, tiles = LevelGround.of(run.heights, level), run.plan.with_neighbours(level, chosen)
-    work = LevelWork(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
+    ground, tiles = LevelGround.of(shaping.heights, level), shaping.plan.with_neighbours(level, chosen)
+    work = LevelWork(shaping.cache, shaping.plan, level, ground, shaping.images, shaping.depths, shaping.threads)
     land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})
     total = TileSums.zeros(level)
     uncertain = np.zeros(level.tile_count, bool)
     changes: list[Arrays | None] = []
     added = []
-    for numbers in run.plan.runs(level):
+    for numbers in shaping.plan.runs(level):
         coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
-        results, sums = apply_run(run, work, numbers, tiles, coarse, land)
+        results, sums = apply_run(shaping, work, numbers, tiles, coarse, land)
         for number, entry_sums in zip(numbers, sums, strict=True):
-            how = run.plan.how(number, level)
+            how = shaping.plan.how(number, level)
             total.max_change += entry_sums.max_change
             total.mean_square += entry_sums.mean_square
             if how != UPSAMPLED:
                 uncertain |= (entry_sums.max_change == 0.0) & entry_sums.unmasked
-                added.append(_added(run, level, number, how == WHOLE, tiles, entry_sums))
+                added.append(_summarize_entry(shaping, level, number, how == WHOLE, tiles, entry_sums))
             if coarser is not None:
                 coarser.changes[number] = None  # frees memory that the next entry needs
         # No finer level reads the changes of the finest one.
         changes += results if level.number else [None] * len(numbers)
         del results, coarse
-    run.added += added
-    run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
+    shaping.added += added
+    shaping.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
     if coarser is not None and not level.is_whole:
         # Tiles that were not chosen keep the coarser figures, even those that were computed as neighbours of others.
         for tile in set(range(level.tile_count)) - set(chosen):
@@ -140,59 +141,67 @@ def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: Level
     return LevelState(level, changes, land.total, land.layers, total.max_change, total.mean_square, uncertain)
 
 
-def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: TileSums) -> Added:
+def _summarize_entry(
+    shaping: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: TileSums
+) -> Added:
     """Return the report's line for entry `number` at a level: its changes in metres, tiles and time.
 
     `whole`: the operator was applied to the whole level, not to each of `tiles`.
     """
     computed = list(range(level.tile_count)) if whole else tiles
     rms = float(np.sqrt(sums.mean_square[computed].mean())) if computed else 0.0
-    spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
+    spacing, effect = max(level.step_x, level.step_y), shaping.entries[number].effect
     figures = rms, float(sums.max_change.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
-    doubtful = not whole and bool(tiles) and number in run.plan.doubted
+    doubtful = not whole and bool(tiles) and number in shaping.plan.doubted
     return Added(level.number, spacing, number, effect, *figures, doubtful, sums.planned_ms)
 
 
-def _result(run: Shaping, state: LevelState | None, early: bool) -> Shaped:
+def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
     """Return the result at the raster's own samples, interpolated from the last computed level.
 
     state: of that level, None if no level was computed. early: whether shaping was finished before the finest level.
     """
-    levels, shape_ = run.plan.levels, (run.heights.lattice.height, run.heights.lattice.width)
-    depths, counts = run.depths, [level.tile_count for level in levels]
+    levels, shape_ = shaping.plan.levels, (shaping.heights.lattice.height, shaping.heights.lattice.width)
+    depths, counts = shaping.depths, [level.tile_count for level in levels]
     if state is None:
-        return Shaped(np.zeros(shape_, np.float32), {}, depths, 0, run.tiles, counts, run.added, (0.0, 0.0), early)
-    left_max, left_mean_square = _left_out(run, state)
-    total, layers = _change_of_raster(run, state) if early else state.total, state.layers
+        none = np.zeros(shape_, np.float32)
+        return Shaped(none, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
+    left_max, left_mean_square = _left_out(shaping, state)
+    # After an early finish the change is added without spikes at cliffs. A coarse level that was requested as the
+    # finest is interpolated level by level.
+    total, layers = _change_of_raster(shaping, state) if early else state.total, state.layers
     for level in reversed(levels[: state.level.number]):
         total = total if early else finer(total, level.shape)
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
-    if state.level.number and run.heights.valid is not None:
-        missing = run.heights.valid == 0
+    if state.level.number and shaping.heights.valid is not None:
+        missing = shaping.heights.valid == 0
         total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
     left = float(np.sqrt(left_mean_square)), float(left_max)
-    return Shaped(
-        np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early
-    )
+    total, finest = np.ascontiguousarray(total), state.level.number
+    return Shaped(total, layers, depths, finest, shaping.tiles, counts, shaping.added, left, early)
 
 
-def _change_of_raster(run: Shaping, state: LevelState) -> np.ndarray:
+def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
     """Return the change of the last computed level at the raster's samples, without spikes at cliffs."""
-    number, before = state.level.number, LevelGround.of(run.heights, state.level).heights
-    result = np.empty((run.heights.lattice.height, run.heights.lattice.width), np.float32)
+    number, before = state.level.number, LevelGround.of(shaping.heights, state.level).heights
+    result = np.empty((shaping.heights.lattice.height, shaping.heights.lattice.width), np.float32)
     columns = np.arange(result.shape[1]) / (1 << number)
     for row in range(0, len(result), ROWS):
         rows = slice(row, min(row + ROWS, len(result)))
         # The coarse rows around these, and one more on each side, because the extremes around a row count.
         coarse = slice(max((rows.start >> number) - 1, 0), (rows.stop - 1 >> number) + 3)
-        at = np.arange(rows.start, rows.stop) / (1 << number) - coarse.start
-        result[rows] = finer_change(run.heights.heights(rows), before[coarse], state.total[coarse], at, columns)
+        positions = np.arange(rows.start, rows.stop) / (1 << number) - coarse.start
+        ground = shaping.heights.heights(rows)
+        result[rows] = finer_change(ground, before[coarse], state.total[coarse], positions, columns)
     return result
 
 
-def _left_out(run: Shaping, state: LevelState) -> tuple[float, float]:
-    """Return the largest and the mean square change over tiles whose finer levels were not computed."""
+def _left_out(shaping: Shaping, state: LevelState) -> tuple[float, float]:
+    """Return the largest and the mean square change over tiles whose finer levels were not computed, metres.
+
+    These are all tiles of the last level unless it is the raster's own.
+    """
     if state.level.number:
         return state.max_change.max(), state.mean_square.mean()
-    left = sorted(set(range(state.level.tile_count)) - set(run.tiles[0])) if not state.level.is_whole else []
+    left = sorted(set(range(state.level.tile_count)) - set(shaping.tiles[0])) if not state.level.is_whole else []
     return (state.max_change[left].max(), state.mean_square[left].mean()) if left else (0.0, 0.0)

@@ -23,8 +23,7 @@ _enough = threading.Event()
 class ShapeJob(StoreJob):
     """A child process that applies a stack to the store `source` and writes the store `store`.
 
-    wanted: tiles of each level from `tiles_seen` (tiles.py), None for all. tiles: folder of cached tiles, None for one
-    in the store. gentle: run at low priority. Raises TerrainError at once for invalid arguments.
+    Raises TerrainError at once for invalid arguments.
     """
 
     def __init__(
@@ -38,14 +37,15 @@ class ShapeJob(StoreJob):
     ):
         """Start shaping `source` by a stack into `store` in a child process.
 
-        `wanted`: tiles of each level, None for all. `tiles`: folder of cached tiles, or None. `gentle`: run at low
-        priority. No process starts if the store has this content already.
+        No process starts if the store has this content already. wanted: for each level {tile: allowed error in metres}
+        (`tiles_seen`), or None for the whole level; None for all levels. tiles: folder of cached tiles, None for one in
+        the store. gentle: run at low priority.
         """
         stack = stack_from(stack_content(stack))
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
         store_folder.remove_abandoned(Path(store))
-        pairs = None
+        pairs = None  # JSON has no objects with numbers as keys
         if wanted is not None:
             pairs = [None if tiles_of is None else sorted(tiles_of.items()) for tiles_of in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": pairs}
@@ -91,7 +91,7 @@ def child_main() -> None:
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     """Shape the requested store in the child process and return its report.
 
-    begin: says that the child is ready, so threads may start.
+    request: that of ShapeJob. begin: says that the child is ready, so threads may start.
     """
     begin()
     if request["gentle"] and hasattr(os, "nice"):

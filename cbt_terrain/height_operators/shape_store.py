@@ -58,9 +58,9 @@ def run_shape(
 
     Only the last step changes `path`, except for cached tiles. Raises TerrainError.
 
-    wanted: tiles of each level (tiles.py), None for all. finish: called now and then; True stops after the complete
-    levels. folder: name of the folder for the new arrays, None for a new one. tiles: folder of cached tiles, which
-    stores of one source can share; None for a folder in `path`.
+    wanted: for each level {tile: allowed error in metres} or None for all of it; None for all levels. finish: called
+    now and then; True stops after the complete levels. folder: name of the folder for the new arrays, None for a new
+    one. tiles: folder of cached tiles, which stores of one source can share; None for a folder in `path`.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # the same numbers as in the child process
@@ -74,7 +74,7 @@ def run_shape(
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
     with open_draft(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
-        room = store_bytes(heights.lattice, len(units))
+        room = store_bytes(heights.lattice, len(units))  # bytes that the cache of tiles leaves free for the store
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
         images = {file: load_image(file, tiles) for file in mask_files(stack)}
@@ -117,7 +117,7 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
-    """Return a digest of everything that determines the content of the store."""
+    """Return a digest of everything that determines the content of the store. heights: the source; wanted: as above."""
     tiles = None
     if wanted is not None:
         tiles = [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
@@ -238,7 +238,7 @@ def _shaping_report(
         "tiles_built": built,
         "tiles_there_are": sum(map(int, shaped.tile_counts)),
         "finest_spacing_m": max(levels[shaped.level].step_x, levels[shaped.level].step_y),
-        "levels": [_line(added) for added in shaped.added],
+        "levels": [_describe_entry(added) for added in shaped.added],
         "left_out_rms_m": rms,
         "left_out_most_m": max_change,
         "finished_early": shaped.finished_early,
@@ -246,8 +246,8 @@ def _shaping_report(
     }
 
 
-def _line(added: Added) -> str:
-    """Return "rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms"."""
+def _describe_entry(added: Added) -> str:
+    """Return a line such as "rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms"."""
     tiles = f"{added.made} tile{'s' if added.made != 1 else ''}, {added.computed} of them new"
     tiles = f"the whole level, {'new' if added.computed else 'known before'}" if added.whole else tiles
     metres = f"{added.rms_m:.3g} m rms, {added.most_m:.3g} m at most"

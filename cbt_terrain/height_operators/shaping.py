@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One run of a stack over all levels: its plan, its progress, and what each operator added."""
+"""One application of a stack over all levels: its plan, its progress, and what each operator added."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,43 +21,41 @@ class Finished(Exception):
 class Added:
     """The difference of one operator at one level to its interpolated coarser level, over the computed tiles.
 
-    Its root mean square and largest absolute value are in metres. `made`: number of pieces, of which `computed` were
-    not cached. `doubtful`: computed in tiles although these differ too much from the level in one piece (`whole`).
-    `planned_ms`: milliseconds that the plan expected on one thread.
+    Its root mean square and largest absolute value are `rms_m` and `most_m`.
     """
 
     level: int
     spacing_m: float
-    entry: int
+    entry: int  # index among the active entries
     effect: str
     rms_m: float
     most_m: float
-    whole: bool
-    made: int
+    whole: bool  # computed in one piece, not in tiles
+    made: int  # number of pieces, of which `computed` were not cached
     computed: int
     ms: float
-    doubtful: bool = False
-    planned_ms: float = 0.0
+    doubtful: bool = False  # computed in tiles although these differ too much from the level in one piece
+    planned_ms: float = 0.0  # that the plan expected on one thread
 
 
 @dataclass(eq=False)
 class Shaping:
-    """One run over all levels."""
+    """One application of a stack to a raster: its input, its plan, and the statistics and progress so far."""
 
     heights: HeightField
-    entries: Sequence[Entry]
-    images: Mapping[str, np.ndarray]
+    entries: Sequence[Entry]  # the active ones
+    images: Mapping[str, np.ndarray]  # of masks, by file name
     wanted: Wanted
     cache: TileCache
     threads: int
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None
-    finish: Callable[[], bool] = lambda: False
+    finish: Callable[[], bool] = lambda: False  # returns True if the caller needs no finer level
     added: list[Added] = field(default_factory=list)
-    done: float = 0.0
+    done: float = 0.0  # planned nanoseconds of the finished work
 
     def __post_init__(self) -> None:
         self.plan = LevelPlan(levels_of(self.heights.lattice), self.entries, self.wanted)
-        self.tiles: list[list[int]] = [[] for _ in self.plan.levels]
+        self.tiles: list[list[int]] = [[] for _ in self.plan.levels]  # computed ones, by level
 
     @property
     def depths(self) -> set[str]:

@@ -41,21 +41,22 @@ def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: W
     piece.
     """
     before = requested_tiles.read_requested(folder) or [{} for _ in wanted]
-    new = [
+    new = [  # a level in one piece, None, stays
         level and {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error}
         for known, level in zip(before, wanted, strict=True)
     ]
     return _costs_less_whole(lattice, stack, new)
 
 
-def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, part: float = 1.0) -> bool:
-    """Return whether the whole land costs at most as much as a part of the tiles with their margins.
+def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, fraction: float = 1.0) -> bool:
+    """Return whether the whole land costs at most as much as a fraction of the tiles with their margins.
 
     They are equal where a raster is a single tile; the whole land then serves exports, too.
     """
     if max(lattice.width, lattice.height) > MAX_WHOLE:
         return False
-    return _plan_levels(lattice, stack, whole_land(lattice)).total <= part * _plan_levels(lattice, stack, tiles).total
+    total = _plan_levels(lattice, stack, tiles).total
+    return _plan_levels(lattice, stack, whole_land(lattice)).total <= fraction * total
 
 
 def lattice_of(source: str) -> Lattice:
@@ -73,14 +74,14 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     if max(lattice.width, lattice.height) > MAX_ESTIMATED:
         return None
     plan = _plan_levels(lattice, stack, all_tiles(lattice) if in_tiles else whole_land(lattice))
-    rates, rest_s = _measured_rates(_earlier(source))
+    rates, rest_s = _measured_rates(_read_earlier(source))
     if rates:
         mean = add_up(rates.values()) / len(rates)
         pairs = zip(stack.active, plan.costs, strict=True)
         return rest_s + add_up(cost * rates.get(entry.effect, mean) for entry, cost in pairs) / 1e9
     if preview is None or preview.build_ms <= 0.0:
         return None
-    # The preview is the coarsest level, where operators take many more steps than at finer ones.
+    # The preview's times are added: it is the coarsest level, where operators take many more steps than at finer ones.
     speed = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)  # 1 on one thread of the reference machine
     building = lattice.width * lattice.height * BUILD_NS
     return add_up(preview.ms) / 1e3 + speed * (PLANNED_NS * plan.total + building) / 1e9
@@ -91,7 +92,7 @@ def _plan_levels(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:
     return LevelPlan(levels_of(lattice), stack.active, wanted)
 
 
-def _earlier(source: str) -> list[dict]:
+def _read_earlier(source: str) -> list[dict]:
     """Return the JSON of the newest shaped stores of a source, the newest last."""
     found = []
     with suppress(OSError):

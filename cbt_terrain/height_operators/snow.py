@@ -37,7 +37,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     loose = start = snowfall - clinging
     if coarser is not None:
         coarse_snowfall, coarse_clinging = _coarse_snowfall(ground, values)
-        before = coarser.layers["snow"] - coarser.layers["slides"]
+        before = coarser.layers["snow"] - coarser.layers["slides"]  # the coarser level's snowfall
         # Adds the influence of ground beyond a tile's halo; it is 0 for the whole level.
         snowfall = np.maximum(snowfall + (before - coarse_snowfall), 0.0)
         snowfall[_where_bare(ground) != 0] = 0.0
@@ -58,7 +58,7 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
 
     def slopes(azimuth: np.ndarray) -> np.ndarray:
-        """Compute the slopes of the horizon in an azimuth."""
+        """Return `horizon` with the slopes of the horizon in an azimuth, a unit vector to the east and north."""
         sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, horizon, ground.first)
         return horizon
 
@@ -110,7 +110,7 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
     odd = [n % 2 for n in ground.first]
 
     def halve_samples(samples: np.ndarray) -> np.ndarray:
-        """Return every array at the next coarser level, aligned with the whole level's samples; None for None."""
+        """Return samples at the next coarser level, aligned with the whole level's samples."""
         return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
     below = OperatorGround(
@@ -136,7 +136,8 @@ def _transfer_slides(
 ) -> np.ndarray:
     """Return the loose snow after the slides of the coarser level, which started from `coarse_loose`.
 
-    The same fraction of the loose snow slides away as there; deposits are scaled so that mass is conserved.
+    The same fraction of the loose snow slides away as there; deposits are scaled so that mass is conserved. loose:
+    of this level. slides, coarse_loose: the coarser level's, interpolated. All float32 [rows, columns] m.
     """
     eroded = np.clip(-slides / np.maximum(coarse_loose, np.float32(1e-6)), 0.0, 1.0) * loose
     deposited = np.maximum(slides, 0.0)
@@ -154,19 +155,19 @@ def _slide_snow(
     Overwrites `loose`. clinging: metres that never slide. sweeps: at least 2; each has two halves, slabs of two rows
     that begin at even and at odd rows.
     """
-    slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
-    slides.height, slides.width = rows, columns
+    arguments, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
+    arguments.height, arguments.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
-    slides.falls = wp.vec3f(*(_repose(values) * step for step in steps))
-    slides.bed = flat(_with_walls(ground.heights + clinging, ground.missing), wp.float32)
-    slides.snow = flat(loose, wp.float32)
+    arguments.falls = wp.vec3f(*(_repose(values) * step for step in steps))  # metres between neighbours at rest
+    arguments.bed = flat(_with_walls(ground.heights + clinging, ground.missing), wp.float32)
+    arguments.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
         # The order of slabs alternates, else those of one parity would give more than the others. The first half also
         # settles pairs along the rows.
         for along, parity in ((1, odd), (0, 1 - odd)):
             first = -((parity + ground.first[0]) % 2)
-            inputs = [first, along, (odd + ground.first[1]) % 2, slides]
+            inputs = [first, along, (odd + ground.first[1]) % 2, arguments]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
             # Moving snow is in rows of one parity after each half; the mean of four halves hides that comb.
@@ -194,7 +195,7 @@ def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping
     deposited, bed = np.maximum(slides, 0.0), _with_walls(ground.heights, ground.missing)
     for axis, step in ((0, ground.step_y), (1, ground.step_x)):
         flux = np.float32(0.25) * np.diff(deposited, axis=axis)
-        flux[~(abs(np.diff(bed, axis=axis)) <= step * _repose(values))] = 0.0
+        flux[~(abs(np.diff(bed, axis=axis)) <= step * _repose(values))] = 0.0  # cliffs, and NaN beside holes
         for array in (slides, deposited):
             low, high = (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
             low += flux

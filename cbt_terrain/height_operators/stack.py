@@ -47,7 +47,11 @@ _RULE = ("of", *_RULE_DEFAULTS)
 
 @dataclass(frozen=True)
 class Entry:
-    """One height operator of a stack. `parameters`: values that differ from defaults. `name`: label for users."""
+    """One height operator of a stack.
+
+    `effect`: the operator's name. `parameters`: values that differ from defaults. `on`: whether it is applied. `name`:
+    label for users.
+    """
 
     effect: str
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -108,9 +112,9 @@ class Stack:
         content = []
         for entry in self.active:
             mask = entry.mask
-            mark = None if mask is None else (replace(mask, image=""), file_identity(mask.image), *mask.versions)
+            mask_key = None if mask is None else (replace(mask, image=""), file_identity(mask.image), *mask.versions)
             values = sorted(entry.values.items())
-            content.append((key_name(entry.effect), entry.declaration.version, values, entry.seed, mark))
+            content.append((key_name(entry.effect), entry.declaration.version, values, entry.seed, mask_key))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
 
 
@@ -119,8 +123,8 @@ def land_name(source_key: str, stack: Stack) -> str:
 
     source_key: key of the source's store. Numbers pass through JSON first, as on their way to the child process.
     """
-    same = stack_from(stack_content(stack))
-    return hashlib.blake2b(f"{source_key} {same.key()}".encode(), digest_size=8).hexdigest()
+    received = stack_from(stack_content(stack))
+    return hashlib.blake2b(f"{source_key} {received.key()}".encode(), digest_size=8).hexdigest()
 
 
 def check_by_products(stack: Stack, source: Iterable[str]) -> None:
@@ -161,7 +165,10 @@ def file_identity(image: str) -> tuple:
 
 @functools.lru_cache(maxsize=256)
 def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
-    """Return a hex digest of a file. Raises OSError, for a pipe or a device too."""
+    """Return a hex digest of a file. Raises OSError, for a pipe or a device too.
+
+    _size, _changed_ns: the file's, only for the cache.
+    """
     with open_regular(file, links=True) as handle:
         return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
@@ -252,11 +259,11 @@ def _parse_entry(where: str, content: object, folder: Path | None) -> Entry:
         raise TerrainError(f"{where} has parameters {shown(repr(parameters))}", expected="an object of numbers")
     mask = entry.get("mask")
     return Entry(
-        effect=_read_typed(where, entry, "effect", str, "", "a text"),
+        effect=_read_typed(where, entry, "effect", str, default="", expected="a text"),
         parameters={name: _read_number(where, {name: value}, name, default=None) for name, value in parameters.items()},
-        seed=_read_typed(where, entry, "seed", int, 0, "a whole number"),
-        on=_read_typed(where, entry, "on", bool, True, "true or false"),
-        name=_read_typed(where, entry, "name", str, "", "a text"),
+        seed=_read_typed(where, entry, "seed", int, default=0, expected="a whole number"),
+        on=_read_typed(where, entry, "on", bool, default=True, expected="true or false"),
+        name=_read_typed(where, entry, "name", str, default="", expected="a text"),
         mask=None if mask is None else _parse_mask(_part_of("The mask", where), mask, folder),
     )
 
@@ -267,7 +274,7 @@ def _parse_mask(where: str, content: object, folder: Path | None) -> HeightMask:
     Raises TerrainError. where: subject of errors. folder: of relative image names.
     """
     mask = _check_object(where, content, _MASK)
-    image = _read_typed(where, mask, "image", str, "", "the name of a file")
+    image = _read_typed(where, mask, "image", str, default="", expected="the name of a file")
     if image and folder is not None:
         image = str(folder / image)
     rules = _check_list(where, "rules", mask.get("rules", []), MAX_RULES)
@@ -280,7 +287,7 @@ def _parse_rule(where: str, content: object) -> GroundRule:
     """Return the rule that parsed JSON describes. Raises TerrainError. where: subject of errors."""
     rule = _check_object(where, content, _RULE)
     numbers = {name: _read_number(where, rule, name, default) for name, default in _RULE_DEFAULTS.items()}
-    return GroundRule(_read_typed(where, rule, "of", str, "", "a text"), **numbers)
+    return GroundRule(_read_typed(where, rule, "of", str, default="", expected="a text"), **numbers)
 
 
 def _check_object(where: str, content: object, known: tuple[str, ...]) -> dict:
@@ -304,7 +311,10 @@ def _check_list(where: str, name: str, content: object, max_length: int) -> list
 
 
 def _read_typed(where: str, content: dict, name: str, kind: type[T], default: T, expected: str) -> T:
-    """Return the value `name` of an object, or its default. Raises TerrainError unless it is exactly of a `kind`."""
+    """Return the value `name` of an object, or its default. Raises TerrainError unless it is exactly of a `kind`.
+
+    expected: words for that kind in the error, as "a text".
+    """
     value = content.get(name, default)
     if type(value) is kind:
         return value
@@ -362,11 +372,11 @@ def write_stack(stack: Stack, path: str | os.PathLike) -> None:
 def _with_relative_images(stack: Stack, folder: Path) -> Stack:
     """Return the stack with images of masks in `folder` named relative to it, so that both can be moved together."""
 
-    def near(entry: Entry) -> Entry:
+    def make_relative(entry: Entry) -> Entry:
         """Return the entry with its image relative to the folder, unchanged if it lies elsewhere."""
         if entry.mask is None or not entry.mask.image or not Path(entry.mask.image).is_relative_to(folder):
             return entry
         image = Path(entry.mask.image).relative_to(folder).as_posix()
         return replace(entry, mask=replace(entry.mask, image=image))
 
-    return replace(stack, entries=tuple(map(near, stack.entries)))
+    return replace(stack, entries=tuple(map(make_relative, stack.entries)))

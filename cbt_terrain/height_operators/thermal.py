@@ -60,8 +60,9 @@ def _start_level(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the rock that may still break and the scree at the start of a level, float32 [rows, columns] m.
 
-    Both are the given ones after the coarser level's change `coarse`, None at the coarsest level. Interpolation
-    loses mass at borders and where less rock is breakable here; deposits are scaled to conserve it.
+    They are `breakable` and `loose`, rock and scree before the operator, after the coarser level's change `coarse`
+    (None at the coarsest level). Interpolation loses mass at borders and where less rock is breakable here; deposits
+    are scaled to conserve it.
     """
     if coarse is None:
         return breakable.copy(), loose.copy()
@@ -70,7 +71,7 @@ def _start_level(
     if ground.missing is not None:
         deposited = np.where(ground.missing, np.float32(0.0), deposited)
     scree = np.maximum(loose + deposited, 0.0)
-    gain = np.clip(deposited, 0.0, scree)
+    gain = np.clip(deposited, 0.0, scree)  # without negative deposits, as of scree that slid off
     deposited, wear = balance_mass(gain, wear, breakable, scree - loose - wear, coarse_change, ground)
     scree += deposited - gain
     return np.ascontiguousarray(breakable - wear), np.ascontiguousarray(np.maximum(scree, 0.0))
@@ -108,7 +109,7 @@ def settle_scree(
 
 
 def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
-    """Run sweep `number` and yield after each half. recorded: cache of launch.py for sweeps over the same slope.
+    """Run sweep `number`, from 0, and yield after each half. recorded: cache of launch.py for sweeps over one slope.
 
     The order of slabs alternates, else those of one parity would erode more than the others. The first half also
     settles pairs along the rows.
@@ -128,14 +129,14 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
     It removes the part that alternates from sample to sample. left, breakable: float32 [rows, columns], metres of rock
     that is left, and that was there before.
     """
-    for a, b, of_a, of_b in (
+    for a, b, before_a, before_b in (  # neighbours along an axis, and the rock that was there before
         (left[:-1], left[1:], breakable[:-1], breakable[1:]),
         (left[:, :-1], left[:, 1:], breakable[:, :-1], breakable[:, 1:]),
     ):
-        flux = np.float32(0.25) * np.clip((of_a - a) - (of_b - b), -a, b)
-        before = a.copy()
+        flux = np.float32(0.25) * np.clip((before_a - a) - (before_b - b), -a, b)
+        old = a.copy()
         a += flux
-        b -= a - before  # the rounded flux
+        b -= a - old  # the rounded flux
 
 
 def pack_slope(

@@ -27,8 +27,8 @@ MAX_BYTES = 4 << 30
 class TileCache:
     """Cached arrays of a `folder`, None to cache nothing.
 
-    `room`: bytes of disk that stay free. `made`, `kept`: numbers of results of each operator that were computed and
-    found.
+    `room`: bytes of disk that stay free. `made`, `kept`: by operator, the number of results that were computed, and of
+    those that were found in the cache.
     """
 
     def __init__(self, folder: Path | None = None, room: int = 0) -> None:

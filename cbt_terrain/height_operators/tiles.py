@@ -149,7 +149,8 @@ def tiles_seen(
     """Return the visible tiles of each level where a pixel is as fine as the level, with allowed errors in metres.
 
     The error is `pixel_error` pixels at the tile, rounded down to a quarter of an octave, so that a slow camera does
-    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world.
+    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world, None for the identity.
+    Heights are multiplied by `vertical_scale`, then `vertical_offset` metres are added.
     """
     levels = levels_of(field.lattice)
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
@@ -158,7 +159,7 @@ def tiles_seen(
         boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merge_boxes(level, boxes)
         pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
         near = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
-        metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)
+        metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)  # of heights before they are scaled
         found.append({int(tile): _round_error(m) for tile, m in zip(near, metres, strict=True)})
     return found
 
@@ -182,6 +183,7 @@ def _merge_boxes(level: Level, boxes: np.ndarray) -> np.ndarray:
     boxes: those of the finer level. Both are float64 [rows, columns, lowest and highest, x y z], metres.
     """
     rows, columns = level.tiles
+    # Tiles at the border have fewer than four.
     padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")
     four = padded.reshape(rows, 2, columns, 2, 2, 3)
     return np.stack([four[..., 0, :].min(axis=(1, 3)), four[..., 1, :].max(axis=(1, 3))], axis=2)
@@ -210,7 +212,7 @@ def add_coarser(
     found = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):
         rows, columns = (BAND + h for h in halo[fine.number])
-        needed, sources = found[coarse.number], {}
+        needed, sources = found[coarse.number], {}  # sources: coarse tiles that the window of each tile reads
         for tile in set().union(*(need.tiles for need in found[fine.number].values())):
             window = fine.window(tile, rows, columns)
             y, x = (slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window)

@@ -27,15 +27,15 @@ DISCHARGE = LandLayer(
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return surface, speed and discharge of steady rivers; heights stay, and the coarser level is not read.
+    """Return depth, speed and discharge of steady rivers; heights stay, and the coarser level is not read.
 
     values: the parameters by name, as `sea`, the height of the sea in metres.
     """
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
-    dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)
-    below = (heights <= values["sea"]) | (dry != 0)
-    drainage = route(heights, ground.step_x, ground.step_y, below, threads)
+    dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)  # 1 in holes
+    outlets = (heights <= values["sea"]) | (dry != 0)
+    drainage = route(heights, ground.step_x, ground.step_y, outlets, threads)
     filled = drainage.filled()
     area = drainage.areas(filled)
     drainage.level_lakes(filled, area)

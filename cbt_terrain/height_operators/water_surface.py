@@ -183,9 +183,9 @@ SIDES_NORTH_WEST = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST
 def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
 
-    deep: depth, metres; wet: samples with water; missing: holes, None without; [rows, columns]. A side goes from a
-    corner to the next and is 4 * sample + direction. The diagonal is the one whose shallower end is
-    deeper, so that a river across cells is not cut in two.
+    deep: depth, metres, negative on dry samples; wet: samples with water; missing: holes or None; all [rows, columns].
+    A side goes from a corner to the next and is 4 * sample + direction. Of both diagonals the one is taken whose
+    shallower end is deeper, so that a river across cells is not cut in two.
     """
     columns = deep.shape[1]
     cells = wet[:-1, :-1] | wet[:-1, 1:] | wet[1:, :-1] | wet[1:, 1:]
@@ -204,9 +204,9 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
 
 
 def _number_items(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unique items in ascending order, int64, and each item's index among them.
+    """Return the unique items in ascending order, int64, and the index among them of each number below `end`.
 
-    The second is int32 [end]; entries of items that do not occur are meaningless.
+    The second is int32 [end]; entries of numbers that do not occur are meaningless. items: int64, below `end`.
     """
     used = np.zeros(end, bool)
     used[items] = True

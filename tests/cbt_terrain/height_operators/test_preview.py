@@ -48,8 +48,8 @@ def test_a_preview_is_at_the_position_of_the_terrain(shape_):
 @pytest.fixture
 def made(monkeypatch):
     """Record the names of the applied operators in order."""
-    names, after = [], previews._after
-    monkeypatch.setattr(previews, "_after", lambda *given: names.append(given[2].effect) or after(*given))
+    names, after = [], previews._apply_entry
+    monkeypatch.setattr(previews, "_apply_entry", lambda *given: names.append(given[2].effect) or after(*given))
     return names
 
 

@@ -57,7 +57,7 @@ class Baked:
 
 @dataclass(frozen=True)
 class _Image:
-    """An image to bake: its tile, attribute, coding, side in texels, file name and content key."""
+    """An image to bake: index of its tile, attribute, coding, side in texels, file name and content key."""
 
     tile: int
     request: AttributeRequest
@@ -82,13 +82,14 @@ def bake(
 ) -> Baked:
     """Update the maps of requested attributes in `folder`; `resolutions`: texels along a side of each tile.
 
-    Heights are `height * vertical_scale + vertical_offset` metres. `on_progress` gets the finished fraction and may
-    raise, which cancels without a change of the folder. `lock` is held for each band of texels. Raises TerrainError.
+    Heights are `height * vertical_scale + vertical_offset` metres. `form`: PNG or EXR. `on_progress` gets the finished
+    fraction and may raise, which cancels without a change of the folder. `lock` is held for each band of texels. Raises
+    TerrainError.
     """
     folder, tiling = Path(folder), tiling_of(field.lattice)
-    place = _Place(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
+    ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
     images = [
-        _image(place, request, tile, side, form)
+        _image(ground, request, tile, side, form)
         for tile, side in enumerate(resolutions)
         for request in sorted(requests, key=lambda request: request.name)
     ]
@@ -97,13 +98,13 @@ def bake(
             pass
         partial_files.remove_abandoned(folder)
         before = read_index(folder)
-        listed = image_files(before or {"maps": {}})
+        listed = image_files(before or {"maps": {}})  # images of the earlier maps
         missing = [image for image in images if _key_in(folder / image.file) != image.key]
         for image in missing:
             _check_replaceable(folder / image.file, listed)
-        index = _index(place, images, before)
+        index = _index(ground, images, before)
         with partial_files.private_folder(folder) as partial:
-            _bake_images(place, missing, partial, on_progress, lock or nullcontext())
+            _bake_images(ground, missing, partial, on_progress, lock or nullcontext())
             (partial / JSON_NAME).write_text(json.dumps(index, indent=1), encoding="utf-8")
             with open_folder(folder, may_be_link=True) as target, open_folder(partial) as complete:
                 for file in [image.file for image in missing] + [JSON_NAME]:
@@ -118,8 +119,8 @@ def bake(
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """The ground of all images of a bake."""
+class _MapGround:
+    """The ground of all images of a bake, with heights `height * vertical_scale + vertical_offset`."""
 
     field: HeightField
     tiling: Tiling
@@ -141,7 +142,7 @@ class _Place:
         return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
-def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:
+def _image(ground: _MapGround, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:
     """Return the image of an attribute for a tile of `side` x `side` texels, with its content key.
 
     The key changes with everything that the pixels depend on: parameters, versions, heights, tiling and coding.
@@ -151,12 +152,12 @@ def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form:
     content = (
         VERSION,
         [(step.name, ATTRIBUTES[step.name].version, sorted(step.parameters)) for step in steps],
-        (place.field.raster.digest, place.vertical_scale, place.vertical_offset),
-        (place.tiling, tile, side, place.image_level(side)),
+        (ground.field.raster.digest, ground.vertical_scale, ground.vertical_offset),
+        (ground.tiling, tile, side, ground.image_level(side)),
         coding,
     )
     key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
-    number = place.tiling.udim_number(tile) if len(place.tiling) > 1 else None
+    number = ground.tiling.udim_number(tile) if len(ground.tiling) > 1 else None
     return _Image(tile, request, coding, side, file_name(request.name, coding.form, number), key)
 
 
@@ -179,7 +180,7 @@ def _key_in(file: Path) -> str | None:
 
 
 def _bake_images(
-    place: _Place,
+    ground: _MapGround,
     images: list[_Image],
     folder: Path,
     on_progress: Callable[[float], None],
@@ -192,7 +193,7 @@ def _bake_images(
     total = sum(int(side * side) for side in {image.tile: image.side for image in images}.values())
     done = 0
     on_progress(0.0)
-    with ThreadPoolExecutor(place.threads, "adaptive_terrain_maps") as pool:
+    with ThreadPoolExecutor(ground.threads, "adaptive_terrain_maps") as pool:
         for tile in sorted({image.tile for image in images}):
             together = [image for image in images if image.tile == tile]
             side = together[0].side
@@ -200,7 +201,7 @@ def _bake_images(
                 files = [_open_image(folder, image, pool, stack) for image in together]
                 for first in range(0, side, _band_rows(side)):
                     with lock:
-                        texels = _texel_places(place, tile, side, first, _band_rows(side))
+                        texels = _texel_points(ground, tile, side, first, _band_rows(side))
                         values = values_at(texels, [image.request for image in together])
                     for image, file in zip(together, files, strict=True):
                         file.add(_encode_band(values[image.request.name], image))
@@ -226,30 +227,31 @@ def _open_image(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -
     return file
 
 
-def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> SamplePoints:
+def _texel_points(ground: _MapGround, tile: int, side: int, first: int, rows: int) -> SamplePoints:
     """Return the ground below some rows of texels, as points for attributes.
 
     tile: number in the tiling. side: texels along a side of the image. first, rows: first row, from the north, and
     number of rows.
     """
-    ground, grid, tiling = pack_pyramid(place.field.raster, np.empty(1, np.float32)), kernels.Texels(), place.tiling
-    ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
+    no_coarser_levels = np.empty(1, np.float32)
+    heights, grid, tiling = pack_pyramid(ground.field.raster, no_coarser_levels), kernels.Texels(), ground.tiling
+    heights.height_scale, heights.height_offset = ground.vertical_scale, ground.vertical_offset
     grid.columns = side
     grid.west, grid.north = tiling.first_texel(tile, side)
     grid.step_x, grid.step_y = tiling.texel(side)
     positions = np.empty((rows * side, 3), np.float32)
-    inputs = [first * side, ground, grid, shared(positions, wp.vec3f)]
-    launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
-    level = np.full(len(positions), place.level(side), np.float32)
-    scale = place.vertical_scale, place.vertical_offset
-    return SamplePoints(place.field, positions, level, *scale, place.threads, place.image_level(side))
+    inputs = [first * side, heights, grid, shared(positions, wp.vec3f)]
+    launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=ground.threads)
+    level = np.full(len(positions), ground.level(side), np.float32)
+    scale = ground.vertical_scale, ground.vertical_offset
+    return SamplePoints(ground.field, positions, level, *scale, ground.threads, ground.image_level(side))
 
 
 def _encode_band(values: np.ndarray, image: _Image) -> np.ndarray:
-    """Encode attribute values of a band for the image's file.
+    """Encode attribute values of a band, float32 [rows * side] or [rows * side, width], for the image's file.
 
-    Returns bytes of rows for PNG, float32 [rows, side, channels] for EXR. PNG has rounded steps between the
-    coding's `low` and `high`; channels without a value are 0.
+    Returns uint8 [rows, bytes of a row] for PNG, float32 [rows, side, channels] for EXR. PNG has rounded steps between
+    the coding's `low` and `high`; channels without a value are 0.
     """
     coding, kind = image.coding, "f4"
     if coding.form == PNG:
@@ -268,36 +270,37 @@ def _srgb(linear: np.ndarray) -> np.ndarray:
     return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
 
 
-def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
+def _index(ground: _MapGround, images: list[_Image], before: dict | None) -> dict:
     """Return the index of the folder: the maps of `images`, and others that exist for the same ground.
 
     before: the folder's index so far, None without one.
     """
-    lattice, tiling = place.field.lattice, place.tiling
+    lattice, tiling = ground.field.lattice, ground.tiling
     west, south, east, north = lattice.rectangle()
     index = {
         "version": VERSION,
         "generator": "Adaptive Terrain",
-        "height_field": place.field.raster.digest,
+        "height_field": ground.field.raster.digest,
         "place": {"west": west, "south": south, "east": east, "north": north, "unit": "m"},
-        "origin": place.field.origin.tolist(),
-        "crs": place.field.crs,
-        "vertical_scale": place.vertical_scale,
-        "vertical_offset": place.vertical_offset,
+        "origin": ground.field.origin.tolist(),
+        "crs": ground.field.crs,
+        "vertical_scale": ground.vertical_scale,
+        "vertical_offset": ground.vertical_offset,
         "columns": tiling.columns,
         "rows": tiling.rows,
         "margin": tiling.margin,
     }
+    # Maps of other ground are not listed any more.
     is_same = before is not None and all(before.get(name) == value for name, value in index.items())
     maps = dict(before["maps"]) if before is not None and is_same else {}
     for name in sorted({image.request.name for image in images}):
-        maps[name] = _map_entry(place, [image for image in images if image.request.name == name])
+        maps[name] = _map_entry(ground, [image for image in images if image.request.name == name])
     return index | {"maps": {name: maps[name] for name in sorted(maps)}}
 
 
-def _map_entry(place: _Place, images: list[_Image]) -> dict:
+def _map_entry(ground: _MapGround, images: list[_Image]) -> dict:
     """Return the JSON entry of a map in maps.json: unit, file names, coding and tiles. images: one for each tile."""
-    effect, coding, tiling = ATTRIBUTES[images[0].request.name], images[0].coding, place.tiling
+    effect, coding, tiling = ATTRIBUTES[images[0].request.name], images[0].coding, ground.tiling
     coded = {
         "channels": coding.channels,
         "bits": coding.depth,

@@ -43,7 +43,8 @@ def coding_of(effect: AttributeDeclaration, form: str) -> Coding:
         raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")
     channels = 3 if effect.width == 2 else effect.width  # no format has two
     if effect.span is None:
-        return Coding(EXR, channels, 32, 0.0, 1.0)
+        return Coding(EXR, channels, depth=32, low=0.0, high=1.0)
     if form == EXR:
-        return Coding(EXR, channels, 16, 0.0, 1.0)
-    return Coding(PNG, channels, 8 if effect.unit in NO_UNIT else 16, *effect.span, effect.unit == LINEAR_RGB)
+        return Coding(EXR, channels, depth=16, low=0.0, high=1.0)
+    depth, (low, high) = 8 if effect.unit in NO_UNIT else 16, effect.span
+    return Coding(PNG, channels, depth, low, high, srgb=effect.unit == LINEAR_RGB)

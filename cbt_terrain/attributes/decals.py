@@ -43,7 +43,7 @@ class DecalPicture:
 
 
 def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
-    """Return the picture of pixels, float [rows, columns, 4], 0 .. 1, not premultiplied.
+    """Return the picture of pixels, float [rows, columns, 4], 0 .. 1, row 0 at the lower edge, not premultiplied.
 
     tilts: the pixels are a normal map, of which slopes are stored; else linear colours.
     """
@@ -104,7 +104,10 @@ class Decal:
         return west, south, self.corner[0] + max(x), self.corner[1] + max(y)
 
     def sample(self, places: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices of the points that it covers, int [n], and its values at their scale, float32 [n, 4]."""
+        """Return the indices of the points that it covers, int64 [n], and its values there, float32 [n, 4].
+
+        Values are interpolated between the two mipmaps nearest to each point's scale, and multiplied by the opacity.
+        """
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
         y = places.positions[:, 1].astype(np.float64) - self.corner[1]
         u = (x * self.up[1] - y * self.up[0]) / self._area
@@ -113,15 +116,16 @@ class Decal:
         u, v = u[which], v[which]
         mips, lattice = self.picture.mips, places.field.lattice
         rows, columns, _ = mips[0].shape
+        # From a level of the raster's pyramid to one of the mipmaps: 0 has the image's own pixels.
         levels = places.level[which] if places.image_level is None else places.image_level
         levels = levels + np.full(len(which), math.log2(max(lattice.step_x, lattice.step_y) / self.pixel))
         levels = np.clip(levels, 0.0, len(mips) - 1.0)
         values = np.zeros((len(which), 4), np.float32)
         for number, mip in enumerate(mips):
             weight = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
-            at = np.flatnonzero(weight)
-            pixel = u[at] * (columns / 2**number) - 0.5, v[at] * (rows / 2**number) - 0.5
-            values[at] += weight[at, None] * _interpolate(mip, *pixel)
+            some = np.flatnonzero(weight)
+            pixel = u[some] * (columns / 2**number) - 0.5, v[some] * (rows / 2**number) - 0.5
+            values[some] += weight[some, None] * _interpolate(mip, *pixel)
         return which, values * np.float32(self.opacity)
 
 
@@ -156,8 +160,9 @@ def tilt(normals: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> 
         if decal.picture.tilts:
             which, values = decal.sample(places)
             upright = normals[which] / normals[which, 2:]
-            for slope, (x, y) in zip(values.T, (decal.along, decal.up), strict=False):
+            for slope, (x, y) in zip(values.T[:2], (decal.along, decal.up), strict=True):
                 length = math.sqrt(x * x + y * y)
+                # An upright normal, z = 1, has the negative slopes as x and y.
                 upright[:, 0] -= slope * np.float32(x / length)
                 upright[:, 1] -= slope * np.float32(y / length)
             normals[which] = upright / np.sqrt((upright * upright).sum(axis=1, keepdims=True))

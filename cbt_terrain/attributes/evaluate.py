@@ -41,23 +41,19 @@ def kernels_of(plan: AttributePlan) -> list[ModuleType]:
 
 @dataclass(frozen=True)
 class Ran:
-    """The cost of one step.
+    """The cost of one step of a plan."""
 
-    Milliseconds (an even share of a common call), bytes of its values, and the number of computed elements, 0 if all
-    were reused.
-    """
-
-    ms: float
-    nbytes: int
-    computed: int
+    ms: float  # an even share of a common call
+    nbytes: int  # of its values
+    computed: int  # points whose values were computed; 0 if all were reused
 
 
 @dataclass(frozen=True)
 class EffectRequest:
     """A plan and a surface; other arguments as of `Terrain.update`.
 
-    Without views, attributes in pictures have the raster's scale, and so have those in geometry unless
-    `geometry_metres` sets another.
+    Without views, attributes in pictures have the raster's scale. geometry_metres: metres between samples of the scale
+    of attributes in geometry, 0 for the raster's.
     """
 
     plan: AttributePlan
@@ -108,7 +104,7 @@ def evaluate(
         last, key = values.source, request.key(heights)
         ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
         if request.surface is not last.surface() or key != last.request:
-            keys = _keys(request, heights)
+            keys = _keys_of_steps(request, heights)
             found = _evaluate_steps(heights, request, values, keys, max_bytes, ran)
             names = request.plan.attributes
             attributes = {name: Attribute(found[name], POINTS, ATTRIBUTES[name].unit) for name in names}
@@ -127,34 +123,36 @@ def _evaluate_steps(
 ) -> dict[str, np.ndarray]:
     """Return the values of all steps by name, and record their costs in `ran`.
 
-    heights: field that attributes read. keys: everything but the surface that each step's values depend on; values
-    of the last surface are reused if that is unchanged. max_bytes: limit of kept arrays.
+    heights: field that attributes read. values: arrays of the last surface, which are moved to this one. keys:
+    everything but the surface that each step's values depend on; values of the last surface are reused if that is
+    unchanged. max_bytes: limit of values and caches together.
     """
     steps, last, scale = request.plan.steps, values.source, (request.vertical_scale, request.vertical_offset)
     positions = values.move_to(request.surface.positions)
-    places, fresh = {}, {}
+    places, fresh = {}, {}  # by family: all points with their levels; indices of those to compute, None for all
     for family in sorted({step.family for step in steps}):
-        levels, before = values.turn(family)
+        levels, before = values.swap_arrays(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
         places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
-        fresh[family] = values.fresh(levels, before)
+        fresh[family] = values.find_fresh(levels, before)
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new_points()
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
-    once = _held_once(nonzero, len(positions), max_bytes)
-    values.forget(once)
-    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - once
+    dropped = _choose_dropped(nonzero, len(positions), max_bytes)
+    values.forget(dropped)
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - dropped
+    # By name, the points to compute; None, all points, where nothing is reused.
     which = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
     which |= dict.fromkeys(which.keys() - reused)
     found = values.reuse({name: ATTRIBUTES[name].width for name, some in which.items() if some is not None})
     for step in set(steps) - set(nonzero):
         found[step.name] = values.zeros(ATTRIBUTES[step.name].width)
-    for group in _groups(nonzero, reused):
+    for group in _group_steps(nonzero, reused):
         start = time.perf_counter()
-        computed = _make_group(group, places[group[0].family], which[group[0].name], found, values, once)
+        computed = _complete_group(group, places[group[0].family], which[group[0].name], found, values, dropped)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
         ran |= {step.name: Ran(ms, found[step.name].nbytes, computed) for step in group}
     values.forget_others({*which, *places})
@@ -205,7 +203,7 @@ def _attributes_read(step: AttributeRequest) -> set[str]:
     return set(ATTRIBUTES[step.name].reads_with(step.parameters))
 
 
-def _held_once(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
+def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
     """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
 
     Those that are cheapest to compute for their size are dropped first.
@@ -213,15 +211,15 @@ def _held_once(steps: Sequence[AttributeRequest], count: int, max_bytes: int) ->
     effects = [ATTRIBUTES[step.name] for step in steps]
     # Two copies of points and of the levels of both families.
     left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
-    once = set()
+    dropped = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
         left -= NUMBER * count * effect.width
         if left < 0:
-            once.add(effect.name)
-    return once
+            dropped.add(effect.name)
+    return dropped
 
 
-def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
+def _keys_of_steps(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
     """Return a key of each step's values: ground, scale, parameters and the keys of attributes that it reads.
 
     The points and the levels of pictures are not in it, since they change with every surface.
@@ -238,9 +236,12 @@ def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
     return keys
 
 
-def _groups(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Group]:
-    """Group steps that one call computes: they share the function, the family and the points to compute."""
-    group_of: dict[str, int] = {}
+def _group_steps(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Group]:
+    """Group steps that one call computes: they share the function, the family and the points to compute.
+
+    A group comes after those of the attributes that it reads. reused: names of steps with values of the last surface.
+    """
+    group_of: dict[str, int] = {}  # index in `order` of each step's group
     order: list[tuple[tuple, Group]] = []
     for step in steps:
         kind = (ATTRIBUTES[step.name].make, step.family, ATTRIBUTES[step.name].scaled, step.name in reused)
@@ -268,23 +269,24 @@ def _compute_group(
     return found
 
 
-def _make_group(
+def _complete_group(
     group: Group,
     places: SamplePoints,
     which: np.ndarray | None,
     found: dict[str, np.ndarray],
     values: EffectValues,
-    once: set[str],
+    dropped: set[str],
 ) -> int:
-    """Compute the group's values into `found` and return the number of computed elements.
+    """Compute the group's values into `found` and return the number of points that were computed.
 
-    which: points to compute, where `found` has the others from the last surface; None for all. once: names of the
-    attributes whose values of the last surface are dropped, to keep memory bounded.
+    which: indices of the points to compute, where `found` has the others from the last surface; None for all. values:
+    stores whole arrays for the next surface. dropped: names of the attributes whose values of the last surface are
+    dropped, to keep memory bounded.
     """
     read = {name: found[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _compute_group(group, places, read).items():
-            values.put(name, array, name in once)
+            values.put(name, array, drop_last=name in dropped)
             found[name] = array
         return len(places)
     if len(which):

@@ -116,16 +116,17 @@ def comment_of(path: Path) -> str | None:
             end = head.find(b"screenWindowWidth\0float\0")
             if not head.startswith(MAGIC) or start < 0 or end < 0:
                 return None
-            at = start + len(COMMENT) + 8
-            (length,) = struct.unpack("<i", head[at : at + 4])
-            window = head.find(b"dataWindow\0box2i\0") + 21
+            text = start + len(COMMENT) + 8  # after the name and type, which end with 0
+            (length,) = struct.unpack("<i", head[text : text + 4])
+            window = head.find(b"dataWindow\0box2i\0") + 21  # after name, type and size
             side = struct.unpack("<iiii", head[window : window + 16])[2] + 1
-            # The table of blocks is written last, and its last block ends with the file.
+            # The table follows the last entry (24 bytes of name and type, size, value) and the header's final 0. Maps
+            # are squares of whole blocks.
             file.seek(end + 33 + 8 * (side // BLOCK - 1))
             (last,) = struct.unpack("<Q", file.read(8))
-            file.seek(last + 4)
+            file.seek(last + 4)  # a block: number of its first line, size, data
             (size,) = struct.unpack("<i", file.read(4))
             whole = last > 0 and file.seek(0, 2) == last + 8 + size
     except (OSError, struct.error):
         return None
-    return head[at + 4 : at + 4 + length].decode("latin-1") if whole else None
+    return head[text + 4 : text + 4 + length].decode("latin-1") if whole else None

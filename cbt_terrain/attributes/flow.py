@@ -31,7 +31,7 @@ def routed_level(field: HeightField) -> int:
 
 
 def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightRaster:
-    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a raster."""
+    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a cached raster."""
     level = routed_level(field)
     (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
     # Slopes are only compared with each other, so that only the sign of their scale matters.
@@ -39,10 +39,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
-        """Compute the attribute flow at points: the drainage area in m^2, from one result for the whole raster.
-
-        wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
-        """
+        """Compute the logarithms, float32 [rows, columns], where none are cached."""
         heights = level_of(field.raster, level, threads) * np.float32(sign)
         holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
         if holes is not None:  # a level may end beyond the border
@@ -61,7 +58,10 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute the attribute flow at points: the drainage area in m^2, from one result for the whole raster.
+
+    wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
+    """
     field, out = places.field, np.empty(len(places), np.float32)
     areas = scaled_pyramid(
         logarithms(field, places.vertical_scale, places.threads),

@@ -39,11 +39,11 @@ KIND = "masks of detail"
 
 @dataclass(frozen=True)
 class LayeredDetail:
-    """Displacement of the whole terrain, or None, and of some of the splat `layers`: pairs of index and detail."""
+    """Displacement of the whole terrain, `everywhere`, and of some of the splat layers."""
 
     everywhere: Detail | Tiled | None
-    layers: tuple[Layer, ...]
-    details: tuple[tuple[int, Detail | Tiled], ...]
+    layers: tuple[Layer, ...]  # all splat layers
+    details: tuple[tuple[int, Detail | Tiled], ...]  # index of a layer, and its displacement
 
 
 def displaced(
@@ -69,17 +69,17 @@ def displaced(
 
 
 def _masks(
-    field: HeightField, layers: tuple[Layer, ...], numbers: tuple[int, ...], heights: tuple[float, float], threads: int
+    field: HeightField, layers: tuple[Layer, ...], numbers: tuple[int, ...], vertical: tuple[float, float], threads: int
 ) -> list[LayerMask]:
     """Return the masks, a byte for each sample, of some splat layers, cached with the field.
 
-    numbers: indices of the layers. heights: vertical scale and offset.
+    numbers: indices of the layers. vertical: scale and offset of heights.
     """
-    key = layers, numbers, heights
+    key = layers, numbers, vertical
     with caching:
         cache = field.cache.results.setdefault((KIND,), OrderedDict())
         if key not in cache:
-            cache[key] = _compute_masks(field, layers, numbers, heights, threads)
+            cache[key] = _compute_masks(field, layers, numbers, vertical, threads)
             while len(cache) > MAX_CACHED:
                 cache.popitem(last=False)
         cache.move_to_end(key)
@@ -90,7 +90,7 @@ def _compute_masks(
     field: HeightField,
     layers: tuple[Layer, ...],
     numbers: Sequence[int],
-    heights: tuple[float, float],
+    vertical: tuple[float, float],
     threads: int,
 ) -> list[LayerMask]:
     """Return the masks of the splat layers `numbers` at all samples, 8 bits each, from the field's store if it can.
@@ -99,13 +99,13 @@ def _compute_masks(
     """
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
     versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
-    digest = hashlib.blake2b(repr((versions, layers, numbers, heights)).encode(), digest_size=8).hexdigest()
+    digest = hashlib.blake2b(repr((versions, layers, numbers, vertical)).encode(), digest_size=8).hexdigest()
     masks, maxima = f"masks_{digest}", f"mask_maxima_{digest}"
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
         """Compute the masks row by row, and their maxima."""
         requests = [AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in names]
-        for rows, values in on_samples(field, requests, heights[0], heights[1], threads):
+        for rows, values in on_samples(field, requests, *vertical, threads):
             for mask, number in zip(arrays[masks], numbers, strict=True):
                 weights = values[NAMES[number // 4]][..., number % 4]
                 mask[rows] = np.rint(weights * np.float32(ALL))

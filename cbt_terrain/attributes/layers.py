@@ -40,7 +40,9 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
         values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
             raster = _as_raster(places.field, name)
-            pyramid = scaled_pyramid(raster, 1.0, 0.0, places.threads, f"{PYRAMID}_{name}")
+            pyramid = scaled_pyramid(
+                raster, vertical_scale=1.0, vertical_offset=0.0, threads=places.threads, name=f"{PYRAMID}_{name}"
+            )
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
             inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)

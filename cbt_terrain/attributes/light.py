@@ -62,7 +62,9 @@ def strongest(suns: Iterable[Iterable[float]]) -> tuple[float, float, float, flo
 def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | None:
     """Return the inputs of the kernel `sun_seen`, None if the whole disc is below the horizontal.
 
-    Single precision hides the last bits of the C library's sines.
+    They are the elevation and radius in radians, the slopes `low` and `high` to its lower and upper edge, and upright
+    strips of the disc: azimuth (cosine, sine), and half the height in radii. Single precision hides the last bits of
+    the C library's sines. sun: x, y, z towards it and the angle of its disc in radians.
     """
     x, y, z, angle = sun
     level = math.sqrt(x * x + y * y)

@@ -23,7 +23,8 @@ MARGIN = 1e-9
 
 def occluder_of(places: SamplePoints) -> kernels.Occluder:
     """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field."""
-    occluder = every_crossing(places.field, places.vertical_scale)
+    occluder = occluder_without_blocks(places.field, places.vertical_scale)
+    # A negative scale turns the ground upside down.
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
     tops, first, wide = extremes(field, reduce)
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int64), flat(wide, wp.int32)
@@ -31,8 +32,8 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
     return occluder
 
 
-def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
-    """Return the ground for rays, without the tree of blocks by which others skip ground below a ray.
+def occluder_without_blocks(field: HeightField, scale: float) -> kernels.Occluder:
+    """Return the ground without its tree of blocks, for rays that examine every line of samples that they cross.
 
     scale: vertical scale of the heights.
     """
@@ -51,7 +52,7 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
 def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
     """Launch a kernel over points, AT_ONCE at a time, and let it fill `out`, float32 [n].
 
-    inputs: its arguments before the points and the result. cost: nanoseconds a point, over a base.
+    inputs: its arguments before the points and the result. cost: of a point, as of `launch.spread`.
     """
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)

@@ -27,7 +27,8 @@ def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
     """
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
-    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
+    first_azimuth = 0
+    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, first_azimuth, AZIMUTHS]
     launch_at_points(sky_seen, places, inputs, out, cost=2000.0)
     return out
 

@@ -39,7 +39,7 @@ def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
             found[request.name] = _merge(found[request.name], request) if request.name in found else request
     attributes = tuple(sorted(found))
     waiting = list(found.values())
-    while waiting:
+    while waiting:  # also for a known attribute whose request has changed, since that may concern those that it reads
         request = waiting.pop()
         for name in ATTRIBUTES[request.name].reads_with(request.parameters):
             reader = f"effect {request.name}"

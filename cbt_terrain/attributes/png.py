@@ -85,7 +85,7 @@ def _compress_block(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
 
     Returns the bytes and the rows, for the checksum.
     """
-    compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
+    compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)  # negative: without the head of a zlib stream
     data = compressor.compress(rows.data)
     return data + compressor.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
 

@@ -48,7 +48,7 @@ def scaled_pyramid(
 def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray:
     """Return the levels above the samples, float32, concatenated, the finest first, from the raster's store if it can.
 
-    Each halves the one below.
+    Each has half the resolution of the one before.
     """
 
     def halve(arrays: dict[str, np.ndarray]) -> None:
@@ -83,6 +83,7 @@ def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
     found = kernels.Pyramid()
     found.samples = codes.pack_samples(raster.samples, raster.steps)
     found.coarser = flat(coarser, wp.float32)
+    # First sample of each level in `coarser`; level 0 is not in it.
     first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]
     found.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
     found.rows = wp.array(sizes[:, 0], dtype=wp.int32, device=launch.DEVICE)

@@ -28,8 +28,8 @@ class Drainage:
     """The drainage of a raster; arrays of n samples in C order.
 
     `base`: uint8, 1 where water leaves. `to`: uint8, direction of the receiver, 3 * (dy + 1) + dx + 1, 4 for a root,
-    which is always of `base`. `order`: int32, indices with donors before receivers. `heights`: float32. `catchments`:
-    float64, drainage area in samples by single receivers.
+    which is always of `base`. `order`: int32, indices with donors before receivers. `heights`: float32 metres.
+    `catchments`: float64, drainage area in samples by single receivers.
     """
 
     grid: kernels.Grid
@@ -53,8 +53,11 @@ class Drainage:
         return out
 
     def areas(self, filled: np.ndarray) -> np.ndarray:
-        """Return drainage areas in samples by multiple flow directions, float64 [n]; they are conserved."""
-        count, d = len(self.to), self.packed(filled)
+        """Return drainage areas in samples by multiple flow directions, float64 [n]; they are conserved.
+
+        filled: surface of lakes, float32 [n] m, as of `filled`.
+        """
+        count, d = len(self.to), self.packed(filled)  # the arrays to sort are twice as long, which a radix sort needs
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
         item[:count] = self.order[::-1]  # receivers before donors
         np.take(filled, item[:count], out=key[:count])
@@ -65,7 +68,7 @@ class Drainage:
         return area
 
     def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:
-        """Set the area of all samples of a lake to that of its outlet."""
+        """Set the area of all samples of a lake to that of its outlet, in place. Arguments are those of `areas`."""
         d = self.packed(filled)
         d.area = flat(area, wp.float64)
         launch.once(catchment.level_lakes, [d], step="routing")
@@ -125,7 +128,7 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
 
 
 def _inverse_distances(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
-    """Return 1 / distance by direction, with the factors of DIAGONAL, for the choice of receivers.
+    """Return 1 / metres along x, along y and diagonally, with the factors of DIAGONAL, for the choice of receivers.
 
     draw: noise on the choice, None without; then no factor is needed.
     """

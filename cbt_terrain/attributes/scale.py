@@ -54,7 +54,7 @@ def footprint_levels(
         levels[:] = 0.0
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
-    levels[:] = np.inf
+    levels[:] = np.inf  # the kernel takes the minimum
     eyes = wp.array(
         [_footprint_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE
     )
@@ -65,7 +65,7 @@ def footprint_levels(
 
 
 def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
-    """Return a view for the footprint kernel; a pixel covers sqrt(pixel2) samples at unit distance.
+    """Return a view for the footprint kernel; a pixel covers sqrt(pixel2) spacings of samples at unit distance.
 
     placement: float64 [4, 4], maps the terrain's space to the world.
     """

@@ -35,7 +35,7 @@ def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_of
         low = first + np.arange(count) * size
         ends = np.stack([low, low + size], axis=1)
         found[..., axis] = ends if axis == 0 else ends[:, None]
-        sides.append((ends - first) / step)
+        sides.append((ends - first) / step)  # in samples
     heights = rectangle_ranges(field, *sides) * vertical_scale + vertical_offset
     found[..., 2] = np.sort(heights, axis=-1)
     return found.reshape(-1, 2, 3)
@@ -76,7 +76,10 @@ def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
 
 
 def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
-    """Return False for boxes completely outside of one plane of the frame, bool [tiles]."""
+    """Return False for boxes completely outside of one plane of the frame, bool [tiles].
+
+    boxes, placement: as of `footprints`.
+    """
     inside = np.ones(len(boxes), bool)
     for a, b, c, d in product(frustum_planes(view, (0.0, 0.0)), product(view.world_to_camera, placement)):
         normal = np.array([a, b, c])
@@ -122,4 +125,5 @@ def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeReq
 def _side(tiling: Tiling, metres: float) -> int:
     """Return the texels along a side of a tile with texels of at most `metres`."""
     needed = max(tiling.width, tiling.height) / tiling.inner / metres
-    return min(1 << max(math.ceil(math.log2(max(needed, MIN_SIDE)) - 1e-9), 0), MAX_SIDE)
+    exponent = math.ceil(math.log2(max(needed, MIN_SIDE)) - 1e-9)  # 1e-9: rounding must not double a power of two
+    return min(1 << max(exponent, 0), MAX_SIDE)

@@ -18,7 +18,7 @@ from ...kernels.effects.sweep import layer_at_points, sky_between
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import azimuths
-from .occluder import every_crossing, launch_at_points
+from .occluder import launch_at_points, occluder_without_blocks
 from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
 FULL, PREVIEW = "FULL", "PREVIEW"
@@ -27,13 +27,13 @@ FULL, PREVIEW = "FULL", "PREVIEW"
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the visible fraction of the sky at points, 0 to 1, from sweeps over the whole raster.
 
-    wanted: {"sky": {"quality": PREVIEW or final}}; a preview uses fewer azimuths. read: unused. Returns {"sky":
-    float32 [n]}.
+    wanted: {"sky": {"quality": FULL or PREVIEW}}; a preview uses coarse heights and fewer azimuths. read: unused.
+    Returns {"sky": float32 [n]}.
     """
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
-        inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
+        inputs = [occluder_without_blocks(field, scale), preview_horizons(field, scale, places.threads), directions]
         launch_at_points(sky_between, places, inputs, out, cost=25.0)
     else:
         launch_at_points(layer_at_points, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)

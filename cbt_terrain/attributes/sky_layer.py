@@ -38,7 +38,7 @@ def layer_level(field: HeightField) -> int:
 
 
 def is_known(field: HeightField, scale: float) -> bool:
-    """Return whether the layer is complete, so that values from it take no time."""
+    """Return whether the layer of a vertical scale is complete, so that values from it take no time."""
     with caching:
         looked = field.cache.results.setdefault((LOOKED,), set())
         if (LAYER, scale) not in field.cache.results and scale not in looked:
@@ -149,8 +149,12 @@ def sweep(
 ) -> None:
     """Fill `out` (float32 [rows, columns]) with the slope of each sample's horizon, at least 0.
 
+    Lines in the direction of the azimuth cross the raster. `major` is the axis (rows or columns) that is more nearly
+    along them, `minor` the other one, along which lines are a sample apart.
+
     heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale`. steps: metres of a cell. azimuth:
-    float64 [2], unit length. first: row and column of sample [0, 0] in a larger raster, whose lines are used.
+    float64 [2], unit vector to the east and north. first: row and column of sample [0, 0] in a larger raster, whose
+    lines are used.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
@@ -161,7 +165,7 @@ def sweep(
     along, across = (north, east) if upright else (east, north)
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     s.phase = s.slope * first[0 if upright else 1] % 1.0
-    reach = s.slope * (s.major - 1)
+    reach = s.slope * (s.major - 1)  # samples that a line moves along the minor axis across the raster
     s.first = int(np.floor(min(-reach, 0.0) - s.phase))
     # One line beyond the last sample, since a sample is on a line or between it and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2

@@ -82,7 +82,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
     `lowest`, `highest`: metres at which relief is 0 and 1.
     """
     check_layers(layers)
-    row, rows = 0, {}
+    row, rows = 0, {}  # first row of each attribute in `_rule_inputs`
     for name in attributes_of_rules(layers):
         rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
     structs = []
@@ -140,7 +140,7 @@ def example(evaluate: Evaluate) -> None:
 
 
 def _is_empty(first: int, values: Mapping[str, ParameterValue]) -> bool:
-    """Return whether there is no splat layer with the index `first`."""
+    """Return whether there is no splat layer with the index `first`. values: the attribute's parameters."""
     return len(values["layers"]) <= first
 
 

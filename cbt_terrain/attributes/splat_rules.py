@@ -45,7 +45,7 @@ class Rule:
 
     Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
     aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
-    clockwise from north. `other`: index of an earlier layer.
+    clockwise from north. `other`: index of an earlier layer, for a rule about LAYER. `image`: for one about IMAGE.
     """
 
     of: str
@@ -64,6 +64,7 @@ class Rule:
 class Layer:
     """A layer with its rules.
 
+    `strength`: factor on the product of its rules. `on_top`: it takes its share from the layers before it.
     `noise_size`: longest wave of its noise in metres, 0 for no noise. `ragged`: largest shift of the rules' limits by
     noise, in widths of their edges.
     """

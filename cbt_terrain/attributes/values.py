@@ -21,12 +21,12 @@ MAX_FRESH = 0.75
 
 @dataclass(frozen=True)
 class ValueSource:
-    """The origin of values: the surface, the request, the key of each attribute, and the attributes."""
+    """The origin of values, by which they are reused."""
 
     surface: "ref[Surface] | Callable[[], None]" = lambda: None
-    request: tuple = ()
-    keys: dict[str, tuple] = field(default_factory=dict)
-    attributes: dict[str, Attribute] = field(default_factory=dict)
+    request: tuple = ()  # EffectRequest.key
+    keys: dict[str, tuple] = field(default_factory=dict)  # of each step
+    attributes: dict[str, Attribute] = field(default_factory=dict)  # the result
 
 
 class EffectValues:
@@ -40,9 +40,9 @@ class EffectValues:
         self.threads = threads
         self.source = ValueSource()
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
-        self._count = self._last_count = 0
+        self._count = self._last_count = 0  # points of this surface and of the last one
         self._zeros: dict[int, np.ndarray] = {}  # by width
-        self._runs = np.empty((0, 3), np.int32)
+        self._runs = np.empty((0, 3), np.int32)  # `_match_runs`
 
     @property
     def nbytes(self) -> int:
@@ -52,41 +52,42 @@ class EffectValues:
     def move_to(self, positions: np.ndarray) -> np.ndarray:
         """Start another surface, float32 [V, 3]; this one becomes the last one. Return a copy of its points."""
         self._last_count, self._count = self._count, len(positions)
-        places, last = self.turn(PLACES, 3)
+        places, last = self.swap_arrays(PLACES, 3)
         launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._point_ranges()])
-        self._runs = np.empty((0, 3), np.int32) if last is None else _runs(places, last)
+        self._runs = np.empty((0, 3), np.int32) if last is None else _match_runs(places, last)
         return places
 
-    def turn(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return an uninitialized array, float32 [V] or [V, width], and the last surface's array, or None."""
-        now, before = self._arrays.get(name, (None, None))
-        if before is None or len(before) < self._count:
-            more = int(1.25 * self._count)
-            before = np.empty((more, width) if width > 1 else more, np.float32)
-        self._arrays[name] = before, now
-        return before[: self._count], None if now is None else now[: self._last_count]
+    def swap_arrays(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return an uninitialized array, float32 [V] or [V, width], and the last surface's array, or None.
 
-    def put(self, name: str, values: np.ndarray, once: bool = False) -> None:
+        The memory of the first is that of the surface before the last, if it is large enough.
+        """
+        last, older = self._arrays.get(name, (None, None))
+        if older is None or len(older) < self._count:
+            more = int(1.25 * self._count)  # so that small growth of the mesh allocates nothing
+            older = np.empty((more, width) if width > 1 else more, np.float32)
+        self._arrays[name] = older, last
+        return older[: self._count], None if last is None else last[: self._last_count]
+
+    def put(self, name: str, values: np.ndarray, drop_last: bool = False) -> None:
         """Store the complete array of an attribute on this surface.
 
-        once: drop the array of the last surface, which is not reused.
+        drop_last: drop the array of the last surface, which is not reused.
         """
-        self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
+        self._arrays[name] = values, None if drop_last else self._arrays.get(name, (None, None))[0]
 
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
         """Return new arrays by name, float32 [V] or [V, width], with the values of points that the last surface has.
 
         Values of other points are uninitialized. widths: numbers for each point, by name of the attribute.
         """
-        turned = {name: self.turn(name, width) for name, width in widths.items()}
-        pairs = [
-            _pair(new_points, last, widths[name]) for name, (new_points, last) in turned.items() if last is not None
-        ]
+        swapped = {name: self.swap_arrays(name, width) for name, width in widths.items()}
+        pairs = [_pair(values, last, widths[name]) for name, (values, last) in swapped.items() if last is not None]
         if len(self._runs) and pairs:
             arrays = [shared(self._runs, wp.vec3i), len(self._runs)]
             arrays.append(wp.array(pairs, dtype=kernels.Pair, device=launch.DEVICE))
             launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._point_ranges()], step="kept")
-        return {name: values for name, (values, _) in turned.items()}
+        return {name: values for name, (values, _) in swapped.items()}
 
     def zeros(self, width: int) -> np.ndarray:
         """Return zeros, float32 [V, width], for reading only; unwritten pages take no memory."""
@@ -95,10 +96,11 @@ class EffectValues:
             self._zeros[width] = held = np.zeros((int(1.25 * self._count), width), np.float32)
         return held[: self._count]
 
-    def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """Return the points that the last surface lacks or has at another level, int32 [n].
+    def find_fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
+        """Return the indices of the points that the last surface lacks or has at another level, int32 [n].
 
-        None if they are more than MAX_FRESH of all, as it is faster then to compute all.
+        None if they are more than MAX_FRESH of all, as it is faster then to compute all. levels, last: float32, of the
+        points of this surface and of the last one.
         """
         if last is None or not len(self._runs):
             return None
@@ -110,8 +112,8 @@ class EffectValues:
         return fresh[: found[0]] if found[0] <= MAX_FRESH * self._count else None
 
     def new_points(self) -> np.ndarray:
-        """Return the points that the last surface lacks, so that their values must be computed, int32 [n]."""
-        change = np.zeros(self._count + 1, np.int8)
+        """Return the indices of the points that the last surface lacks, int32 [n]; others keep their values."""
+        change = np.zeros(self._count + 1, np.int8)  # + 1 where a run begins, - 1 after its end
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
         return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
@@ -137,15 +139,18 @@ def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
     return pair
 
 
-def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the common runs, int32 [n, 3]: first point, first point of the last surface, count."""
+def _match_runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the runs of consecutive points that two surfaces share, in the same order there, int32 [n, 3].
+
+    Columns: first point in `places`, first point in `last`, count. places, last: float32 [V, 3].
+    """
     if not len(places) or not len(last):
         return np.empty((0, 3), np.int32)
     runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
     arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
     ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
     launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
-    if found[1] < len(places):
+    if found[1] < len(places):  # found: number of runs, and of the points in them
         bits = len(last).bit_length() + 1  # few points share a hash
         table = np.full(1 << bits, -1, np.int32)
         launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")

@@ -33,7 +33,8 @@ def whole(
     """Return the result of the attribute `name`, finite float32 [lattice.height, lattice.width], as a raster.
 
     `make` computes it if it is not cached. Other results may be evicted from memory for it. version: the attribute's.
-    parameters: everything else that the result depends on except the raster.
+    parameters: everything else that the result depends on except the raster. lattice: of the result, which may be
+    coarser than the field's.
     """
     file = result_file(name, version, parameters)
     key = f"{field.raster.digest}-{file}"

@@ -29,13 +29,13 @@ def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list
     """Return reused values of width 1 and 3 at the second surface, and how many were computed anew."""
     kept, found = EffectValues(threads), []
     kept.move_to(first)
-    kept.turn("level")[0][:] = first[:, 2] > 1500
+    kept.swap_arrays("level")[0][:] = first[:, 2] > 1500
     kept.put("one", first[:, 0] * 2 + 1)
     kept.put("three", first * 2 + 1)
     kept.move_to(second)
-    levels, before = kept.turn("level")
+    levels, before = kept.swap_arrays("level")
     levels[:] = second[:, 2] > 1400
-    fresh = kept.fresh(levels, before)
+    fresh = kept.find_fresh(levels, before)
     both = kept.reuse({"one": 1, "three": 3})
     for name, places in (("one", second[:, 0]), ("three", second)):
         values = both[name]

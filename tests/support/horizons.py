@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
-from adaptive_terrain.cbt_terrain.attributes.occluder import every_crossing, occluder_of
+from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of, occluder_without_blocks
 from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
@@ -35,7 +35,7 @@ def horizons(
 def engines(places: SamplePoints, azimuths: np.ndarray, far=1e300, least=0.0, blocks=True) -> np.ndarray:
     """float64 [n]: the slope of each place's horizon along its azimuth (float64 [n, 2]); without blocks every crossing
     is visited."""
-    ground = occluder_of(places) if blocks else every_crossing(places.field, places.vertical_scale)
+    ground = occluder_of(places) if blocks else occluder_without_blocks(places.field, places.vertical_scale)
     out = np.zeros(len(places))
     where = wp.array(np.ascontiguousarray(places.positions), dtype=wp.vec3f, device="cpu", copy=False)
     along = wp.array(np.ascontiguousarray(azimuths), dtype=wp.vec2d, device="cpu", copy=False)

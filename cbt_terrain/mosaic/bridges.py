@@ -16,53 +16,55 @@ MIN_WEIGHT = 0.5 - 1e-9
 
 def bridge(
     piece: GridPiece,
-    found: list[tuple[BlockNodes, LatticeWindow]],
+    lattices: list[tuple[BlockNodes, LatticeWindow]],
     out: np.ndarray,
     ranks: np.ndarray,
     moved: np.ndarray,
 ) -> None:
-    """Fill samples of a piece that no tile covers from the borders of tiles within one cell, by their ranks.
+    """Fill samples of a piece that no tile covers from the borders of tiles within one cell, in order of their ranks.
 
-    found: nodes and samples of each lattice that the piece meets. out, ranks, moved: heights, ranks and errors of the
-    positions of the piece's samples, [rows, columns], which are changed in place.
+    lattices: nodes and samples of each lattice that the piece meets. out, ranks, moved: fields of the piece's
+    PieceValues, [rows, columns]; `out` and `moved` are changed in place.
     """
     rows, columns = np.nonzero(ranks == UNCOVERED)
-    weights, sums = np.zeros(len(rows)), np.zeros(len(rows))
-    low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
-    errors, off = np.zeros(len(rows)), np.zeros(len(rows))
-    parts = []
-    for number, (nodes, window) in enumerate(found):
-        u = _at(nodes.u, nodes.spacing, piece, rows, columns)
-        v = _at(nodes.v, nodes.spacing, piece, rows, columns)
+    weights, sums = np.zeros(len(rows)), np.zeros(len(rows))  # of all tiles so far, at each uncovered sample
+    low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)  # extremes of the heights
+    errors, position_errors = np.zeros(len(rows)), np.zeros(len(rows))  # largest, of heights, and in samples
+    tiles = []  # rank, lattice, number in its window, and the uncovered samples' columns u and rows v of the lattice
+    for number, (nodes, window) in enumerate(lattices):
+        u = _interpolate_nodes(nodes.u, nodes.spacing, piece, rows, columns)
+        v = _interpolate_nodes(nodes.v, nodes.spacing, piece, rows, columns)
         for n in range(len(window.tile_ranks)):
-            parts.append((int(window.tile_ranks[n]), number, n, u, v))
-    for _, number, n, u, v in sorted(parts, key=lambda part: part[:3]):
-        nodes, window = found[number]
+            tiles.append((int(window.tile_ranks[n]), number, n, u, v))
+    for _, number, n, u, v in sorted(tiles, key=lambda tile: tile[:3]):
+        nodes, window = lattices[number]
         first_u, first_v, last_u, last_v = window.rectangles[n]
         beyond_u = np.maximum(np.maximum(first_u - u, u - last_u), 0.0)
         beyond_v = np.maximum(np.maximum(first_v - v, v - last_v), 0.0)
         with np.errstate(invalid="ignore"):
-            near = np.flatnonzero((beyond_u < 1.0 - SNAPPED) & (beyond_v < 1.0 - SNAPPED))
-        if not len(near):
+            beside = np.flatnonzero((beyond_u < 1.0 - SNAPPED) & (beyond_v < 1.0 - SNAPPED))
+        if not len(beside):
             continue
-        heights, step = _border(window, np.clip(u[near], first_u, last_u), np.clip(v[near], first_v, last_v))
-        near, heights, step = (values[np.isfinite(heights)] for values in (near, heights, step))
-        weight = (1.0 - beyond_u[near]) * (1.0 - beyond_v[near])
-        weights[near] += weight
-        sums[near] += weight * heights
-        low[near], high[near] = np.minimum(low[near], heights), np.maximum(high[near], heights)
+        heights, step = _border(window, np.clip(u[beside], first_u, last_u), np.clip(v[beside], first_v, last_v))
+        beside, heights, step = (values[np.isfinite(heights)] for values in (beside, heights, step))
+        weight = (1.0 - beyond_u[beside]) * (1.0 - beyond_v[beside])
+        weights[beside] += weight
+        sums[beside] += weight * heights
+        low[beside], high[beside] = np.minimum(low[beside], heights), np.maximum(high[beside], heights)
         error = nodes.error_u + nodes.error_v
-        off[near] = np.maximum(off[near], error)
-        errors[near] = np.maximum(errors[near], error * step)
+        position_errors[beside] = np.maximum(position_errors[beside], error)
+        errors[beside] = np.maximum(errors[beside], error * step)
     good = weights >= MIN_WEIGHT
-    at = rows[good], columns[good]
-    out[at] = sums[good] / weights[good]
+    samples = rows[good], columns[good]
+    out[samples] = sums[good] / weights[good]
     # A weight changes by the error of its position, and a sum of weights is at least a half.
-    moved[at] = errors[good] + 2.0 * off[good] * (high[good] - low[good])
+    moved[samples] = errors[good] + 2.0 * position_errors[good] * (high[good] - low[good])
 
 
-def _at(nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return interpolated values of nodes at samples of a piece."""
+def _interpolate_nodes(
+    nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """Return values between a block's nodes, `spacing` samples apart, at rows and columns of a piece, bilinear."""
     x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
     i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing
     low = nodes[j, i] * (1 - s) + nodes[j, i + 1] * s
@@ -71,7 +73,10 @@ def _at(nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, col
 
 
 def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights of a lattice's samples at positions, NaN where one is missing, and the steps between them."""
+    """Return heights at columns u and rows v of a lattice, NaN where a needed sample is missing, and their change.
+
+    The change, metres for an error of one sample in u or v, is at most twice the largest step between samples there.
+    """
     height, width = window.values.shape
     p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     s, t = u - p, v - q
@@ -79,7 +84,7 @@ def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.nda
     inside = (p >= 0) & (q >= 0) & (p + 1 < width) & (q + 1 < height)
     p, q = np.clip(p, 0, width - 2), np.clip(q, 0, height - 2)
     corners = window.values[q, p], window.values[q, p + 1], window.values[q + 1, p], window.values[q + 1, p + 1]
-    a, b, c, d = (
+    a, b, c, d = (  # a missing corner of weight 0 must not make the sum NaN
         np.where(needed, z, 0.0) for z, needed in zip(corners, (s < 1, s > 0, t > 0, (s > 0) & (t > 0)), strict=True)
     )
     heights = (a * (1 - s) + b * s) * (1 - t) + (c * (1 - s) + d * s) * t

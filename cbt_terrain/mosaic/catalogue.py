@@ -103,12 +103,12 @@ class SourceTile:
 
     def check_header(self, raster: Raster) -> None:
         """Raise TerrainError if the opened file has another size, place, type or unit than the catalogue says."""
-        place = raster.grid.transform if raster.grid is not None else None
+        transform = raster.grid.transform if raster.grid is not None else None
         header = raster.width, raster.height, raster.stored, float(raster.scale), float(raster.offset)
-        wanted = self.width, self.height, self.stored, self.scale, self.offset
-        if header != wanted or place is None or _transform_of(place) != self.transform:
+        expected = self.width, self.height, self.stored, self.scale, self.offset
+        if header != expected or transform is None or _transform_of(transform) != self.transform:
             raise TerrainError(
-                f"{shown(self.path)} has {raster.width} x {raster.height} samples of {raster.stored} at {place}",
+                f"{shown(self.path)} has {raster.width} x {raster.height} samples of {raster.stored} at {transform}",
                 expected=f"{self.width} x {self.height} of {self.stored} at {self.transform} as before",
                 fix="import again when it is complete",
                 code="source.changed",
@@ -127,7 +127,7 @@ def build_catalogue(
     height maps of archives. Raises TerrainError for a file that cannot be a part of a mosaic.
     """
     unpacked = unpacked or UnpackedFiles()
-    paths: dict[Path, None] = {}
+    paths: dict[Path, None] = {}  # a file that is named twice has its last place
     for path in files_of(settings):
         for file in paths_in(path) if path.suffix.lower() in INDEX_SUFFIXES else [path]:
             paths.pop(file, None)
@@ -136,8 +136,8 @@ def build_catalogue(
     tiles = []
     for number, path in enumerate(paths):
         tile = stored.get(str(path))
-        unchanged = tile is not None and tuple(map(_stat, _belonging(path))) == tile.files[: len(_belonging(path))]
-        if tile is None or not unchanged or any(_stat(entry[0]) != entry for entry in tile.files):
+        now = tuple(map(_stat, _with_sidecars(path)))  # a new sidecar changes the header, too
+        if tile is None or now != tile.files[: len(now)] or any(_stat(entry[0]) != entry for entry in tile.files):
             tile = _read_tile(path, settings, unpacked)
         tiles.append(tile)
         on_progress((number + 1) / len(paths))
@@ -148,10 +148,11 @@ def open_tile(path: Path, settings: ImportSettings) -> Raster:
     """Open one file of a mosaic, unpacked. Its samples are as the file stores them. Raises TerrainError."""
     from rasterio.env import setenv
 
-    of_one = dataclasses.replace(
+    # Without the settings of the mosaic as a whole.
+    of_one_file = dataclasses.replace(
         settings, source=str(path), more_sources=(), priority=ORDER, step=None, blend=True, project=""
     )
-    raster = open_source(of_one)
+    raster = open_source(of_one_file)
     # For sources that a VRT opens while it is read.
     setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
     return raster
@@ -165,7 +166,7 @@ def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder
     (folder / FILE_NAME).write_text(json.dumps({"sum": _sum(text), "content": text}), encoding="utf-8")
 
 
-def _belonging(path: Path) -> list[Path]:
+def _with_sidecars(path: Path) -> list[Path]:
     """Return a file and its sidecars."""
     return [path, *sidecars(path)]
 
@@ -181,7 +182,7 @@ def _stat(path: str | Path) -> tuple[str, int, int] | None:
 def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> SourceTile:
     """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic."""
     check_named(path)
-    files = tuple(map(file_stat, _belonging(path)))
+    files = tuple(map(file_stat, _with_sidecars(path)))
     raster = open_tile(unpacked.path_of(path), settings)
     try:
         grid = raster.grid
@@ -228,6 +229,7 @@ def _header_settings(settings: ImportSettings) -> list:
 
 
 def _sum(text: str) -> str:
+    """Return the checksum of a catalogue's content."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -47,10 +47,10 @@ MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 METHOD = 1  # increased when the same files give other values
 
 
-def ranked(tiles: Sequence[SourceTile], found: Footprints, settings: ImportSettings) -> np.ndarray:
+def rank_tiles(tiles: Sequence[SourceTile], footprints: Footprints, settings: ImportSettings) -> np.ndarray:
     """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher."""
     if settings.priority == RESOLUTION:
-        return np.argsort(-(found.steps[:, 0] * found.steps[:, 1]), kind="stable")
+        return np.argsort(-(footprints.steps[:, 0] * footprints.steps[:, 1]), kind="stable")
     if settings.priority == NEWEST:
         return np.argsort([tile.changed_ns for tile in tiles], kind="stable")
     return np.arange(len(tiles))
@@ -88,25 +88,25 @@ class Composite:
         self,
         tiles: Sequence[SourceTile],
         grid: TargetGrid,
-        found: Footprints,
+        footprints: Footprints,
         settings: ImportSettings,
         unpacked: UnpackedFiles,
     ) -> None:
-        """Prepare the tiles; `found`: their footprints in the grid's system. No file is opened."""
-        order = ranked(tiles, found, settings)
+        """Prepare the tiles; footprints: in the grid's system. unpacked: height maps of archives. No file is opened."""
+        order = rank_tiles(tiles, footprints, settings)
         self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
         self.reads_overviews = False
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
-        boxes, steps = found.boxes[order], found.steps[order] / (grid.step_x, grid.step_y)
+        boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
         self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
         self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
         self.near = self.boxes + near
-        self._levels = np.zeros(len(tiles), np.int64)
+        self._levels = np.zeros(len(tiles), np.int64)  # of each tile, 0 for the coarsest
         if settings.blend:
             self._levels = find_levels(self.lattices, steps, self.boxes)
         self.insets = InsetBlend(self._levels, steps, grid, self._scan) if self._levels.any() else None
@@ -121,13 +121,13 @@ class Composite:
         self.offset: float
         self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
         self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
-        self._open: OrderedDict[int, Raster] = OrderedDict()
+        self._open: OrderedDict[int, Raster] = OrderedDict()  # files by rank, those read last at the end
         self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()
 
     def read(self, row: int, rows: int, column: int = 0, columns: int | None = None) -> tuple[np.ndarray, float]:
-        """Return a window, float64 [rows, columns] with NaN for gaps, and the largest difference made by positions.
+        """Return a window, float64 [rows, columns] with NaN for gaps, and the largest error of a value by its position.
 
-        row, column: first sample, counted from the grid's corner in the north-west.
+        row, column: first sample, counted from the grid's corner in the north-west. columns: None for all from there.
         """
         columns = self.grid.width - column if columns is None else columns
         values = np.full((rows, columns), np.nan)
@@ -146,11 +146,13 @@ class Composite:
         column, row = self.grid.column + column, self.grid.row + row
         reach = self.insets.reach if self.insets is not None else 0
         meets = self._meets(GridPiece(column - reach, row - reach, columns + 2 * reach, rows + 2 * reach))
+        # grid[:5]: its system, origin and steps. Its extent does not change a sample's value.
         parts: list = [METHOD, self.grid[:5], column, row, columns, rows, self.stored, self.scale, self.offset]
         parts += [self._settings.band, str(self._settings.no_data), self._settings.encoding]
         for lattice in self.lattices:
             if meets[lattice.tiles].any():
                 parts.append((lattice.crs, lattice.origin, lattice.steps, lattice.off_grid, lattice.period))
+                # The middle of a lattice decides which turn of 360 degrees its longitudes are of.
                 parts += [lattice.rectangles.mean(axis=0).tolist()] if lattice.period else []
         if self.insets is not None:
             parts += [self.insets.rings, self._levels[meets].tolist()]
@@ -167,7 +169,7 @@ class Composite:
         meets = self._meets(GridPiece(self.grid.column + column, self.grid.row + row, columns, rows))
         return max((self.shifts.error_of(self.tiles[rank]) for rank in np.flatnonzero(meets)), default=0.0)
 
-    def rounded(self) -> tuple:
+    def all_roundings(self) -> tuple:
         """Return the different roundings of the files, in units of a value."""
         return tuple(
             dict.fromkeys(
@@ -212,7 +214,7 @@ class Composite:
         yield piece, np.unique(self._levels[meets]), found
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the values of a piece, all NaN, and return the largest difference made by positions."""
+        """Fill the values of a piece, all NaN, and return the largest error of a value by its position."""
         if self._copy(piece, values):
             return 0.0
         moved = 0.0
@@ -222,7 +224,7 @@ class Composite:
                 if below is not None and self.insets is not None:
                     self.insets.blend(level, part, below, result)
             if found and (result.ranks == UNCOVERED).any():
-                bridge(part, [(one.nodes, one.window) for one in found], *result)
+                bridge(part, [(lattice.nodes, lattice.window) for lattice in found], *result)
             top, left = part.row - piece.row, part.column - piece.column
             values[top : top + part.rows, left : left + part.columns] = result.values
             moved = max(moved, float(result.moved.max()))
@@ -241,9 +243,10 @@ class Composite:
         if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
             return False
         first = piece.row % BLOCK, piece.column % BLOCK
-        u, v = (at_corners(found, nodes, first, piece) for found in (nodes.u, nodes.v))
+        u, v = (at_corners(values_at_nodes, nodes, first, piece) for values_at_nodes in (nodes.u, nodes.v))
         left, top = round(u[0]), round(v[0])
         ends = left + piece.columns - 1, top + piece.rows - 1
+        # Corner 0 is the first sample, 3 the last. Lattices with other steps or turned axes miss one of them.
         if max(abs(u[0] - left), abs(v[0] - top), abs(u[3] - ends[0]), abs(v[3] - ends[1])) >= SNAPPED:
             return False
         covered, parts = np.zeros(values.shape, bool), []
@@ -273,7 +276,7 @@ class Composite:
                         yield part, level, below, result
 
     def _nodes_of(self, number: int, column: int, row: int) -> BlockNodes:
-        """Return the nodes of a block for the lattice `number`."""
+        """Return the nodes of the block (column, row) for the lattice `number`, computed on first use."""
         key = number, column, row
         if key not in self._nodes:
             self._nodes[key] = nodes_of(self.lattices[number], self.grid, column, row)
@@ -283,11 +286,14 @@ class Composite:
         return self._nodes[key]
 
     def _window(self, lattice: TileLattice, near: np.ndarray, box: tuple[int, int, int, int]) -> LatticeWindow:
-        """Read a box of a lattice (first column and row, ends) from the tiles `near`, in the order of their ranks."""
+        """Read a box of a lattice (first column and row, ends) from some tiles, in the order of their ranks.
+
+        near: indices of these tiles in `lattice.tiles`.
+        """
         left, top, right, bottom = box
         values = np.full((bottom - top, right - left), np.nan)
         ranks = np.full(values.shape, UNCOVERED, np.int32)
-        used, used_ranks = [], []
+        used, used_ranks = [], []  # rectangles and ranks of the tiles; around the globe each has three places
         for shift in (-lattice.period, 0, lattice.period) if lattice.period else (0,):
             for n in near:
                 rectangle = lattice.rectangles[n] + (shift, 0, shift, 0)
@@ -352,14 +358,14 @@ def _overlay(
     """Lay one level after the other on `result`, and yield each with the values below it; None below level 0."""
     for level in map(int, levels):
         below = result.copy() if level > 0 else None
-        for one in found:
-            if one.level == level:
-                _resample(piece, one.nodes, one.window, result)
+        for lattice in found:
+            if lattice.level == level:
+                _resample(piece, lattice.nodes, lattice.window, result)
         yield level, below
 
 
 def _resample(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
-    """Write the samples of a piece that a lattice has with the highest rank so far."""
+    """Write the samples of a piece for which a lattice has a tile of a higher rank than `result` so far."""
     height, width = window.values.shape
     inputs = [
         piece.columns,

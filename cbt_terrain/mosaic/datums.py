@@ -60,20 +60,21 @@ class ShiftNodes(NamedTuple):
         counts: rows and columns of an overview if the samples are of one.
         """
         counts = counts or self.size
-        (i, t), (j, s) = self._places(0, row, rows, counts[0]), self._places(1, column, columns, counts[1])
+        i, t = self._node_positions(0, row, rows, counts[0])
+        j, s = self._node_positions(1, column, columns, counts[1])
         nodes = self.metres[i] * (1.0 - t)[:, None] + self.metres[i + 1] * t[:, None]
         return nodes[:, j] * (1.0 - s) + nodes[:, j + 1] * s
 
-    def _places(self, axis: int, first: int, count: int, all_count: int) -> tuple[np.ndarray, np.ndarray]:
+    def _node_positions(self, axis: int, first: int, count: int, all_count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes before samples first .. first + count - 1, and the fractions of the way to the next nodes.
 
         axis: 0 for rows, 1 for columns. all_count: samples of the raster or of its overview along it.
         """
         cells, size = self.metres.shape[axis] - 1, self.size[axis]
-        samples = (np.arange(first, first + count) + 0.5) * size / all_count - 0.5
-        places = samples * cells / max(size - 1, 1)
-        nodes = np.minimum(places.astype(np.int64), cells - 1)
-        return nodes, places - nodes
+        samples = (np.arange(first, first + count) + 0.5) * size / all_count - 0.5  # numbers in the tile itself
+        positions = samples * cells / max(size - 1, 1)
+        nodes = np.minimum(positions.astype(np.int64), cells - 1)
+        return nodes, positions - nodes
 
 
 class DatumShifts:
@@ -114,12 +115,12 @@ class DatumShifts:
     def _find_nodes(self, tile: SourceTile) -> ShiftNodes:
         """Return the nodes of a tile from PROJ's grids."""
         for spacing in SPACINGS:
-            down, across = (
+            down, across = (  # every second one is a node, the others measure the error between nodes
                 np.linspace(0.0, count - 1, 2 * max(math.ceil((count - 1) / spacing), 1) + 1)
                 for count in (tile.height, tile.width)
             )
             columns, rows = np.meshgrid(across, down)
-            exact = self.at(tile, columns.ravel(), rows.ravel()).reshape(columns.shape)
+            exact = self.metres_at(tile, columns.ravel(), rows.ravel()).reshape(columns.shape)
             if not np.isfinite(exact).all():
                 what = f"PROJ's grid for {shown(tile.datum, 60)} or {shown(self.reference.datum, 60)} ends in"
                 raise TerrainError(
@@ -136,8 +137,8 @@ class DatumShifts:
         datums = dict.fromkeys(tile.datum for tile in tiles if tile.datum)
         return [Path(grid) for grid in map(_grid_of, datums) if grid is not None]
 
-    def at(self, tile: SourceTile, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return metres to add at samples of a tile, NaN where PROJ has no grid."""
+    def metres_at(self, tile: SourceTile, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return metres to add at samples of a tile, float64 [n], NaN where PROJ has no grid."""
         x, y = tile.position(columns, rows)
         return _above_ellipsoid(tile.datum, tile.crs, x, y) - _above_ellipsoid(self.reference.datum, tile.crs, x, y)
 
@@ -152,7 +153,7 @@ def find_shifts(tiles: Sequence[SourceTile]) -> DatumShifts | None:
         if tile.datum != named[0].datum:
             right, bottom = tile.width - 1.0, tile.height - 1.0
             corners = np.array([0.0, right, 0.0, right]), np.array([0.0, 0.0, bottom, bottom])
-            if not np.isfinite(shifts.at(tile, *corners)).all():
+            if not np.isfinite(shifts.metres_at(tile, *corners)).all():
                 return None
     return shifts
 

@@ -63,7 +63,7 @@ def run_mosaic_import(
     store_folder.check_target(path)
     settings.check()
     folder = folder or store_folder.new_data_name()
-    reached: tuple = (0.0, READING)
+    reached: tuple = (0.0, READING)  # the last progress: fraction and message
 
     def tell(done: float, message: str) -> None:
         """Pass progress on, and keep it for pieces of the mosaic that take long."""
@@ -77,7 +77,7 @@ def run_mosaic_import(
         Report on it first, unless the store has it already or the import is quick.
         """
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
-        composite.on_piece = lambda: on_progress(*reached)
+        composite.on_piece = lambda: on_progress(*reached)  # may raise, which cancels the import
         raster = mosaic_raster(composite, settings)
         is_new = part is None and not settings.quick
         if is_new and finished_import(path, settings, raster) is None:

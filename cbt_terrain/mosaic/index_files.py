@@ -38,7 +38,10 @@ def paths_in(path: Path) -> list[Path]:
 
 
 def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
-    """Return the paths in an index as texts, the file that they are relative to, and the name of their column."""
+    """Return the paths in an index as texts, the file that they are relative to, and the name of their column.
+
+    column: the name of the column of paths, "" for one of the usual names.
+    """
     with open_regular(path, links=True) as file:
         start = file.read(len(SQLITE))
     if start == SQLITE:
@@ -71,20 +74,21 @@ def _names_in_database(path: Path, column: str) -> list[str]:
         tables = [row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
         for table in map(_quoted, tables):
             names = [row[1] for row in base.execute(f"PRAGMA table_info({table})")]
-            found = _column(names, column)
+            found = _find_column(names, column)
             if found is not None:
                 query = f"SELECT {_quoted(names[found])} FROM {table} ORDER BY rowid LIMIT {MAX_FILES + 1}"
-                return _few([row[0] for row in base.execute(query) if isinstance(row[0], str)])
+                return _check_count([row[0] for row in base.execute(query) if isinstance(row[0], str)])
     finally:
         base.close()
     raise ValueError(f"no table has a column {column or COLUMNS[0]!r}")
 
 
 def _quoted(name: str) -> str:
+    """Return a name of a table or column as SQL."""
     return '"' + name.replace('"', '""') + '"'
 
 
-def _column(names: list[str], column: str) -> int | None:
+def _find_column(names: list[str], column: str) -> int | None:
     """Return the position of the column of paths among `names`, None if there is none.
 
     column: its name in any case, "" for one of the usual names.
@@ -100,24 +104,24 @@ def _names_in_table(path: Path, column: str) -> list[str]:
         head = file.read(FIELD_BYTES)
         if len(head) < FIELD_BYTES:
             raise ValueError("it is empty" if not head else "it ends within its header")
-        count, head_bytes, row_bytes = struct.unpack("<4xIHH20x", head)
+        count, head_bytes, row_bytes = struct.unpack("<4xIHH20x", head)  # count: number of rows
         fields = file.read(max(0, head_bytes - FIELD_BYTES))
         names, sizes = [], []
-        for at in range(0, min(len(fields), MAX_FIELDS * FIELD_BYTES) - FIELD_BYTES + 1, FIELD_BYTES):
-            if fields[at] == 0x0D:
+        for offset in range(0, min(len(fields), MAX_FIELDS * FIELD_BYTES) - FIELD_BYTES + 1, FIELD_BYTES):
+            if fields[offset] == 0x0D:  # ends the list of fields
                 break
-            names.append(fields[at : at + 11].split(b"\0")[0].decode("latin-1"))
-            sizes.append(fields[at + 16])
-        found = _column(names, column)
-        if found is None or row_bytes != 1 + sum(map(int, sizes)):
+            names.append(fields[offset : offset + 11].split(b"\0")[0].decode("latin-1"))
+            sizes.append(fields[offset + 16])  # bytes of the field in a row
+        index = _find_column(names, column)
+        if index is None or row_bytes != 1 + sum(map(int, sizes)):  # a row begins with its mark of deletion, " " or "*"
             raise ValueError(f"it has no column {column or COLUMNS[0]!r}")
-        first = 1 + sum(map(int, sizes[:found]))
+        first = 1 + sum(map(int, sizes[:index]))
         rows = [file.read(row_bytes) for _ in range(min(count, MAX_FILES + 1))]
-    texts = [row[first : first + sizes[found]] for row in rows if len(row) == row_bytes and row[:1] != b"*"]
-    return _few([text.decode("utf-8", "replace").strip(" \0") for text in texts])
+    texts = [row[first : first + sizes[index]] for row in rows if len(row) == row_bytes and row[:1] != b"*"]
+    return _check_count([text.decode("utf-8", "replace").strip(" \0") for text in texts])
 
 
-def _few(names: list[str]) -> list[str]:
+def _check_count(names: list[str]) -> list[str]:
     """Return the names. Raises ValueError if there are more than MAX_FILES."""
     if len(names) > MAX_FILES:
         raise ValueError(f"it names more than {MAX_FILES:,} files")

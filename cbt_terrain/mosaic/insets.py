@@ -21,9 +21,8 @@ from .windows import GridPiece, PieceValues
 RING = 32  # samples of the coarser tiles between the border of an inset and its own heights
 MIN_RATIO = 1.9  # of the steps of two levels
 MIN_SIDE = 8  # samples of the level below; a narrower lattice is not blended, because a ring would leave nothing of it
-MAX_PART = (
-    4  # a ring is at most this part (1 : n) of the largest distance to a seam, so most of an inset keeps its heights
-)
+# A ring is at most 1 / this of the largest distance to a seam, so most of an inset keeps its heights.
+MAX_PART = 4
 WIDER = 4  # cells of a ring along one by which that distance is measured
 MAX_LEVELS = 62  # whose seams are bits of one number
 MAX_STRETCH = 4.0  # of a ring's axes
@@ -72,7 +71,8 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     """
     levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
-    level, first, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)
+    level, first, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)  # owners: the lattice of each tile
+    # From the coarsest lattice on: one that is MIN_RATIO finer than the first of its level begins the next level.
     for number in np.argsort(-coarsest, kind="stable"):
         if coarsest[number] * MIN_RATIO <= first and level < MAX_LEVELS - 1:
             level, first = level + 1, coarsest[number]
@@ -84,12 +84,14 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     finest_below = np.full(len(lattices), -1)
     np.maximum.at(finest_below, owners[upper], levels[lower])
     level_steps = [steps[levels == number].max(axis=0) for number in range(level + 1)]
+    # A lattice that is too narrow for a ring belongs to the level below it.
     for number in np.flatnonzero(finest_below >= 0):
         tiles, below = lattices[number].tiles, finest_below[number]
         sides = boxes[tiles, 2:].max(axis=0) - boxes[tiles, :2].min(axis=0)
         if (sides < MIN_SIDE * level_steps[below]).any():
             levels[tiles] = below
     lower, upper = levels[pairs].T
+    # Without gaps in the numbers of levels.
     return np.unique(levels, return_inverse=True)[1] if (upper > lower).any() else np.zeros_like(levels)
 
 
@@ -110,55 +112,66 @@ class InsetBlend:
         """
         self.levels, self._scan = levels, scan
         self.rings = [_ring(steps[levels == level].max(axis=0, initial=0.0)) for level in range(levels.max() + 1)]
-        self._kind = np.min_scalar_type(1 << len(self.rings))
+        self._kind = np.min_scalar_type(1 << len(self.rings))  # of `_marks`: a bit for each level and one more
         # The last two are those of the ranks UNCOVERED and NO_DATA.
         self._bits = np.append(np.left_shift(1, levels), [0, 0]).astype(self._kind)
         last = grid.row + grid.height - 1, grid.column + grid.width - 1
+        # First and last row, and first and last column, of the grid's blocks.
         self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
         self._bytes = 0
 
     @property
     def reach(self) -> int:
-        """Return the distance, samples of the grid, up to which tiles have a part in a blended sample."""
+        """Return the distance, samples of the grid, up to which tiles have a part in a blended sample.
+
+        It is the margin of the widest window of `_marks_around`.
+        """
         return max(ring.cell * ((MAX_PART + 1) * max(ring.reach) + 2) for ring in self.rings)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
-        """Blend the values of a level in `top` to those below it."""
+        """Blend the values of a level in `top` to those below it, in place."""
         mixed = (below.ranks >= 0) & (top.ranks > below.ranks)
         if not mixed.any():
             return
-        part = np.ones(mixed.shape)
+        fraction = np.ones(mixed.shape)  # of the way through the narrowest ring
         for lower in range(level):
             found = self._fractions(level, lower, piece)
-            part = part if found is None else np.minimum(part, found)
-        mixed &= part < 1.0
-        t = part[mixed]
+            fraction = fraction if found is None else np.minimum(fraction, found)
+        mixed &= fraction < 1.0
+        t = fraction[mixed]
         weight = t * t * (3.0 - 2.0 * t)
         for of_top, of_below in ((top.values, below.values), (top.moved, below.moved)):
             of_top[mixed] = of_below[mixed] * (1.0 - weight) + of_top[mixed] * weight
 
     def _fractions(self, level: int, lower: int, piece: GridPiece) -> np.ndarray | None:
-        """Return how far samples are on their way through the ring, 0 at seams to 1 inside; None for 1 everywhere."""
+        """Return how far samples are on their way through the ring, 0 at seams to 1 inside; None for 1 everywhere.
+
+        It is the ring of `level` on tiles of the level `lower`. The result is float64 [rows, columns] of the piece.
+        """
         ring = self.rings[lower]
-        cells = self._seams(level, ring, piece, rings=1)
-        seams, ends = cells >> lower & 1 != 0, cells >> len(self.rings) & 1 != 0
+        marks = self._marks_around(level, ring, piece, rings=1)
+        seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
             return None
+        # The same ring with cells `times` as wide, in which distances over several rings are cheap.
         times = min(WIDER, BLOCK // ring.cell)
         wide = BlendRing(times * ring.cell, (ring.width[0] / times, ring.width[1] / times))
-        widest = find_widest(self._seams(level, wide, piece, MAX_PART + 1) >> lower & 1 != 0, wide)
+        widest = find_widest(self._marks_around(level, wide, piece, rings=MAX_PART + 1) >> lower & 1 != 0, wide)
         first = piece.row // ring.cell, piece.column // ring.cell
         last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
         corners = [np.arange(n, m + 2) for n, m in zip(first, last, strict=True)]
-        widest = _between(widest, *(n / times - n[0] // times for n in corners))
+        widest = _interpolate(widest, *(n / times - n[0] // times for n in corners))
         nodes = ring_fractions(seams, ends, widest, ring)
         rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
-        places = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))
-        return _between(nodes, *places)
+        positions = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))
+        return _interpolate(nodes, *positions)
 
-    def _seams(self, level: int, ring: BlendRing, piece: GridPiece, rings: int) -> np.ndarray:
-        """Return the marks of a level in a ring's cells that a piece meets, with a margin of `rings` and one cell."""
+    def _marks_around(self, level: int, ring: BlendRing, piece: GridPiece, rings: int) -> np.ndarray:
+        """Return the marks (`_marks`) of a level in a ring's cells that a piece meets, united over each cell's samples.
+
+        The window has a margin of `rings` widths of the ring and one cell.
+        """
         size, margin = BLOCK // ring.cell, [rings * reach + 1 for reach in ring.reach]
         first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
@@ -170,16 +183,16 @@ class InsetBlend:
         ]
         for row in ranges[0]:
             for column in ranges[1]:
-                found = self._block(row, column).get(level)
-                if found is None:
+                block_marks = self._marks_of_block(row, column).get(level)
+                if block_marks is None:
                     continue
-                pooled = _pool(found, len(found) // size)
+                pooled = _pool(block_marks, len(block_marks) // size)
                 top, left = row * size - first[0], column * size - first[1]
-                part = cells[max(top, 0) : top + size, max(left, 0) : left + size]
-                part[:] = pooled[max(-top, 0) :, max(-left, 0) :][: part.shape[0], : part.shape[1]]
+                window = cells[max(top, 0) : top + size, max(left, 0) : left + size]
+                window[:] = pooled[max(-top, 0) :, max(-left, 0) :][: window.shape[0], : window.shape[1]]
         return cells
 
-    def _block(self, row: int, column: int) -> dict[int, np.ndarray]:
+    def _marks_of_block(self, row: int, column: int) -> dict[int, np.ndarray]:
         """Return the marks of a block's cells by level, which the blend across the level's border reads; cached.
 
         They are those of `_marks`, united over the samples of each cell. Levels without a mark in the block are left
@@ -214,7 +227,10 @@ class InsetBlend:
 
 
 def _ring(steps: np.ndarray) -> BlendRing:
-    """Return the ring of insets on tiles with these steps, samples of the grid along x and y."""
+    """Return the ring of insets on tiles with these steps, samples of the grid along x and y.
+
+    Its cell is at most the shorter step, and at most a block.
+    """
     shortest = min(float(steps.min()), float(BLOCK))
     across, down = (min(float(step), MAX_STRETCH * shortest) for step in steps)
     cell = 1
@@ -231,7 +247,7 @@ def _pool(marks: np.ndarray, side: int) -> np.ndarray:
     return np.bitwise_or.reduce(rows.reshape(len(rows), -1, side), axis=2)
 
 
-def _between(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+def _interpolate(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return values between nodes, bilinearly, float64 [len(down), len(across)].
 
     down, across: rows and columns in units of nodes; every row is combined with every column.
@@ -243,7 +259,9 @@ def _between(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
 
 
 def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
-    """Return for corners of cells the largest distance to a seam within one ring, at most MAX_PART rings.
+    """Return for corners of cells the largest distance to a seam within one ring around, in widths of the ring.
+
+    It is at most MAX_PART.
 
     seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
     """
@@ -262,7 +280,8 @@ def ring_fractions(seams: np.ndarray, ends: np.ndarray, widest: np.ndarray, ring
     Args:
         seams: bool, cells with a sample of the tiles below, with a margin of one ring and one cell.
         ends: the same for samples of the inset without any below.
-        widest: float64, largest distances to a seam around the corners, rings.
+        widest: float64, largest distances to a seam around the corners, in widths of the ring.
+        ring: the ring at its full width.
     """
     down, across = ring.reach
     marks = _corners(seams), _corners(ends)
@@ -279,6 +298,7 @@ def _corners(cells: np.ndarray) -> np.ndarray:
 
 def _distances(marked: np.ndarray, ring: BlendRing, limit: int) -> np.ndarray:
     """Return the distance, in widths of the ring, to the nearest marked corner; at most `limit` widths."""
+    # First along each row, then over rows: the squared distance is the sum of both.
     columns, far = np.arange(marked.shape[1]), float(limit * limit)
     before = np.maximum.accumulate(np.where(marked, columns, -(1 << 30)), axis=1)
     after = np.minimum.accumulate(np.where(marked, columns, 1 << 30)[:, ::-1], axis=1)[:, ::-1]

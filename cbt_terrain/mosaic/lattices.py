@@ -15,8 +15,8 @@ from .systems import period_of
 
 # Largest distance, samples, of a tile's samples from the lattice that it joins.
 MAX_OFF_GRID = 1e-3
-# Largest relative difference of steps in a lattice, times the columns or rows of a tile.
-ROUNDING = 1e-7  # samples; less is the rounding of coordinates
+# A distance below this, samples, is the rounding of coordinates.
+ROUNDING = 1e-7
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,17 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
     for numbers in groups.values():
         while numbers:
             first = tiles[numbers[0]]
-            places = {n: place for n in numbers if (place := _place(first, tiles[n])) is not None}
-            found.append(_lattice(tiles, list(places), list(places.values())))
-            numbers = [n for n in numbers if n not in places]
+            offsets = {n: offset for n in numbers if (offset := _offset_of(first, tiles[n])) is not None}
+            found.append(_lattice(tiles, list(offsets), list(offsets.values())))
+            numbers = [n for n in numbers if n not in offsets]
     return found
 
 
 def _key(tile: SourceTile) -> tuple:
-    """Return what tiles of one lattice have in common; fractions of a sample may be close to both 0 and 1."""
+    """Return what tiles of one lattice have in common: system, steps, and fractions of a sample of their origins.
+
+    Cosines of the fractions are compared, because one fraction may be close to 0 and another close to 1.
+    """
     a, b, c, d, e, f = tile.transform
     x, y = tile.position(0, 0)
     if b == d == 0.0:
@@ -86,7 +89,7 @@ def _key(tile: SourceTile) -> tuple:
     return tile.crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
 
 
-def _place(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
+def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
     """Return column and row of a tile's first sample in the lattice of another, and how far its samples are off.
 
     Return None if they are off by more than MAX_OFF_GRID.
@@ -102,15 +105,15 @@ def _place(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None
     return (column, row, off) if off <= MAX_OFF_GRID else None
 
 
-def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple]) -> TileLattice:
-    """Return the lattice of tiles whose places on it are known."""
+def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tuple]) -> TileLattice:
+    """Return the lattice of some tiles. numbers: their indices. offsets: `_offset_of` each on the first of them."""
     first = tiles[numbers[0]]
     a, b, _, d, e, _ = first.transform
     rectangles = [
         (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1)
-        for n, (column, row, _) in zip(numbers, places, strict=True)
+        for n, (column, row, _) in zip(numbers, offsets, strict=True)
     ]
-    off = max(place[2] for place in places)
+    off = max(offset[2] for offset in offsets)
     period = period_of(first.crs) / a if d == 0.0 else 0.0
     return TileLattice(
         crs=first.crs,

@@ -78,9 +78,9 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         block_rows=BLOCK_ROWS,
         scale=composite.scale,
         offset=composite.offset,
-        roundings=composite.rounded(),
+        roundings=composite.all_roundings(),
         warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
-        details=_surface(composite),
+        details=_surface_entry(composite),
         sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
         method=BLENDING if composite.insets else 0,
         inputs=composite.inputs_of,
@@ -112,15 +112,16 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
 
 
 def blend_metres(composite: Composite) -> float:
-    """Return the largest width of the ring in which insets blend to the tiles below, metres; 0 for none."""
+    """Return the largest width of the rings in which insets blend to the tiles below, metres; 0 without insets."""
     if composite.insets is None:
         return 0.0
     place = georeference_of(composite.grid)
     steps = np.array([place.step_y, place.step_x])
+    # Rings are by the level of the tiles below; no tile is on the last, finest one. A ring's cell is in grid samples.
     return max(float((steps * ring.cell * ring.width).max()) for ring in composite.insets.rings[:-1])
 
 
-def _surface(composite: Composite) -> dict:
+def _surface_entry(composite: Composite) -> dict:
     """Return the report's entry about the surface that bounds refer to; {} for the files' own."""
     if not composite.resamples:
         return {}

@@ -34,14 +34,14 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
         if part.size:
             composite.on_piece()
             places = grid.positions(*np.meshgrid(columns[across], rows[down]))
-            _fill(composite, rank, *places, stride / composite.steps[rank], part)
+            _fill(composite, rank, *places, stride / composite.steps[rank], part)  # over those of lower ranks
     return heights
 
 
 def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride: float, heights: np.ndarray) -> None:
-    """Write a tile's samples nearest to positions of the grid's system over `heights`, where it has any.
+    """Write a tile's samples nearest to positions x and y, in the grid's system, over `heights`, where it has any.
 
-    stride: columns of the tile between two positions.
+    All arrays are float64 [rows, columns]. stride: columns of the tile between two positions.
     """
     tile = composite.tiles[rank]
     x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))
@@ -57,10 +57,10 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
     if not inside.any():
         return
     u, v = u[inside].astype(np.int64), v[inside].astype(np.int64)
-    found = _samples(composite, rank, u, v, stride)
-    known = np.isfinite(found)
-    inside[inside] = known
-    heights[inside] = found[known]
+    samples = _samples(composite, rank, u, v, stride)
+    has_height = np.isfinite(samples)
+    inside[inside] = has_height
+    heights[inside] = samples[has_height]
 
 
 def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stride: float) -> np.ndarray:
@@ -83,12 +83,12 @@ def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stri
 
 def _read(window: Callable[[int, int, int, int], np.ndarray], u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the samples at columns u and rows v from a function that reads windows, in bands of rows."""
-    left, found = int(u.min()), np.empty(len(u))
+    left, samples = int(u.min()), np.empty(len(u))
     width = int(u.max()) + 1 - left
-    wanted = np.unique(v)
-    bands = wanted // max(1, MAX_PART // width)
-    for part in np.split(wanted, np.flatnonzero((np.diff(wanted) > MAX_GAP) | (np.diff(bands) > 0)) + 1):
-        first, last = int(part[0]), int(part[-1])
-        at = (v >= first) & (v <= last)
-        found[at] = window(first, last + 1 - first, left, width)[v[at] - first, u[at] - left]
-    return found
+    rows = np.unique(v)
+    bands = rows // max(1, MAX_PART // width)  # number of each row's band
+    for band_rows in np.split(rows, np.flatnonzero((np.diff(rows) > MAX_GAP) | (np.diff(bands) > 0)) + 1):
+        first, last = int(band_rows[0]), int(band_rows[-1])
+        in_band = (v >= first) & (v <= last)
+        samples[in_band] = window(first, last + 1 - first, left, width)[v[in_band] - first, u[in_band] - left]
+    return samples

@@ -58,7 +58,10 @@ def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> B
 
 
 def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
-    """Return whether all samples of a grid in the lattice's system are samples of the lattice."""
+    """Return whether all samples of a grid in the lattice's system are samples of the lattice.
+
+    The grid's step may be several of the lattice's.
+    """
     a, b, d, e = lattice.steps
     ratios = grid.step_x / abs(a), grid.step_y / abs(e) if e else 0.0
     corners = np.array([grid.column, grid.column + grid.width]), np.array([grid.row, grid.row + grid.height])
@@ -70,7 +73,8 @@ def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
 def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Return exact columns and rows of the lattice at every `step` samples of a block, [rows, columns].
 
-    Longitudes are continuous in the block, and its middle is within 180 degrees of the middle of the lattice.
+    column, row: numbers of the block. Longitudes are continuous in the block, and its middle is within 180 degrees of
+    the middle of the lattice.
     """
     offsets = np.arange(0, BLOCK + 1, step, dtype=np.float64)
     columns, rows = np.meshgrid(column * BLOCK + offsets, row * BLOCK + offsets)

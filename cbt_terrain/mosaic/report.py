@@ -142,7 +142,8 @@ def _expected_bytes(composite: Composite) -> int:
         if is_archive(Path(tile.path))
     )
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
-    needed = work_bytes(lattice, 4 if steps is None else 2) if is_large else store_bytes(lattice, 0)
+    sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits
+    needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, 0)
     return needed + min(unpacked, MAX_UNPACKED_BYTES)
 
 

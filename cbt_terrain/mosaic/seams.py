@@ -25,8 +25,8 @@ class SeamReport(NamedTuple):
         compared: pairs whose heights were compared.
         steps: float64 [n], metres by which the higher-ranked file is above the other, at samples of its border.
         places: float64 [n, 2], x and y of these samples in the grid's system.
-        numbers: int32 [n], pairs of these samples.
-        names: paths of the two files of each compared pair.
+        numbers: int32 [n], index in `names` of the pair that each sample is of.
+        names: paths of the two files of each pair with a compared sample.
     """
 
     pairs: int
@@ -65,7 +65,10 @@ def find_seams(composite: Composite) -> SeamReport:
 
 
 def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps in metres and places at samples of the upper tile's border inside the lower tile."""
+    """Return steps in metres and positions at samples of the upper tile's border inside the lower tile.
+
+    lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in SeamReport.
+    """
     tile, scale = composite.tiles[upper], abs(composite.scale)
     right, bottom = tile.width - 1, tile.height - 1
     along, down = _spread(0, right), _spread(0, bottom)
@@ -86,7 +89,10 @@ def _spread(first: int, last: int, max_count: int = MAX_SAMPLES) -> np.ndarray:
 def _compare(
     composite: Composite, lower: int, upper: int, columns: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return differences, columns and rows of samples of the upper tile that both tiles know."""
+    """Return differences of heights, and columns and rows of samples of the upper tile, where both tiles have heights.
+
+    lower, upper: ranks of both tiles. columns, rows: of the upper tile; every column is combined with every row.
+    """
     below, above = composite.tiles[lower], composite.tiles[upper]
     columns, rows = (values.ravel() for values in np.meshgrid(columns, rows))
     u, v = _indices(below, above, columns, rows)

@@ -30,8 +30,10 @@ class TargetGrid(NamedTuple):
 
     Attributes:
         crs: name of the coordinate system; "" for none.
+        x0, y0, step_x, step_y: of the formula above, in units of the system.
         column: number of the first column.
         row: number of the first row, in the north.
+        width, height: number of columns and rows.
     """
 
     crs: str
@@ -83,7 +85,7 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
         x0, y0 = reference.position(0, 0)
         if settings.step is None:
             step_x, step_y = abs(reference.transform[0]), abs(reference.transform[4])
-    numbers = np.array(
+    numbers = np.array(  # of the first column and row and of the last ones
         [(low[0] - x0) / step_x, (y0 - high[1]) / step_y, (high[0] - x0) / step_x, (y0 - low[1]) / step_y]
     )
     if not np.abs(numbers).max() < MAX_INDEX:
@@ -116,7 +118,7 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
             if period:
                 anchor = float(x[at, 0]) if anchor is None else anchor
                 x[at] -= period * np.round((x[at] - anchor) / period)
-            border_x, border_y = x[at, :-3], y[at, :-3]
+            border_x, border_y = x[at, :-3], y[at, :-3]  # the last three points give the steps
             boxes[n] = border_x.min(), border_y.min(), border_x.max(), border_y.max()
             steps[n] = _steps(x[at, -3:], y[at, -3:])
     return Footprints(boxes, steps)
@@ -133,7 +135,11 @@ def _outline(tile: SourceTile) -> np.ndarray:
 
 
 def _steps(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return steps along x and y of a straight grid as dense as a tile, from its middle and the next samples."""
+    """Return steps along x and y of a straight grid as dense as a tile.
+
+    x, y: float64 [3] each, of the tile's middle and of the next samples along a row and along a column. A tile that is
+    almost parallel to the axes keeps its step along a row; any other has squares of equal area.
+    """
     column, row = (x[1] - x[0], y[1] - y[0]), (x[2] - x[0], y[2] - y[0])
     area = abs(column[0] * row[1] - column[1] * row[0])
     if abs(column[1]) < 0.1 * length(column):
@@ -144,7 +150,10 @@ def _steps(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def _check_return(tile: SourceTile, crs: str, missed: np.ndarray) -> None:
-    """Refuse a tile whose positions do not survive the way to the target system and back."""
+    """Raise TerrainError for a tile whose positions do not survive the way to the target system and back.
+
+    missed: float64 [2, n], the differences in x and y; whole turns of longitude are removed from it in place.
+    """
     a, b, _, d, e, _ = tile.transform
     cell, period = max(length((a, d)), length((b, e))), period_of(tile.crs)
     if period:
@@ -212,17 +221,20 @@ def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
 
 
 def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float, middle: np.ndarray) -> None:
-    """Refuse a grid with more samples than a store can hold, and name the step that fits."""
+    """Raise TerrainError for a grid with more samples than a store can hold, and name the step that fits.
+
+    step_x, step_y: in units of the system. middle: x and y of the mosaic's middle, where they are measured in metres.
+    """
     if min(width, height) < 2 or fit(width, height).is_addressable:
         return
-    low, high = 1.0, float(max(width, height))
+    low, high = 1.0, float(max(width, height))  # factors on the step: too fine, and coarse enough
     while high > 1.01 * low:
         factor = math.sqrt(low * high)
         size = max(math.ceil(width / factor), 2), max(math.ceil(height / factor), 2)
         low, high = (low, factor) if fit(*size).is_addressable else (factor, high)
     step = max(a * b for a, b in zip((step_x, step_y), _unit_lengths(crs, middle), strict=True)) * high
     shown_step = float(f"{step:.2g}")
-    shown_step = shown_step if shown_step >= step else float(f"{step * 1.05:.2g}")
+    shown_step = shown_step if shown_step >= step else float(f"{step * 1.05:.2g}")  # rounded up
     raise TerrainError(
         f"The mosaic would have {width:,} x {height:,} samples",
         expected=f"at most 2^{SIDE_BITS} in a row or a column",

@@ -99,13 +99,13 @@ def source_box(
     across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
     box = []
     for values, ends, period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
-        part = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
-        part = part[np.isfinite(part)]
-        if not len(part):
+        positions = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
+        positions = positions[np.isfinite(positions)]
+        if not len(positions):
             return None
         rectangles = lattice.rectangles[near]
         low, high = rectangles[:, ends[0]].min() - period, rectangles[:, ends[1]].max() + period
-        first, last = max(np.floor(part.min()), low), min(np.ceil(part.max()), high)
+        first, last = max(np.floor(positions.min()), low), min(np.ceil(positions.max()), high)
         if first > last + 1:
             return None
         box.append((int(first) - EDGE, int(last) + EDGE + 1))

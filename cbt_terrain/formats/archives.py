@@ -40,6 +40,7 @@ class Member(NamedTuple):
 
     Attributes:
         name: the file's name, without folders.
+        info: its member of a .zip; None in a .gz.
         sidecars: members of a .zip that belong to it.
     """
 
@@ -74,7 +75,7 @@ def read_head(path: Path, count: int) -> bytes:
 
 
 def open_archive(path: Path, _settings: ImportSettings) -> None:
-    """Refuse an archive that was not unpacked, such as one inside an archive. Raises TerrainError."""
+    """Raise TerrainError: the archive was not unpacked, as one inside an archive is not."""
     raise TerrainError(f"{shown(path)} is an archive", expected="a height map here", fix="unpack it first")
 
 
@@ -91,9 +92,9 @@ class UnpackedFiles:
         self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
 
     def path_of(self, path: Path) -> Path:
-        """Return the unpacked height map of an archive; `path` itself if it is no archive or nothing is to be unpacked.
+        """Return the unpacked height map of an archive; `path` itself if it is no archive, or without a folder.
 
-        Nothing is unpacked without a folder. Raises TerrainError.
+        Raises TerrainError.
         """
         if self._folder is None or not is_archive(path):
             return path
@@ -108,7 +109,7 @@ class UnpackedFiles:
         return self._kept[path][0]
 
     def with_names(self, text: str) -> str:
-        """Return a text in which the folders of unpacked files have the names of their archives."""
+        """Return a text in which the folders of unpacked files are replaced by the paths of their archives."""
         if self._folder is None:
             return text
         inner = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
@@ -127,9 +128,9 @@ class UnpackedFiles:
 
 @contextmanager
 def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
-    """Yield files that are unpacked below `folder`, a new folder of arrays that is removed after the block.
+    """Yield an UnpackedFiles that unpacks archives into the new folder `folder` on demand; remove it after the block.
 
-    Errors of the block and names in them are those of the archives. Raises TerrainError.
+    In a TerrainError of the block, paths of unpacked files are replaced by those of their archives.
     """
     new_folders = store_folder.missing_folders(folder.parent)
     lock = partial_files.make_folder(folder, parents=True)
@@ -190,6 +191,7 @@ def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes
 
 
 def _damaged(path: Path, reason: Exception) -> TerrainError:
+    """Return the error about an archive that cannot be unpacked."""
     what = f"{shown(path)} cannot be unpacked ({shown(reason).rstrip('.') or type(reason).__name__})"
     return TerrainError(what, expected="a whole archive, and room for its content", fix="get it again")
 
@@ -226,21 +228,21 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> Member:
     maps = [info for info in members if _importable(PurePosixPath(info.filename))]
     if len(maps) != 1:
         raise _not_one(path, [info.filename for info in maps])
-    place = PurePosixPath(maps[0].filename)
+    map_path = PurePosixPath(maps[0].filename)
     if maps[0].file_size > MAX_BYTES:
-        raise _too_large(path, place.name, MAX_BYTES)
-    starts = place.name.lower(), place.stem.lower()
-    wanted = {start + suffix for start in starts for suffix in SUFFIXES}
-    beside = {}
+        raise _too_large(path, map_path.name, MAX_BYTES)
+    starts = map_path.name.lower(), map_path.stem.lower()
+    names = {start + suffix for start in starts for suffix in SUFFIXES}
+    sidecars = {}
     for info in members:
         other = PurePosixPath(info.filename)
-        if other.parent == place.parent and other.name.lower() in wanted and info.file_size <= MAX_SIDECAR_BYTES:
-            beside[other.name] = info
-    return Member(place.name, maps[0], tuple(beside.values()))
+        if other.parent == map_path.parent and other.name.lower() in names and info.file_size <= MAX_SIDECAR_BYTES:
+            sidecars[other.name] = info
+    return Member(map_path.name, maps[0], tuple(sidecars.values()))
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
-    """Refuse a link, an encrypted file, and a name that leads out of its folder. Raises TerrainError."""
+    """Raise TerrainError for a link, an encrypted file, or a name that leads out of its folder."""
     name = PurePosixPath(info.filename)
     problem = ""
     if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:

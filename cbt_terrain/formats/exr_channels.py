@@ -15,7 +15,10 @@ COMPONENTS = ("z", "y", "v", "r", "red", "x")  # preferred in this order within 
 
 @dataclass(frozen=True)
 class ExrChannel:
-    """One channel of one part. part: its number; part_name: "" in files of one part."""
+    """One channel of one part of a file.
+
+    part: its number. part_name: "" in files of one part. sampling: pixels for each sample along x and y.
+    """
 
     part: int
     part_name: str
@@ -72,7 +75,10 @@ def likeliest(choice: list[ExrChannel], channels: list[ExrChannel]) -> ExrChanne
 
 
 def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, int]:
-    """Return a sort key of a channel: names of heights come first, colours, vectors and other quantities last."""
+    """Return a sort key of a channel, the smallest for the likeliest: kind of name, component, position in the file.
+
+    Names of heights come first, colours, vectors and other quantities last.
+    """
     text, component = channel.full_name.casefold(), channel.component
     beside = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
     is_vector = {"x", "y", "z"} <= beside or VECTOR.search(text) is not None

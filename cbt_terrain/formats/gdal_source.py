@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..rasters.band_notes import band_notes, content_hint, float_alpha
-from ..rasters.coded_heights import decoded
+from ..rasters.coded_heights import decode_if_coded
 from ..rasters.driver_gaps import band_facts
 from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
@@ -44,7 +44,7 @@ def keep_only_drivers(wanted: set[str]) -> list[str]:
     with rasterio.Env() as env:
         known = set(env.drivers())
     os.environ["GDAL_SKIP"] = ",".join(sorted(known - wanted))  # is read when drivers are registered
-    _env._have_registered_drivers = False
+    _env._have_registered_drivers = False  # so that rasterio registers them again
     _env.GDALEnv().start()
     with rasterio.Env() as env:
         left = sorted(env.drivers())
@@ -94,7 +94,7 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
             return raster_of(path, vrt.dataset, settings, form.driver, vrt=vrt)
         notes = allow_aux_file(path)
         original = open_file(path, form)
-        dataset = decoded(path, original, settings)
+        dataset = decode_if_coded(path, original, settings)
     if dataset is not original:
         settings = dataclasses.replace(settings, band=1)
     return raster_of(path, dataset, settings, form.driver, notes)
@@ -110,10 +110,10 @@ def raster_of(
 ) -> Raster:
     """Return the band `settings.band` of an open rasterio dataset as a raster.
 
-    The georeference, the unit of heights and the rounding of stored values come from the dataset; a VRT's from its
-    sources. The raster is reprojected if the settings request it or its grid is sheared. driver: GDAL's name of the
-    format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises TerrainError for
-    a missing band or complex values.
+    The georeference, the unit of heights and the rounding of stored values come from the dataset; roundings of a VRT
+    come from its sources. The raster is reprojected if the settings request it or its grid is sheared. driver: GDAL's
+    name of the format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises
+    TerrainError for a missing band or complex values.
     """
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     if not 1 <= band <= dataset.count:
@@ -128,15 +128,16 @@ def raster_of(
     in_metres, unit_warnings = height_unit(facts.unit, grid.crs or dataset.crs)
     in_metres *= facts.factor
     notes += [*band_notes(dataset, band, driver), *facts.notes, *unit_warnings]
-    found: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
+    roundings: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
     if vrt is not None:
-        found = mosaic_roundings(vrt.mosaic, band, str(stored), lambda *of: vrt.roundings.get(of))
-        notes += mosaic_notes(vrt.mosaic, band, lambda *of: vrt.scales.get(of))
+        roundings = mosaic_roundings(vrt.mosaic, band, str(stored), lambda *file_band: vrt.roundings.get(file_band))
+        notes += mosaic_notes(vrt.mosaic, band, lambda *file_band: vrt.scales.get(file_band))
     if grid.problem and settings.extent is None:
         notes.append(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
+    # Overviews are read from the file itself, not from a decoded copy in memory.
     window, is_plain = _reader_of(path, dataset, settings), driver == "GTiff" and dataset.name == str(path)
     raster = Raster(
         width=dataset.width,
@@ -175,7 +176,7 @@ def raster_of(
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
-        roundings=found,
+        roundings=roundings,
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
         close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
@@ -183,12 +184,13 @@ def raster_of(
 
 
 def _close(*files: DatasetReader) -> None:
+    """Close files in this order: a view before the dataset that it reads."""
     for file in files:
         file.close()
 
 
 def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> Raster:
-    """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
+    """Return the raster of a resampled view of the dataset of `original`; missing samples of the view are NaN."""
     window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
     return dataclasses.replace(
         original,
@@ -208,7 +210,8 @@ def _window_reader(
 ) -> Callable[[int, int, int, int], np.ndarray]:
     """Return the function `window` of a Raster.
 
-    masked: the file has a mask of missing samples. alpha: number of a band that is 0 at missing samples; 0 for none.
+    masked: the file has a mask of missing samples. no_data: value of missing samples, None without. alpha: number of a
+    band that is 0 at missing samples; 0 for none.
     """
     from rasterio.windows import Window
 

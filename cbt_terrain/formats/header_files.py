@@ -39,7 +39,7 @@ def headless_warning(path: Path) -> str:
 
 
 def check_header(path: Path) -> Path:
-    """Return a file's header; refuse a missing one and that of ENVI, which GDAL does not read. Raises TerrainError."""
+    """Return a file's header. Raises TerrainError for a missing one, and for that of ENVI, which GDAL does not read."""
     header = header_of(path)
     if header is None:
         raise TerrainError(
@@ -57,7 +57,7 @@ def check_header(path: Path) -> Path:
 
 
 def check_length(path: Path, header: Path, dataset: DatasetReader) -> None:
-    """Refuse a file that is shorter than its header requires, since GDAL would read zeros. Raises TerrainError."""
+    """Raise TerrainError for a file that is shorter than its header requires, since GDAL would read zeros."""
     with open_regular(header, links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)

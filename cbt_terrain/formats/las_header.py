@@ -11,13 +11,16 @@ COMPRESSED = 128  # added to a point format
 
 
 def las_damage(file: BinaryIO) -> str:
-    """Return the damage of a header as a clause, "" for counts that the file can hold."""
+    """Return the damage of a header as a clause, "" for counts that the file can hold.
+
+    Numbers below are offsets in the header, by the specification of LAS 1.4.
+    """
     size = os.fstat(file.fileno()).st_size
     head = file.read(HEADER_1_4_BYTES)
     if len(head) < HEADER_BYTES or head[:4] != b"LASF":
         return "it does not begin with a header of LAS"
     header_bytes, first_point, num_records, form, point_bytes, num_points = struct.unpack_from("<HIIBHI", head, 94)
-    if head[25] >= 4 and len(head) == HEADER_1_4_BYTES:
+    if head[25] >= 4 and len(head) == HEADER_1_4_BYTES:  # the minor version
         extended_at, num_extended = struct.unpack_from("<QI", head, 235)
         num_points = struct.unpack_from("<Q", head, 247)[0]
         if num_extended and extended_at + EXTENDED_RECORD_BYTES * num_extended > size:
@@ -38,7 +41,7 @@ def _chunks_damage(file: BinaryIO, first_point: int, size: int) -> str:
     try:
         file.seek(first_point)
         (table,) = struct.unpack("<q", file.read(8))
-        if table == -1:
+        if table == -1:  # the writer could not go back
             file.seek(size - 8)
             (table,) = struct.unpack("<q", file.read(8))
         file.seek(max(table, 0))

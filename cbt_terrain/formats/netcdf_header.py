@@ -24,9 +24,10 @@ def netcdf_damage(file: BinaryIO) -> str:
 
 
 class _Header:
-    """A header that is read from its start; `check` raises ValueError or struct.error at damage."""
+    """A header that is read from its start; all methods raise ValueError or struct.error at damage."""
 
     def __init__(self, file: BinaryIO, version: int) -> None:
+        """Begin at the file's position. Versions differ in the sizes of counts (5) and of offsets in the file (1)."""
         self.file, self.size = file, os.fstat(file.fileno()).st_size
         self.count_code = ">Q" if version == 5 else ">I"
         self.offset_bytes = 4 if version == 1 else 8
@@ -58,12 +59,13 @@ class _Header:
     def items(self, tag: int, read_item: Callable[[], None]) -> None:
         """Read a list: its tag, its length and its items. An absent list has the tag 0."""
         found, length = self.number(), self.count()
-        if found != (tag if length else found) or found not in (0, tag):
+        if found not in (0, tag) or (length and found != tag):
             raise ValueError
         for _ in range(length):
             read_item()
 
     def dimension(self) -> None:
+        """Skip a dimension: its name and its length."""
         self.skip(self.count())
         self.number(self.count_code)
 
@@ -76,7 +78,7 @@ class _Header:
         self.skip(size * self.count())
 
     def variable(self) -> None:
-        """Read a name, the axes, the attributes, the type, the size and the offset of a variable."""
+        """Skip a variable: its name, axes, attributes, type, size and offset."""
         self.skip(self.count())
         axes = self.count()
         if axes > MAX_AXES:

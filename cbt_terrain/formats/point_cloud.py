@@ -33,10 +33,10 @@ PROJECTED_KEY, VERTICAL_KEY, GEOGRAPHIC_KEY, USER_DEFINED = 3072, 4096, 2048, 32
 
 @dataclass
 class GroundExtent:
-    """Number and bounding box of ground points, in the file's unit."""
+    """Number and bounding box of ground points."""
 
     count: int = 0
-    low: np.ndarray | float = math.inf
+    low: np.ndarray | float = math.inf  # float64 [2], lowest x and y in the file's unit; highest ones
     high: np.ndarray | float = -math.inf
 
 
@@ -105,7 +105,7 @@ def _header(path: Path) -> tuple[object, float]:
     with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
         header = reader.header
     records = [*header.vlrs, *(header.evlrs or [])]
-    keys = {}
+    keys = {}  # GeoTIFF keys of codes, by their number; a WKT is preferred
     for record in records:
         text = getattr(record, "string", "")
         if type(record).__name__ == "WktCoordinateSystemVlr" and text.strip("\0 "):
@@ -161,7 +161,7 @@ def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, fl
     """Return (heights, west, north, filled): mean heights of cells, float32 [rows, columns], row 0 north, NaN for none.
 
     west, north: coordinates of the grid's borders. filled: number of cells without points that were interpolated. cell:
-    side of a cell in the file's unit.
+    side of a cell in the file's unit. Cell borders are at multiples of it.
     """
     first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
     columns, rows = (last - first).astype(np.int64) + 1
@@ -175,9 +175,9 @@ def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, fl
     for points in _pieces(path):
         column, row = (np.floor(points[:2] / cell) - first[:, None]).astype(np.int64)
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)  # of a file that changes meanwhile
-        at = ((rows - 1 - row) * columns + column)[inside]
-        np.add.at(total, at, points[2][inside])
-        np.add.at(count, at, 1)
+        cells = ((rows - 1 - row) * columns + column)[inside]
+        np.add.at(total, cells, points[2][inside])
+        np.add.at(count, cells, 1)
     with np.errstate(invalid="ignore"):
         heights = (total / count).astype(np.float32).reshape(rows, columns)
     filled = fill_gaps(heights, REACH)
@@ -189,7 +189,8 @@ def fill_gaps(heights: np.ndarray, reach: int) -> np.ndarray:
     """Return heights in which gaps (NaN) of at most 2 * `reach` cells are filled from their borders inwards."""
     padded = np.pad(heights, reach, constant_values=np.nan)
     valid = np.isfinite(padded)
-    narrow = ~_spread(~_spread(valid, reach), reach)  # the morphological closing of `valid`
+    # Cells with a height, and those in narrow gaps: the morphological closing of `valid`.
+    narrow = ~_dilate(~_dilate(valid, reach), reach)
     for _ in range(reach):
         empty = np.isnan(padded)
         if not (empty & narrow).any():
@@ -202,15 +203,15 @@ def fill_gaps(heights: np.ndarray, reach: int) -> np.ndarray:
     return np.where(narrow, padded, np.nan)[inner, inner].astype(np.float32)
 
 
-def _spread(mask: np.ndarray, steps: int) -> np.ndarray:
-    """Return whether a cell of a mask is set within `steps` cells in each direction."""
+def _dilate(mask: np.ndarray, steps: int) -> np.ndarray:
+    """Return for each cell whether a cell of the mask is set within `steps` cells along both axes."""
     for axis in (0, 1):
         for _ in range(steps):
-            mask = _joined(mask, axis)
+            mask = _dilate_along(mask, axis)
     return mask
 
 
-def _joined(mask: np.ndarray, axis: int) -> np.ndarray:
+def _dilate_along(mask: np.ndarray, axis: int) -> np.ndarray:
     """Return a mask united with itself one cell before and after along an axis."""
     turned = np.moveaxis(mask, axis, 0)
     found = turned.copy()

@@ -76,12 +76,12 @@ def check_neighbours(path: Path) -> None:
     GDAL would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait.
     """
     stem, folder = path.stem.casefold(), path.absolute().parent
-    parts = f"{stem}.", f"{stem}_"
+    starts = f"{stem}.", f"{stem}_"
     try:
         blocking = _blocking_in(str(folder), folder.stat().st_mtime_ns)
     except OSError:
         return
-    found = next((other for other in blocking if os.path.basename(other).casefold().startswith(parts)), None)
+    found = next((other for other in blocking if os.path.basename(other).casefold().startswith(starts)), None)
     if found is not None:
         raise TerrainError(
             f"{shown(found)}, beside {shown(path.name)}, is a pipe, a socket or a device",
@@ -92,7 +92,10 @@ def check_neighbours(path: Path) -> None:
 
 @functools.lru_cache(maxsize=4)
 def _blocking_in(folder: str, _changed_ns: int) -> list[str]:
-    """Return the pipes, sockets and devices in a folder; a mosaic of n tiles would search its folder n times."""
+    """Return the pipes, sockets and devices in a folder, cached: a mosaic of n tiles would search its folder n times.
+
+    _changed_ns: time of its last change, only for the cache.
+    """
     with os.scandir(folder) as entries:
         return [e.path for e in entries if not e.is_file(follow_symlinks=False) and blocks_reader(e.path)]
 
@@ -109,7 +112,7 @@ def _open_land(settings: ImportSettings) -> Raster:
 
     step = land.side / (size - 1)
     place = Georeference(step, step, first_row_south=True)
-    return Raster(size, size, read, "float32", land.name, georeference=place, block_rows=64)
+    return Raster(size, size, read, stored="float32", format=land.name, georeference=place, block_rows=64)
 
 
 def open_raw(path: Path, settings: ImportSettings) -> Raster:
@@ -126,7 +129,7 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
     kind = np.dtype(settings.raw_dtype)
     usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)
     kind = (kind if kind.itemsize == usual.itemsize else usual).newbyteorder("<" if settings.raw_little_endian else ">")
-    size = path.stat().st_size
+    size = path.stat().st_size  # bytes
     samples, rest = divmod(size, kind.itemsize)
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
     if width * height * kind.itemsize != size or rest:
@@ -148,7 +151,7 @@ def _byte_order_warnings(values: np.ndarray) -> list[str]:
     """Return a warning about samples that are far smoother with their bytes in the other order."""
     if values.dtype.kind not in "iu" or values.itemsize != 2 or values.shape[1] < 2:
         return []
-    rows = np.asarray(values[:: -(-len(values) // ORDER_ROWS)])
+    rows = np.asarray(values[:: -(-len(values) // ORDER_ROWS)])  # at most ORDER_ROWS of them
     given, other = (
         np.abs(np.diff(r.astype(np.int64), axis=1)).mean() for r in (rows, rows.view(rows.dtype.newbyteorder()))
     )
@@ -183,4 +186,4 @@ def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) 
         return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)
 
     height, width = values.shape
-    return Raster(width, height, read, values.dtype.name, format_name, block_rows=64)
+    return Raster(width, height, read, stored=values.dtype.name, format=format_name, block_rows=64)

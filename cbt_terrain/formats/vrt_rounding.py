@@ -18,6 +18,7 @@ SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
 def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: RoundingOf) -> tuple[SourceRounding, ...]:
     """Return the different roundings of the sources of one band of a mosaic. stored: type of the band's values."""
     found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
+    # A value that the VRT's type holds unchanged has its file's rounding alone.
     is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
     return tuple(
         rounding if exact else SourceRounding(stored, before=rounding, lossy=rounding.lossy)
@@ -68,7 +69,7 @@ def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:
     """Return scale and offset that a source's values get.
 
-    For a lookup table they are bounds: those of its steepest segment.
+    For a lookup table (pairs of a value and its replacement) they are bounds: those of its steepest segment.
     """
     pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
     if not pairs:

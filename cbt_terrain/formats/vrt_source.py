@@ -192,7 +192,7 @@ class _Reader:
         self.path, self.builder = path, ElementTree.TreeBuilder()
         self.open: list[str] = []  # names of the open elements
         self.pieces: list[str] = []  # texts of the innermost
-        self.count = self.ignored = self.length = 0
+        self.count = self.ignored = self.length = 0  # elements; depth below an ignored one; characters of `pieces`
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         """Open an element, or skip it if it is ignored.

@@ -89,30 +89,30 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
             "as they are: convert them to metres first, each file by itself."
         ]
     for scale in found.values():
-        has_unit = not vrt_scale.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
-        has_scale = scale.is_scaled and not vrt_scale.is_scaled
-        if has_unit or has_scale:
-            return [_note(scale, has_unit, has_scale)]
+        lacks_unit = not vrt_scale.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
+        lacks_scale = scale.is_scaled and not vrt_scale.is_scaled
+        if lacks_unit or lacks_scale:
+            return [_note(scale, lacks_unit, lacks_scale)]
     return []
 
 
-def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
+def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
     """Return the warning that a VRT lacks a unit, or a scale and an offset.
 
-    scale: those of the mosaic's files. has_unit, has_scale: whether the files name them.
+    scale: those of the mosaic's files. lacks_unit, lacks_scale: which of them the VRT lacks.
     """
     missing = HeightScale(
-        scale.unit if has_unit else "",
+        scale.unit if lacks_unit else "",
         scale.metres,
-        scale.scale if has_scale else 1.0,
-        scale.offset if has_scale else 0.0,
+        scale.scale if lacks_scale else 1.0,
+        scale.offset if lacks_scale else 0.0,
     )
-    elements = ["<UnitType>"] * has_unit + ["<Scale>", "<Offset>"] * has_scale
-    text = f"<UnitType>{shown(scale.unit)}</UnitType>" if not has_scale else " and ".join(elements)
+    elements = ["<UnitType>"] * lacks_unit + ["<Scale>", "<Offset>"] * lacks_scale
+    text = f"<UnitType>{shown(scale.unit)}</UnitType>" if not lacks_scale else " and ".join(elements)
     start = f"The files of the mosaic give their heights {missing.text}, and the VRT does not: write {text} into it, or"
     if scale.metres is None:
         return f"{start} give the metres in one of its values (--height-scale)."
-    factor = (scale.metres if has_unit else 1.0) * missing.scale
+    factor = (scale.metres if lacks_unit else 1.0) * missing.scale
     offset = f" --height-offset {scale.metres * missing.offset:.10g}" if missing.offset else ""
     return f"{start} give --height-scale {factor:.10g}{offset}."
 

@@ -58,7 +58,7 @@ def codes_of(bands: np.ndarray) -> np.ndarray:
     return codes
 
 
-def decoded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> DatasetReader:
+def decode_if_coded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> DatasetReader:
     """Return a rasterio dataset of heights: `dataset`, or its decoded copy in memory if it holds coded ones.
 
     The copy has one band of codes with their scale, offset, unit and no-data value, and the position of a web map tile.
@@ -67,7 +67,7 @@ def decoded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Dat
     if not may_be_coded(path, settings.encoding):
         return dataset
     is_image = dataset.count in (3, 4) and all(kind == "uint8" for kind in dataset.dtypes)
-    name = settings.encoding or (_recognised(path, dataset) if is_image else "")
+    name = settings.encoding or (_recognise_coding(path, dataset) if is_image else "")
     if not name:
         return dataset
     if not is_image:
@@ -86,7 +86,7 @@ def decoded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Dat
 
 
 def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> DatasetReader:
-    """Copy a dataset of coded heights into memory, decoded, and close it."""
+    """Return a copy in memory of a dataset of coded heights, as one band of codes, and close the dataset."""
     import rasterio
     from rasterio.windows import Window
 
@@ -116,15 +116,18 @@ def _tile_place(tile: tuple[int, int, int], side: int) -> dict:
     return {"crs": "EPSG:3857", "transform": Affine(size / side, 0.0, corner[0], 0.0, -size / side, corner[1])}
 
 
-def _recognised(path: Path, dataset: DatasetReader) -> str:
-    """Return the encoding of a web map tile if only one gives heights on Earth without cliffs; "" otherwise."""
+def _recognise_coding(path: Path, dataset: DatasetReader) -> str:
+    """Return the encoding of a web map tile if only one gives heights on Earth without cliffs; "" otherwise.
+
+    Without cliffs: neighbours differ by less than a pixel's width in the mean.
+    """
     if max(dataset.width, dataset.height) > MAX_TILE or dataset.width != dataset.height:
         return ""
     codes = codes_of(dataset.read())
     valid = codes != MISSING
     tile = tile_of(path)
     assert tile is not None, "its path is that of a tile"
-    pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width
+    pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width  # metres
     found = []
     for name, coding in CODINGS.items():
         heights = np.where(valid, codes * coding.scale + coding.offset, np.nan)

@@ -101,7 +101,10 @@ def _correct_netcdf(path: Path, dataset: DatasetReader, band: int, facts: BandFa
 
 
 def _axes(path: Path, dataset: DatasetReader, names: tuple[str, str]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the coordinates of columns and rows in two variables of a netCDF file; None if they do not fit."""
+    """Return the coordinates of columns and rows in two variables of a netCDF file, float64 [width] and [height].
+
+    Return None unless there are such variables of these lengths with even steps.
+    """
     import rasterio
 
     found = []

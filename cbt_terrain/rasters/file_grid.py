@@ -76,9 +76,11 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
     if np.isfinite(pixels).all() and np.isfinite(ground).all():
+        # Both are taken from their means, which makes the least squares accurate.
         middle, shift = pixels.mean(axis=0) * (1.0, 1.0, 0.0), ground.mean(axis=0)
         fit, _, rank, _ = np.linalg.lstsq(pixels - middle, ground - shift, rcond=None)
-        if rank == 3:
+        if rank == 3:  # the points are not on one line
+            # Distances of the points from the grid, in cells.
             off = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
             if lengths(off).max() <= MAX_GCP_CELLS:
                 (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]

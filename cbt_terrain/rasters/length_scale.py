@@ -43,12 +43,13 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
     a, b, _, d, e, _ = grid.placed
     x, y = grid.positions(width / 2, height / 2)
     step = max(length((a, d)), length((b, e)), 1.0)
+    # Two points along x and two along y, and as unit vectors from the centre of the Earth.
     found = _degrees(grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5]))
     if found is None or not np.isfinite(found[0]).all():
         return []
     longitude, latitude = np.radians(found[0])
-    at = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
-    along_x, along_y, up = at[:, 1] - at[:, 0], at[:, 3] - at[:, 2], at.sum(axis=1)
+    points = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    along_x, along_y, up = points[:, 1] - points[:, 0], points[:, 3] - points[:, 2], points.sum(axis=1)
     if (np.cross(along_x, along_y) * up).sum() >= 0.0:
         return []
     name = grid.name[:80]
@@ -102,18 +103,19 @@ def _remedy(name: str, latitude: float) -> str:
 def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tuple[np.ndarray, float]:
     """Return the ratios of steps along x and y to true steps, float64 [n, 2], the raster's middle first.
 
-    Also return the middle's latitude, degrees. There are no rows if PROJ cannot transform the middle.
+    Further rows are points on the border. Also return the middle's latitude, degrees. There are no rows if PROJ cannot
+    transform the middle. place: its steps are those that are compared.
     """
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
     ends = np.zeros_like(along), np.ones_like(along)
     columns = np.concatenate([[0.5], along, along, *ends]) * width
     rows = np.concatenate([[0.5], *ends, along, along]) * height
-    near = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))
-    x, y = np.array([grid.positions(columns + column, rows + row) for column, row in near]).transpose(1, 0, 2)
-    found = _degrees(grid.crs, x.ravel(), y.ravel())
-    if found is None:
+    half_cells = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))  # ends of a cell along a row, and along a column
+    x, y = np.array([grid.positions(columns + column, rows + row) for column, row in half_cells]).transpose(1, 0, 2)
+    degrees = _degrees(grid.crs, x.ravel(), y.ravel())
+    if degrees is None:
         return np.empty((0, 2)), 0.0
-    (longitude, latitude), ellipsoid = found[0].reshape(2, *x.shape), found[1]
+    (longitude, latitude), ellipsoid = degrees[0].reshape(2, *x.shape), degrees[1]
     metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
     column, row = (
         lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * metres)

@@ -259,7 +259,10 @@ def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
 
 
 def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
-    """Return rows with NaN for `no_data`, unchanged if it is None or cannot occur in their type."""
+    """Return rows with NaN for `no_data`, unchanged if it is None or cannot occur in their type.
+
+    Rows with NaN are float64 if they were integers of more than 16 bits, else of the smallest float that holds them.
+    """
     if not stands_for_missing(no_data, rows.dtype):
         return rows
     with np.errstate(over="ignore", invalid="ignore"):

@@ -178,12 +178,12 @@ def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tupl
         return column, area / column
     if abs(column_x) < 0.1 * column:
         return area / column, column
-    step = max(min(column, row), math.sqrt(area / 2))
+    step = max(min(column, row), math.sqrt(area / 2))  # the shorter step, but at most twice as many samples
     return step, step
 
 
 def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> None:
-    """Refuse a raster whose points do not survive the way to the new system and back.
+    """Raise TerrainError for a raster whose points do not survive the way to the new system and back.
 
     A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator.
     """
@@ -191,7 +191,8 @@ def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: C
     columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
     x, y = source.positions(columns, rows)
     back_x, back_y = _transform_points(path, crs, source.crs, *_transform_points(path, source.crs, crs, x, y))
-    cell = max(length(source.placed[0:4:3]), length(source.placed[1:5:3]))
+    a, b, _, d, e, _ = source.placed
+    cell = max(length((a, d)), length((b, e)))
     if lengths(np.stack([back_x - x, back_y - y])).max() > cell:
         raise TerrainError(
             f"{shown(path)} passes the edge of its coordinate system {source.name[:80]}, so parts of it are "

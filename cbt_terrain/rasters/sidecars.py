@@ -39,7 +39,10 @@ def sidecars(path: Path) -> list[Path]:
 
 @functools.lru_cache(maxsize=4)
 def _names_in(folder: str, _changed_ns: int) -> dict[str, list[str]]:
-    """Return the names in a folder by their small letters; a mosaic of n tiles would list its folder n times."""
+    """Return the names in a folder by their small letters, cached: a mosaic of n tiles would list its folder n times.
+
+    _changed_ns: time of its last change, only for the cache.
+    """
     found: dict[str, list[str]] = {}
     for name in os.listdir(folder):
         found.setdefault(name.lower(), []).append(name)
@@ -117,6 +120,7 @@ def named_crs(path: Path, notes: list[str]) -> CRS | None:
     GDAL reads a .prj only beside ASCII grids, and the system in an .aux.xml only beside other rasters.
 
     Args:
+        path: the raster's file.
         notes: gets a warning about a .prj that cannot be read.
     """
     from rasterio.crs import CRS

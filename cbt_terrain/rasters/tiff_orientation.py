@@ -23,6 +23,7 @@ def orientation_of(path: Path) -> int:
             return 1
         (version,) = struct.unpack_from(order + "H", head, 2)
         # In BigTIFF, a directory's count, an entry's count and its value have 8 bytes.
+        # start: where the directory's offset is in the file. value: where the value is in an entry of `entry` bytes.
         start, count, entry, value = (8, "Q", 20, 12) if version == 43 else (4, "I", 12, 8)
         (offset,) = struct.unpack_from(order + count, head, start)
         kind = "Q" if version == 43 else "H"
@@ -34,10 +35,10 @@ def orientation_of(path: Path) -> int:
             return 1
         (tags,) = struct.unpack(order + kind, number)
         content = file.read(min(tags, MAX_TAGS) * entry)
-    for at in range(0, len(content) - entry + 1, entry):
-        tag, type_ = struct.unpack_from(order + "HH", content, at)
+    for first in range(0, len(content) - entry + 1, entry):
+        tag, type_ = struct.unpack_from(order + "HH", content, first)
         if tag == ORIENTATION and type_ == SHORT:
-            (orientation,) = struct.unpack_from(order + "H", content, at + value)
+            (orientation,) = struct.unpack_from(order + "H", content, first + value)
             return orientation if 1 <= orientation <= 8 else 1
     return 1
 

@@ -58,7 +58,7 @@ def metres_of(name: str) -> float | None:
         return METRES[name]
     if _NO_LENGTH.search(name):
         return None
-    is_whole = not re.search(r"[^\W_][\W_]+[^\W_]", name)
+    is_whole = not re.search(r"[^\W_][\W_]+[^\W_]", name)  # nothing but letters and digits between its ends
     name = re.sub(r"international|intl|[\W_]", "", name)
     for text in (name, name.removesuffix("s") if len(name) > 2 else name):
         if text in METRES and (is_whole or len(text) > MAX_SYMBOL):  # "m m" is not mm
@@ -93,7 +93,7 @@ def vertical_unit(crs: CRS | None) -> tuple[str, float, bool] | None:
 
 
 def height_unit(band_unit: str, crs: CRS | None) -> tuple[float, list[str]]:
-    """Return the metres in a unit of a band's values, and warnings.
+    """Return the metres in the unit of a band's values, and warnings about how it was found.
 
     Args:
         band_unit: the band's unit in the file, "" if none.

@@ -61,7 +61,9 @@ class CostCurve:
         errors = sorted(found, reverse=True)
         medians = [[statistics.median(pair[k] for pair in found[error]) for error in errors] for k in (0, 1)]
         names = "triangles", "ms"
-        triangles, ms = (tuple(_level(_positive_numbers(name, of))) for name, of in zip(names, medians, strict=True))
+        triangles, ms = (
+            tuple(_make_monotone(_positive_numbers(name, costs))) for name, costs in zip(names, medians, strict=True)
+        )
         return cls(unit, tuple(errors), triangles, ms)
 
     def at(self, error: float) -> tuple[float, float]:
@@ -78,15 +80,15 @@ class CostCurve:
         if not ms > 0:
             raise TerrainError(f"The budget is {ms} milliseconds", expected="more than 0")
         finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
-        fits = [i for i, cost in enumerate(self.ms) if cost <= ms]
-        i = min(fits[-1], len(self.ms) - 2) if fits else 0
+        fits = [i for i, cost in enumerate(self.ms) if cost <= ms]  # measured points within the budget
+        i = min(fits[-1], len(self.ms) - 2) if fits else 0  # first point of the line that is followed
         slope = self._slope(self.ms, i)
         if slope == 0 or ms == math.inf:  # a level end goes on: finer is free, or nothing coarser is cheaper
             return finest if fits else coarsest
         exponent = math.log(ms / self.ms[i]) / slope + math.log(self.error[i])
         if exponent <= math.log(finest):
             return finest
-        return min(_rounded_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
+        return min(_round_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
 
     def to_json(self) -> str:
         """Return the curve as JSON text, which is saved with the terrain's settings."""
@@ -138,7 +140,7 @@ def _positive_numbers(name: str, values: Sequence) -> tuple[float, ...]:
     return numbers
 
 
-def _level(values: Sequence[float]) -> list[float]:
+def _make_monotone(values: Sequence[float]) -> list[float]:
     """Return the nearest values that never fall.
 
     The geometric mean replaces neighbours in the wrong order (pool adjacent violators; Barlow et al. 1972).
@@ -157,7 +159,7 @@ def _geometric_mean(values: list[float]) -> float:
     return values[0] if len(values) == 1 else statistics.geometric_mean(values)
 
 
-def _rounded_up(value: float) -> float:
+def _round_up(value: float) -> float:
     """Round up to DIGITS digits. A value that is a rounding error above such a number becomes that number."""
     digits = DIGITS - 1 - math.floor(math.log10(value))
     scaled = math.ceil(value * 10.0**digits * (1 - SAME))

@@ -51,15 +51,15 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     for error in errors_px:
         update = terrain.update(Setting("px", error).criterion(base or Criterion()), [view], *frame.heights)
         surfaces.append(update.surface)
-    drawn = [_Drawn(surface, view, frame.placement) for surface in surfaces]
+    drawn = [_ProjectedSurface(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
-    apart = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
-    x, y = _max_square(np.abs(apart[0] - apart[1]).sum(axis=2), side)
-    place = SMALL * x, SMALL * y, SMALL * side, SMALL * side
+    whole = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
+    x, y = _max_square(np.abs(whole[0] - whole[1]).sum(axis=2), side)
+    box = SMALL * x, SMALL * y, SMALL * side, SMALL * side  # x, y, width and height in the frame, pixels
     found = []
     for error, picture in zip(errors_px, drawn, strict=True):
-        x, y, wide, high = (SAMPLES * pixels for pixels in place)
+        x, y, wide, high = (SAMPLES * pixels for pixels in box)
         colours = picture.shade(x, y, wide, high, SAMPLES, lines=True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
         pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
         found.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
@@ -67,14 +67,17 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
 
 
 def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
-    """Return column and row of the square of `side` pixels with the largest sum."""
+    """Return column and row of the first pixel of the square of `side` x `side` pixels with the largest sum.
+
+    values: float64 [rows, columns], row 0 below.
+    """
     sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     inside = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
     row, column = np.unravel_index(inside.argmax(), inside.shape)
     return int(column), int(row)
 
 
-class _Drawn:
+class _ProjectedSurface:
     """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
 
     def __init__(self, surface: Surface, view: View, placement: np.ndarray | None) -> None:
@@ -99,28 +102,28 @@ class _Drawn:
         x, y: lower left corner of the part in the scaled frame, pixels. lines: whether to draw the edges of
         triangles. The result is float64 [height, width, 3], linear, row 0 below.
         """
-        places = np.c_[self._pixels * scale - (x, y), self._depth_keys]
-        ends = places[self._corners]
+        vertices = np.c_[self._pixels * scale - (x, y), self._depth_keys]
+        ends = vertices[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
         inside = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
         corners = np.ascontiguousarray(self._corners[inside])
-        shown = np.full(height * width, -1, np.int32)
+        shown = np.full(height * width, -1, np.int32)  # the triangle in each pixel, index of `corners`; -1 for the sky
         depth_keys = np.full(height * width, -np.inf)
-        arrays = [shared(corners.reshape(-1), wp.int32), shared(places, wp.vec3d), width, height]
+        arrays = [shared(corners.reshape(-1), wp.int32), shared(vertices, wp.vec3d), width, height]
         arrays += [shared(depth_keys, wp.float64), shared(shown, wp.int32)]
         bands, threads = -(-height // int(kernels.BAND)), launch.default_threads()
         launch.spread(kernels.draw_triangles, bands, arrays, step="draw", threads=threads, cost=1e4)
         colours = np.broadcast_to(SKY, (height, width, 3)).copy()
         rows, columns = np.divmod(np.flatnonzero(shown >= 0), width)
         hit = corners[shown[shown >= 0]]
-        parts, edge_px = _barycentric(places[hit], columns + 0.5, rows + 0.5)
-        weights = parts * self._weight[hit]
+        weights, edge_px = _barycentric(vertices[hit], columns + 0.5, rows + 0.5)
+        weights = weights * self._weight[hit]  # of the corners in space, not on screen
         normals = (self._normals[hit] * weights[..., None]).sum(axis=1)
         normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
         light = np.maximum(product(normals, SUN), 0)[:, None] * SUNLIGHT + (0.5 + 0.5 * normals[:, 2:]) * SKYLIGHT
         ground = light * GROUND
         if lines:
-            left = columns / width + rows / height < 1
+            left = columns / width + rows / height < 1  # the lower left half
             share = OPACITY * np.clip(1.5 * LINE_PX - edge_px, 0, 1) * left
             ground += share[:, None] * (INK - ground)
         colours[rows, columns] = ground
@@ -132,9 +135,10 @@ def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.nda
 
     ends: corners of each point's triangle, [n, 3, >= 2], x and y first. x, y: the points, [n]. All in pixels.
     """
-    corners, at = ends[..., :2], np.stack([x, y], axis=1)[:, None]
+    corners, points = ends[..., :2], np.stack([x, y], axis=1)[:, None]
     from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner
-    along, out = to - from_, at - from_
-    twice = along[..., 0] * out[..., 1] - along[..., 1] * out[..., 0]
+    along, to_point = to - from_, points - from_
+    # Twice the signed areas of the triangles of the point and an edge.
+    twice = along[..., 0] * to_point[..., 1] - along[..., 1] * to_point[..., 0]
     lengths = np.sqrt((along**2).sum(axis=2))
     return twice / twice.sum(axis=1, keepdims=True), np.abs(twice / lengths).min(axis=1)

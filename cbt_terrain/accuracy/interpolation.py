@@ -18,25 +18,26 @@ def interpolation(field: HeightField) -> Errors:
     distances, (height, width) = [], field.samples.shape
     for row in range(0, height, ROWS):
         # the rows of the block, one before and two behind
-        inside, mirrored = _places(row - 1, min(row + ROWS + 2, height + 1), height)
+        inside, mirrored = _with_mirrored(row - 1, min(row + ROWS + 2, height + 1), height)
         h = 2 * field.heights(inside).astype(np.float64) - field.heights(mirrored)
-        inside, mirrored = _places(-1, width + 1, width)
+        inside, mirrored = _with_mirrored(-1, width + 1, width)
         wide = (2 * h[:, inside] - h[:, mirrored]).T
         linear, cubic = _linear(wide).T, _cubic(wide).T
         count = min(ROWS, height - row)
+        # The middles of sides along rows, those of sides along columns, and the centres of cells.
         distances += [linear[1:][:count] - cubic[1:][:count], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]
     return errors_of(np.concatenate([d.astype(np.float32).reshape(-1) for d in distances]))
 
 
-def _places(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each of `first` .. `end` the nearest of `count` samples, and the one as far behind that.
+def _with_mirrored(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return for numbers `first` to `end` the nearest of `count` samples, and the sample mirrored at that one.
 
-    Twice the height of the first less that of the other goes on straight beyond the border, and inside is the height of
-    the sample.
+    Twice the height of the first minus that of the other goes on straight beyond the border, and inside is the height
+    of the sample.
     """
-    places = np.arange(first, end)
-    inside = np.clip(places, 0, count - 1)
-    return inside, 2 * inside - places
+    numbers = np.arange(first, end)
+    inside = np.clip(numbers, 0, count - 1)
+    return inside, 2 * inside - numbers
 
 
 def _linear(h: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ def measure(
         sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
-    difference, worst = mesh.differences()
+    difference, worst = mesh.differences()  # at samples; largest of each triangle
     on_progress(0.1)
     rounding = mesh.edge_extremes(worst)
     between, owner = mesh.differences_at(ground.random_points(random_points, seed))
@@ -95,7 +95,7 @@ def measure(
     if sight is not None:
         sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
         sight.states(_part_of_progress(on_progress, 0.4, 0.7))
-        there, _ = mesh.differences_at(sight.visible_points())
+        there, _ = mesh.differences_at(sight.visible_points())  # the reference's differences from itself are 0
         screen, hidden = sight.errors(np.zeros_like(difference), difference, (np.zeros_like(there), there))
         on_progress(0.8)
         outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
@@ -146,9 +146,9 @@ def triangle_errors(
     for view in views:
         sight = Sight(ground, view, placement)
         mesh.walk(screen_kernels.triangle_px, [sight.eye, shared(worst, wp.float64)])
-        there, owner = mesh.differences_at(sight.visible_points())
-        found = owner >= 0
-        np.maximum.at(worst, owner[found], sight.point_errors(np.zeros_like(there), there)[found])
+        differences, owner = mesh.differences_at(sight.visible_points())
+        on_mesh = owner >= 0
+        np.maximum.at(worst, owner[on_mesh], sight.point_errors(np.zeros_like(differences), differences)[on_mesh])
     return worst.astype(np.float32)
 
 

@@ -54,10 +54,10 @@ def errors_of(values: np.ndarray) -> Errors:
     if not values.size:
         return NONE
     np.abs(values, out=values)
-    at = -(-values.size * 95 // 100) - 1
-    values.partition(at)
-    highest = np.sort(values[at:])
-    last = -(-values.size * 999 // 1000) - 1 - at
+    first = -(-values.size * 95 // 100) - 1  # index of p95 in ascending order
+    values.partition(first)
+    highest = np.sort(values[first:])
+    last = -(-values.size * 999 // 1000) - 1 - first  # index of p999 among the highest
     mean = float(np.sum(values, dtype=np.float64)) / values.size
     squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks_of(values))
     quantiles = float(highest[-1]), float(highest[0]), float(highest[last])
@@ -108,14 +108,17 @@ class MeshGround:
 
 
 class MeasuredMesh:
-    """A surface as delivered, ready to be walked over a ground."""
+    """A surface as delivered, ready to be walked over a ground.
+
+    `triangles`: their number. `covered`: samples that the mesh covers, bool [height, width], once `differences` has
+    found holes; None for all of them.
+    """
 
     def __init__(self, ground: MeshGround, surface: Surface) -> None:
         """Pack a surface for kernels. Raises TerrainError for an empty mesh or one that is not finite."""
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite", expected="a finite mesh")
-        # Samples that the mesh covers, bool [height, width], once `differences` has found holes; None: all of them.
         self.covered: np.ndarray | None = None
         m = self.packed = kernels.DeliveredMesh()
         m.positions, m.normals = shared(surface.positions, wp.vec3f), shared(surface.normals, wp.vec3f)
@@ -124,12 +127,15 @@ class MeasuredMesh:
         self._cuts = self._even_cuts(surface)
 
     def _even_cuts(self, surface: Surface) -> list[int]:
-        """Return the cuts of the list of triangles between threads: even by the samples in their boxes."""
+        """Return the cuts of the list of triangles between threads, from 0 to the number of triangles.
+
+        They are even by the number of samples in the triangles' boxes.
+        """
         threads = self.ground.threads if self.triangles >= 2 else 1
         low = high = surface.positions[surface.corner_verts[::3], :2]
         for corner in (1, 2):
-            place = surface.positions[surface.corner_verts[corner::3], :2]
-            low, high = np.minimum(low, place), np.maximum(high, place)
+            positions = surface.positions[surface.corner_verts[corner::3], :2]
+            low, high = np.minimum(low, positions), np.maximum(high, positions)
         lattice = self.ground.field.lattice
         extent = (high - low) / np.array([lattice.step_x, lattice.step_y], np.float32)
         work = np.cumsum((extent[:, 0] + 2) * (extent[:, 1] + 2), dtype=np.float64)
@@ -138,22 +144,21 @@ class MeasuredMesh:
 
     def walk(self, kernel: wp.Kernel, arrays: list) -> None:
         """Launch `kernel` over all triangles: it takes the first and the end, ground, mesh and `arrays`."""
-        of = self.ground.packed, self.packed
-        launch.slices(kernel, [[*piece, *of, *arrays] for piece in pairwise(self._cuts)], step="measure")
+        inputs = self.ground.packed, self.packed, *arrays
+        launch.slices(kernel, [[*piece, *inputs] for piece in pairwise(self._cuts)], step="measure")
 
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mesh less reference at every sample, and the largest magnitude of each triangle.
+        """Return mesh minus reference at every sample, float32 [height, width] metres, rounded toward zero.
 
-        float32 [height, width] metres; float64 [T].
-
-        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; with holes,
-        samples that it does not cover or that are no ground are 0.
+        Also return the largest magnitude of each triangle, float64 [T]. Raises TerrainError where the mesh does not
+        cover every sample; with holes, samples that it does not cover or that are no ground are 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
         self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
         valid = self.ground.field.valid
         if valid is not None:
+            # A sample is ground if one of its four cells has no missing corner.
             beside = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
             ground = np.lib.stride_tricks.sliding_window_view(beside, (2, 2)).any(axis=(2, 3))
             self.covered = ~np.isnan(difference) & ground
@@ -172,7 +177,7 @@ class MeasuredMesh:
         """Raise `worst` (float64 [T], metres) from that at samples to the maximum over each triangle.
 
         Returns float64 [T], by how much float32 has moved each. Over a cell a bilinear reference is a saddle, so mesh
-        less reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
+        minus reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
         maximum is exact. For a bicubic reference, or one with detail, it is the largest at the samples, at 8 points of
         each edge in each cell and at 4 x 4 points of each cell, or of the box of a triangle that is smaller.
         """
@@ -183,9 +188,9 @@ class MeasuredMesh:
         return rounding
 
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return mesh less reference at int64 [n, 2] points (units of 2^-(bits + 7) cells), float64 [n] metres.
+        """Return mesh minus reference at points, float64 [n] metres, and the triangle that covers each.
 
-        And the triangle that covers each, int32 [n]; -1 in a hole.
+        The latter is int32 [n], -1 in a hole. points: int64 [n, 2], in units of `MeshGround.point_ends`.
         """
         g, count = self.ground, len(points)
         difference, owner = np.zeros(count), np.full(count, -1, np.int32)
@@ -202,16 +207,17 @@ class MeasuredMesh:
         return difference, owner
 
     def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unit vertex normals interpolated at points, and the triangle that covers each.
+        """Return the unit vertex normals interpolated at points, float64 [n, 3], and the triangle that covers each.
 
-        float64 [n, 3], and int32 [n], -1 in a hole. points: int64 [n, 2], in units of 2^-(bits + 7) cells.
+        The latter is int32 [n], -1 in a hole. points: int64 [n, 2], in units of `MeshGround.point_ends`.
         """
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface
         corners = s.triangles[np.maximum(owner, 0)]
-        at = points * (np.array([packed.step_x, packed.step_y]) / 2.0 ** (self.ground.bits + POINT_BITS))
-        ends = s.positions[corners, :2] - (at + [packed.west, packed.south])[:, None]
+        metres = points * (np.array([packed.step_x, packed.step_y]) / 2.0 ** (self.ground.bits + POINT_BITS))
+        ends = s.positions[corners, :2] - (metres + [packed.west, packed.south])[:, None]
         (ax, ay), (bx, by), (cx, cy) = (ends[:, k].T for k in range(3))
+        # The weight of a corner is the area between the point and the other two corners.
         areas = np.stack([bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx], axis=1)
         normals = (s.normals[corners] * areas[..., None]).sum(axis=1)
         return normals / lengths(normals.T)[:, None], owner

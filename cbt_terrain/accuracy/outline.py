@@ -71,21 +71,20 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
     cover = cover.reshape(rows, columns)
     crossings = _crossings(_flips(cover, sight, MARGIN), rays.meet)
     first, segment = _lines(cover)
-    place = np.concatenate(flips)
-    distance = np.zeros(len(place))
+    points = np.concatenate(flips)
+    distance = np.zeros(len(points))
     inputs = [columns, rows, 0.5 - columns / 2, 0.5 - rows / 2, sight.eye, shared(first, wp.int32)]
     inputs += [shared(segment, wp.vec2i), shared(np.concatenate(crossings), wp.vec2d)]
-    inputs += [shared(place, wp.vec2d), shared(distance, wp.float64)]
-    launch.spread(kernels.nearest, len(place), inputs, step="measure", threads=threads, cost=50)
+    inputs += [shared(points, wp.vec2d), shared(distance, wp.float64)]
+    launch.spread(kernels.nearest, len(points), inputs, step="measure", threads=threads, cost=50)
     return errors_of(distance)
 
 
 def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
-    """Return the first pixels of pairs of which one is covered.
+    """Return the first pixels of pairs of neighbours of which one is covered: pairs in rows, and pairs in columns.
 
-    float64 [n, 2] twice, in pixels from the frame's middle.
-
-    The first of the two has pairs in one row, the second pairs in one column.
+    Both are float64 [n, 2], in pixels from the frame's middle. cover: bool [rows, columns] of the frame and `margin`
+    pixels around it.
     """
     corner = np.array([0.5 - margin - sight.columns / 2, 0.5 - margin - sight.rows / 2])
     pairs = (cover[:, 1:] != cover[:, :-1]), (cover[1:] != cover[:-1])
@@ -95,7 +94,7 @@ def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
 def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarray]) -> list[np.ndarray]:
     """Return where between two neighbouring pixels the coverage flips, for pairs in rows and in columns.
 
-    Both are float64 [n, 2] in pixels. flips: the first pixel of each pair. covers: tells for positions in the frame
+    Both are float64 [n, 2] in pixels. flips: the first pixel of each pair. covers: returns for positions in the frame
     whether a ray there hits the surface; it is called HALVINGS times (bisection).
     """
     found = []
@@ -115,16 +114,17 @@ def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
     """
     beside, above = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
+    # Number of each flip in the order of `_flips`: those in rows first.
     number = [np.cumsum(beside).reshape(beside.shape) - 1, np.cumsum(above).reshape(above.shape) - 1 + beside.sum()]
     sides = beside[:-1], above[:, :-1], beside[1:], above[:, 1:]  # south, west, north, east
     numbers = number[0][:-1], number[1][:, :-1], number[0][1:], number[1][:, 1:]
     mixed = np.argwhere(sides[0] | sides[1] | sides[2] | sides[3])
-    at = mixed[:, 0], mixed[:, 1]
-    crossed = np.stack([side[at] for side in sides], axis=1)
-    crossing = np.stack([number[at] for number in numbers], axis=1)
+    squares = mixed[:, 0], mixed[:, 1]
+    crossed = np.stack([side[squares] for side in sides], axis=1)
+    crossing = np.stack([number[squares] for number in numbers], axis=1)
     # crossed sides first, in their order
     crossing = np.take_along_axis(crossing, np.argsort(~crossed, axis=1, kind="stable"), axis=1)
-    doubled = crossed.all(axis=1)
+    doubled = crossed.all(axis=1)  # squares with two lines
     square = mixed[:, 0] * cover.shape[1] + mixed[:, 1]
     square, segment = np.r_[square, square[doubled]], np.r_[crossing[:, :2], crossing[doubled, 2:]]
     order = np.argsort(square, kind="stable")

@@ -61,7 +61,10 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
 
 
 def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_kernels.Eye:
-    """Return the view for the kernels of the measurement: from cells and metres of height."""
+    """Return the view for the kernels of the measurement: from cells and metres of height to the camera and back.
+
+    placement: float64 [4, 4], terrain to world.
+    """
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
     to_terrain[:2, 3] = g.west, g.south
@@ -97,10 +100,12 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     assert view.projection is not None  # only a panorama has none
     p = view.projection
     e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]
-    at = 3 if view.kind == ORTHOGRAPHIC else 2
+    # The column of the projection that shifts the frame: of the constant, or of the depth, which is -z.
+    column = 3 if view.kind == ORTHOGRAPHIC else 2
     sign = -1.0 if view.kind == ORTHOGRAPHIC else 1.0
-    # A place (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
-    to_camera = np.array([[sign * p[0, at] / p[0, 0], 1 / p[0, 0], 0], [sign * p[1, at] / p[1, 1], 0, 1 / p[1, 1]]])
+    shift = sign * p[0, column] / p[0, 0], sign * p[1, column] / p[1, 1]
+    # A point (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
+    to_camera = np.array([[shift[0], 1 / p[0, 0], 0], [shift[1], 0, 1 / p[1, 1]]])
     rows = product(back[:3, :2], to_camera)
     ahead = np.c_[-back[:3, 2], np.zeros((3, 2))]
     if view.kind == ORTHOGRAPHIC:
@@ -128,8 +133,8 @@ class Sight:
         self.key = (ground.key, view.key(), placement.tobytes())
         self.ground, self.eye = ground, pack_eye(view, placement, ground)
         self.columns, self.rows = pixel_grid(view)
-        self._pixels: np.ndarray | None = None
-        self._state: np.ndarray | None = None
+        self._pixels: np.ndarray | None = None  # result of `pixel_points`
+        self._state: np.ndarray | None = None  # result of `states`
 
     @cached_property
     def blocks(self) -> ray_kernels.HeightBlocks:
@@ -137,9 +142,9 @@ class Sight:
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
-        """Return the point of the surface seen at each point of the frame.
+        """Return the point of the surface seen at each point of the frame: int64 [n, 2], -1 in the sky.
 
-        int64 [n, 2], units of 2^-(bits + 7) cells, -1 in the sky, for `places`, float64 [n, 2], pixels from the middle.
+        Its unit is that of `MeshGround.point_ends`. places: float64 [n, 2], pixels from the frame's middle.
         """
         x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
         inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
@@ -147,9 +152,9 @@ class Sight:
         return np.stack([x, y], axis=1)
 
     def pixel_points(self, on_progress: Progress = ignore_progress) -> np.ndarray:
-        """Return the point of the surface seen in the middle of each pixel.
+        """Return the point of the surface seen in the middle of each pixel, int64 [rows * columns, 2], row 0 below.
 
-        int64 [rows * columns, 2], units of 2^-(bits + 7) cells, row 0 below; x is -1 in the sky.
+        Its unit is that of `MeshGround.point_ends`; x is -1 in the sky. Computed on first use.
         """
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
@@ -169,7 +174,7 @@ class Sight:
         return (self.pixel_points()[:, 0] >= 0).reshape(self.rows, self.columns)
 
     def states(self, on_progress: Progress = ignore_progress) -> np.ndarray:
-        """Return whether each sample is outside the frame, visible or hidden, uint8 [height * width]."""
+        """Return OUTSIDE (the frame), VISIBLE or HIDDEN for each sample, uint8 [height * width]; cached."""
         if self._state is None:
             height, width = self.ground.field.samples.shape
             state = np.zeros(height * width, np.uint8)
@@ -194,15 +199,15 @@ class Sight:
         (height, width), bits = before.shape, self.ground.bits + POINT_BITS
         for row, rows in _row_blocks(height, width):
             start, end = row * width, (row + rows) * width
-            at = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
-            points = np.stack([at % width, at // width], axis=1) << bits
-            pixels = self._pixels_between(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
-            visible.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
-            hidden.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
+            indices = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
+            points = np.stack([indices % width, indices // width], axis=1) << bits
+            pixels = self._pixels_between(points, *(a.reshape(-1)[indices].astype(np.float64) for a in (before, after)))
+            visible.append(pixels[states[indices] == int(screen_kernels.VISIBLE)])
+            hidden.append(pixels[states[indices] == int(screen_kernels.HIDDEN)])
         seen, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(visible))
-        found = seen if seen.count else samples
-        found = replace(found, count=seen.count + samples.count, max=max(seen.max, samples.max))
-        return found, errors_of(np.concatenate(hidden))
+        of_visible = seen if seen.count else samples
+        of_visible = replace(of_visible, count=seen.count + samples.count, max=max(seen.max, samples.max))
+        return of_visible, errors_of(np.concatenate(hidden))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return pixels between two displaced copies of each visible point, float32 [n].
@@ -225,14 +230,14 @@ class Sight:
         return pixels
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
-        """Launch a kernel over `count` items on the ground's threads. cost: nanoseconds an item, over a base."""
+        """Launch a kernel over `count` items on the ground's threads. cost: of an item, as of `launch.spread`."""
         launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
 
 
 def pixel_blocks(columns: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield blocks of at most BLOCK pixels: first row and the pixels' middles.
+    """Yield blocks of at most BLOCK pixels: the first row, and the pixels' middles.
 
-    The middles are float64 [n, 2], from the frame's middle.
+    The middles are float64 [n, 2], in pixels from the frame's middle.
     """
     for row, here in _row_blocks(rows, columns):
         places = np.empty((here, columns, 2))

@@ -68,9 +68,9 @@ def sweep(
         on_part(0.0)
         reference = interpolated(heights, setting.interpolation)
         if setting.fitted:
-            row = _fitted_row(reference, setting, frames[0], threads, on_part)
+            row = _measure_fit(reference, setting, frames[0], threads, on_part)
         else:
-            row = _row(
+            row = _measure_setting(
                 reference,
                 setting,
                 frames,
@@ -87,7 +87,7 @@ def sweep(
     return rows
 
 
-def _row(
+def _measure_setting(
     heights: HeightField,
     setting: Setting,
     frames: Sequence[TimedFrame],
@@ -98,17 +98,17 @@ def _row(
     effects: AttributePlan,
     on_part: Progress,
 ) -> Row:
-    """Return the table row of one setting: refine, measure and time every frame of the path.
+    """Return the row of one setting: refine, measure and time every frame of the path.
 
-    A setting in metres ignores the camera, so one frame without views is enough. `sight` returns what is visible in a
-    view, `write` writes a surface as Blender's mesh, `on_part` gets the finished fraction of the row.
+    A setting in metres ignores the camera, so one frame without views is enough. `sight` finds the visible ground in a
+    view; `base`, `write` and `effects` are those of `sweep`; `on_part` gets the finished fraction of the row.
     """
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     in_pixels = setting.unit == "px"
     if not in_pixels:
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     num_views = sum(int(max(1, len(frame.views))) for frame in frames)
-    bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []
+    bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []  # one item for each frame
     measured: list[Measurement] = []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
@@ -151,19 +151,19 @@ def _row(
     loosest, terms = max(bounds, key=itemgetter(0))
     return Row(
         setting,
-        loosest,
-        tuple(sorted(limited - {""})),
-        triangles,
-        vertices,
-        surface_bytes / 1e6,
-        terrain.buffer_bytes / 1e6,
-        worst(measured),
-        terms,
-        popped,
-        shaded,
-        ms,
-        max(spreads, key=lambda times: times[1] / max(times[0], 1e-9)),
-        cpu,
+        bound=loosest,
+        limited=tuple(sorted(limited - {""})),
+        triangles=triangles,
+        vertices=vertices,
+        surface_mb=surface_bytes / 1e6,
+        buffers_mb=terrain.buffer_bytes / 1e6,
+        measured=worst(measured),
+        terms=terms,
+        popping_px=popped,
+        shading_change=shaded,
+        ms=ms,
+        spread_ms=max(spreads, key=lambda times: times[1] / max(times[0], 1e-9)),
+        cpu_ms=cpu,
     )
 
 
@@ -172,7 +172,7 @@ def _report_part(report: Progress, done: int, count: int, fraction: float) -> No
     report((done + fraction) / count)
 
 
-def _fitted_row(
+def _measure_fit(
     heights: HeightField, setting: Setting, frame: TimedFrame, threads: int | None, on_part: Progress
 ) -> Row:
     """Return the row of a fit.
@@ -198,14 +198,14 @@ def _fitted_row(
     assert fitted.bound_m is not None  # a fit has an error in metres
     return Row(
         setting,
-        fitted.bound_m,
-        tuple({fitted.limited} - {""}),
-        fitted.triangles,
-        len(surface.positions),
-        _surface_bytes(surface) / 1e6,
-        None,
-        measured,
-        fitted.terms_m,
+        bound=fitted.bound_m,
+        limited=tuple({fitted.limited} - {""}),
+        triangles=fitted.triangles,
+        vertices=len(surface.positions),
+        surface_mb=_surface_bytes(surface) / 1e6,
+        buffers_mb=None,
+        measured=measured,
+        terms=fitted.terms_m,
         ms={"fit": fitted.ms["total"], "total": fitted.ms["total"]},
     )
 
@@ -224,12 +224,14 @@ def _transitions(
     the Sight of a view, cached by the caller.
     """
     after = terrain.update(criterion, frame.views, *frame.heights).surface
-    found = []
+    errors_by_view = []
     for view in frame.views:
         seen = sight(terrain.field, view, frame)
         inputs = terrain.field, before, after, view, *frame.heights
-        found.append([measured(*inputs, threads=threads, sight=seen) for measured in (popping, shading_change)])
-    return found
+        errors_by_view.append(
+            [measured(*inputs, threads=threads, sight=seen) for measured in (popping, shading_change)]
+        )
+    return errors_by_view
 
 
 def _surface_bytes(surface: Surface) -> int:

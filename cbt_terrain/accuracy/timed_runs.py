@@ -63,7 +63,8 @@ def timed_runs(
     """Return milliseconds by step of `count` runs: an update, or the mean of several where they are short.
 
     "ingest" are those that `write` returns, "effects" those of making the attributes that it then writes too, and "cpu"
-    the processor time of all threads to the finished mesh.
+    the processor time of all threads to the finished mesh. write(surface): puts a surface where it is used, None to
+    leave that out. effects(surface, views): returns its attributes, None for none.
 
     The camera is a little to the right of its position, then to the left, and so on; where that changes no leaf,
     heights move instead.
@@ -74,9 +75,9 @@ def timed_runs(
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
     updates: list[dict[str, float]] = []
     side, update, surface = 1, None, None
-    while len(updates) <= count * _updates_a_run(updates):
+    while len(updates) <= count * _updates_a_run(updates):  # one more, since the first finds cold memory
         side = -side
-        views = [_moved_right(view, side * step) for view in frame.views]
+        views = [_move_right(view, side * step) for view in frame.views]
         update = surface = None  # the memory of the last run is free for this one
         start_cpu = cpu_ms()
         update = terrain.update(criterion, views, *frame.heights)
@@ -130,7 +131,7 @@ def ms_to_finished_mesh(ms: dict[str, float]) -> float:
     return ms["total"] + ms.get("effects", 0.0) + ms.get("ingest", 0.0)
 
 
-def _moved_right(view: View, metres: float) -> View:
+def _move_right(view: View, metres: float) -> View:
     """Return the view moved to its right by `metres` of the world, as a camera that flies."""
     matrix = view.world_to_camera.copy()
     matrix[0, 3] -= metres

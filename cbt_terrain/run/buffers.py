@@ -97,8 +97,8 @@ class Buffers:
     """
 
     def __init__(self) -> None:
-        self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}
-        self._structs: dict = {}
+        self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}  # memory, and the Warp array over it
+        self._structs: dict = {}  # by kind and slot
         self.launches: dict = {}
 
     def get(self, name: str, count: int, dtype: Any) -> wp.array:
@@ -157,7 +157,10 @@ class Buffers:
         return address_space(self.memory())
 
     def replace(self, in_use: Container[int], spare: list[np.ndarray], copy: bool) -> None:
-        """Take other memory, spare memory first, in place of memory with an id `in_use`; `copy`: with its contents."""
+        """Take other memory in place of memory with an id `in_use`; `copy`: with its contents.
+
+        spare: unused memory, which is taken first and removed from the list.
+        """
         for name, (memory, shared_array) in self._arrays.items():
             if id(memory) in in_use:
                 fresh = _find_spare(spare, memory)

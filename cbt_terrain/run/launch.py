@@ -70,7 +70,7 @@ def timed(step: str) -> Iterator[None]:
 
 
 def ranges(count: int, pieces: int) -> list[tuple[int, int]]:
-    """Return the limits of `pieces` equal ranges of `count` items."""
+    """Return the first item and the end of each of `pieces` ranges of equal length, which divide `count` items."""
     return list(pairwise(count * k // pieces for k in range(pieces + 1)))
 
 
@@ -118,19 +118,15 @@ def _wait_for(futures: Sequence[Future]) -> None:
 
 
 def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
-    """Launch a kernel that is one serial loop, on the calling thread.
-
-    recorded: commands of earlier launches, which are launched again without packing the arguments; None to pack
-    them.
-    """
+    """Launch a kernel that is one serial loop, on the calling thread. recorded: as of `slices`."""
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 
 def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
-    """Launch one thread for each list of inputs, all in parallel.
+    """Launch a kernel once with each list of inputs, all in parallel, each on its own thread.
 
     `recorded` caches launches for a caller that launches again and again: replaying one takes 2 us instead of 15. A
-    struct that is identical to that of the last launch is read again, so setting its fields is enough.
+    struct that is identical to that of the last launch is read again, so setting its fields is enough. None: no cache.
     """
     stopping.check()
     with timed(step):

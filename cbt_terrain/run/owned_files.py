@@ -98,8 +98,8 @@ class OpenFolder(NamedTuple):
         found = self.find(name)
         if found is not None and derived_components(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):
             raise _not_ours(self.path / name, found, "a file")
-        moved, placed = source.at(source_name), self.at(name)
-        os.replace(moved["path"], placed["path"], src_dir_fd=moved["dir_fd"], dst_dir_fd=placed["dir_fd"])
+        old, new = source.at(source_name), self.at(name)
+        os.replace(old["path"], new["path"], src_dir_fd=old["dir_fd"], dst_dir_fd=new["dir_fd"])
 
 
 def derived_components(path: Path) -> int:
@@ -123,6 +123,7 @@ def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool =
     Raises NotOursError if a component is a link or no folder, FileNotFoundError if one is missing, and other OSErrors.
     """
     path = Path(path).absolute()
+    # Components that are opened one by one, none of which may be a link: at least the folder, unless it may be one.
     count = min(max(derived_components(path), not may_be_link), len(path.parts) - 1)
     names = path.parts[len(path.parts) - count :]
     above = Path(*path.parts[: len(path.parts) - count])

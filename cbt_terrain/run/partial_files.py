@@ -200,15 +200,16 @@ def remove_if_abandoned(
 ) -> None:
     """Remove a folder of `make_folder` with a name with this token, if no living process uses it.
 
-    `is_needed` is called once that is known, because the process may have ended well. may_remove: returns whether this
-    program created an entry, from its name and whether it is a folder; None for all.
+    token: that of `new_token`, by which a folder of this machine is known. `is_needed` is called once no process uses
+    the folder, because the process may have ended well; if it returns True the folder stays. may_remove: returns
+    whether this program created an entry, from its name and whether it is a folder; None for all.
     """
     try:
         if not _is_ours(folder):
             return
         lock = _open_lock(folder)
         try:
-            free = lock is None or _try_lock(lock)
+            free = lock is None or _try_lock(lock)  # None if the file system has no locks: then its age decides
             if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
                 return  # another process may have removed the folder, and its owner created it again
             if is_needed():

@@ -65,7 +65,8 @@ FIRST_CLICKS = (
 class _Preparation:
     """One run over groups of modules, in order of priority. Only its thread uses the child processes.
 
-    `fraction`: 0 .. 1 while modules are compiled. `ready`: one event for each group.
+    `fraction`: 0 .. 1 while modules are compiled, else None. `ready`: one event for each group. `stopping`: event that
+    ends the run.
     """
 
     def __init__(self, *groups: list[ModuleType], later: tuple[str, ...] = ()) -> None:

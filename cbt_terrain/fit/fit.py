@@ -85,9 +85,11 @@ def fit(
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
         if best is not None:
-            more = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
-            more = more or (max_triangles is not None and len(fitter.end_at_borders(best).triangles) > triangle_limit)
-            if more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
+            # More triangles than interpolation needs, or as many for a larger bound.
+            is_worse = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
+            if max_triangles is not None and not is_worse:
+                is_worse = len(fitter.end_at_borders(best).triangles) > triangle_limit
+            if is_worse or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
                 best = None
         if best is None:
             best = fitter.measure_interpolating(plain, error_m)
@@ -148,14 +150,15 @@ def check_interpolation(name: str) -> None:
 def _fit_within(
     fitter: Fitter, error_m: float, relaxed: float, triangle_limit: int, plain_m: float
 ) -> FittedMesh | None:
-    """Return the fit for the smallest step from `error_m` on that is within the triangle limit.
+    """Return the fit for the smallest error, `error_m` times a power of 2^(1/8), that is within the triangle limit.
 
-    Bisection finds it. It has at most `triangle_limit` triangles when cut.
+    Bisection finds it. It has at most `triangle_limit` triangles when cut. None if no such error is below `plain_m`.
 
     relaxed, plain_m: by how much interpolation had to coarsen the error for that limit, and the bound that it reached.
     """
     if not plain_m > error_m:
         return None
+    # Steps that are too fine, and fine enough for `plain_m`. A fit gains MAX_GAIN at most, and step 0 is the request.
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     found = None

@@ -58,13 +58,13 @@ OUTWARD = 1.0 + 1e-12
 class FittedMesh:
     """A mesh that `Fitter` made, with its bound."""
 
-    surface: Surface
+    surface: Surface  # of whole leaves, see `Fitter.end_at_borders`
     bound_m: float
-    worst_m: float
-    terms: Terms
-    limited: str
-    rounds: int
-    relaxed: float = 1.0
+    worst_m: float  # largest measured distance, 0 if none was measured
+    terms: Terms  # of the bound
+    limited: str  # why the bound exceeds the requested error, "" if it does not
+    rounds: int  # meshes that the fit walked, 0 for an interpolating mesh
+    relaxed: float = 1.0  # factor by which a triangle limit coarsened it
 
     @property
     def triangles(self) -> int:
@@ -73,7 +73,12 @@ class FittedMesh:
 
 
 class Fitter:
-    """The parts that fits of one height field at one vertical scale share."""
+    """The parts that fits of one height field at one vertical scale share.
+
+    `placement`: vertical scale and offset. `scale`: the vertical scale's magnitude. `source`: largest rounding of the
+    source, metres after scaling. `depth`: deepest level of leaves. `plain`: domain of the field with its own errors.
+    `rounds`: finished rounds, for the progress.
+    """
 
     def __init__(
         self,
@@ -113,31 +118,32 @@ class Fitter:
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
         m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()
-        m.codes, work = shared(error, wp.uint8), Sweeps(self, m, buffers)
+        m.codes, sweeps = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
             refine(field, RefinementRequest(domain, criterion, self.depth, MAX_TRIANGLES), history, self.threads)
             surface = build_surface(field, SurfaceRequest(domain, whole=True), history, self.threads)
             history.commit()
-            work.bind(surface, known)
+            sweeps.bind(surface, known)
             if rounds > 1:
                 self._measure(m, surface)
-                beyond = work.beyond()
+                beyond = sweeps.beyond()
                 if not beyond.any():
                     return self._bounded_mesh(surface, buffers, error_m, rounds)
-            work.link(surface)
-            if rounds > 1 and beyond.sum() > FEW * work.triangles:
-                work.mark_unmeasured(beyond)
+            sweeps.link(surface)
+            # The first mesh is not measured: the sweeps do that.
+            if rounds > 1 and beyond.sum() > FEW * sweeps.triangles:
+                sweeps.mark_unmeasured(beyond)
             elif rounds > 1:
-                found = work.refine(0.0)
-                if not found["splits"] and not found["pins"]:
-                    return self._bounded_mesh(surface, buffers, error_m, rounds, found["deepest"] > 0)
-            work.sweep_and_split()
-            self.spread(binding.store_heights, work.vertices, [m, *known])
+                counts = sweeps.refine(0.0)
+                if not counts["splits"] and not counts["pins"]:
+                    return self._bounded_mesh(surface, buffers, error_m, rounds, counts["deepest"] > 0)
+            sweeps.sweep_and_split()
+            self.spread(binding.store_heights, sweeps.vertices, [m, *known])
         return None
 
     def end_at_borders(self, mesh: FittedMesh) -> Surface:
         """Return the surface as it is delivered: cut at the raster's border and at its holes."""
-        return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
+        return borders.cut_ends(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
     def measure_interpolating(self, update: Update, error_m: float) -> FittedMesh:
         """Return the interpolating mesh of an update, with its bound measured as for fitted meshes.
@@ -170,7 +176,8 @@ class Fitter:
         m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
-        m.error, m.bound = error_m, left - min(self._shift(error_m) + self._computing_error(error_m), left / 2)
+        rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
+        m.error, m.bound = error_m, left - min(rounded, left / 2)
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -182,10 +189,10 @@ class Fitter:
         field, base = self.field, raising.MIN_ERROR * error_m / self.scale
         values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
         between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
-        found = np.empty_like(field.error)
-        for known, part in zip(field.table, codes.parts(field.lattice, len(found)), strict=True):
-            codes.translate(field.error[part], np.searchsorted(between, known / START), found[part])
-        return found, np.tile(values.astype(np.float32), len(field.table))
+        new_codes = np.empty_like(field.error)
+        for group_errors, part in zip(field.table, codes.parts(field.lattice, len(new_codes)), strict=True):
+            codes.translate(field.error[part], np.searchsorted(between, group_errors / START), new_codes[part])
+        return new_codes, np.tile(values.astype(np.float32), len(field.table))
 
     def _nothing_known(self) -> list[wp.array]:
         """Return empty heights and states of vertices, for every sample and its continuation into the padding.
@@ -206,7 +213,7 @@ class Fitter:
     ) -> FittedMesh:
         """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
-        rounds: number of rounds that the fit took. deepest: a triangle is too coarse at the deepest level.
+        rounds: number of meshes that the fit walked. deepest: a triangle is too coarse at the deepest level.
         Rounding a plane coordinate moves a facet sideways, and no facet is steeper than the surface but for
         twice the distance of its corners over the shortest way between them. The bound is rounded up unless it
         then exceeded one that holds already.
@@ -217,17 +224,17 @@ class Fitter:
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         far = float(worst.max())
-        shift = self._sideways(float(steeper.max())) + self._computing_error(far)
-        parts = far, shift, self.source
-        total = add_up(parts)
+        precision = self._plane_rounding_error(float(steeper.max())) + self._computing_error(far)
+        terms_m = far, precision, self.source
+        total = add_up(terms_m)
         bound, limited = total * OUTWARD, ""
         if total <= self.within(error_m):
             bound = min(bound, self.within(error_m))
             limited = "source" if bound > error_m else ""
         else:
             limited = "max_depth" if deepest else "precision"
-        terms = Terms.shares(bound, *parts)
-        return FittedMesh(surface, bound, parts[0], terms, limited, rounds)
+        terms = Terms.shares(bound, *terms_m)
+        return FittedMesh(surface, bound, terms_m[0], terms, limited, rounds)
 
     def _computing_error(self, far: float) -> float:
         """Return the metres by which a distance computed in float64 may be off.
@@ -240,33 +247,33 @@ class Fitter:
         cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
         return DISPLACEMENT_ERROR * reach + cut
 
-    def _shift(self, error_m: float) -> float:
-        """Return the metres of height that rounding plane coordinates to float32 may add.
+    def _expected_plane_error(self, error_m: float) -> float:
+        """Return the metres of error that rounded plane coordinates may add to a mesh that is yet to be fitted.
 
-        Vertices are moved by `error_m`.
+        A fit moves vertices by up to `error_m`, metres, which makes facets steeper.
         """
         lattice = self.field.lattice
         # In raster cells that are split only the corners of the cells are moved.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
-        return self._sideways(2.0 * error_m * finer)
+        return self._plane_rounding_error(2.0 * error_m * finer)
 
-    def _sideways(self, steeper: float) -> float:
-        """Return the metres of error that rounded plane coordinates add, for facets steeper than the surface.
+    def _plane_rounding_error(self, steeper: float) -> float:
+        """Return the metres of error that rounding plane coordinates to float32 adds.
 
-        steeper: by how many metres a cell they may exceed its slope.
+        steeper: by how many metres a cell facets may be steeper than the surface.
         """
-        lattice, shift = self.field.lattice, 0.0
-        times = 2.0 if lattice.is_padded else 1.0
+        lattice, error = self.field.lattice, 0.0
+        times = 2.0 if lattice.is_padded else 1.0  # vertices cut at the border are rounded twice
         axes = (
             (lattice.cells_x, lattice.span[0], lattice.step_x, self.field.steepest_x),
             (lattice.cells_y, lattice.span[1], lattice.step_y, self.field.steepest_y),
         )
         for cells, span, step, slope in axes:
-            places = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
-            off = float(np.abs(places.astype(np.float32) - places).max())
-            shift += times * off * (slope * self.scale + steeper / step)
-        return shift
+            positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
+            off = float(np.abs(positions.astype(np.float32) - positions).max())
+            error += times * off * (slope * self.scale + steeper / step)
+        return error
 
     def ns_each(self, triangles: int) -> float:
         """Return the nanoseconds that measuring one of `triangles` takes, by which work is divided over threads."""

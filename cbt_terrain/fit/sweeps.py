@@ -22,7 +22,12 @@ MAX_ROUNDS = 64
 
 
 class Sweeps:
-    """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads."""
+    """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads.
+
+    `triangles`, `vertices`: numbers of the mesh. `count`: number of listed triangles. `recorded`: recorded launches.
+    `found_np`: results of the kernels `move` (listed triangles; those beyond the bound) and `refine` (listed triangles,
+    triangles, vertices; splits, pins, those left to the next walk, those too coarse at the deepest level).
+    """
 
     def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers) -> None:
         """Allocate the counters that sweeps return; `bind` fills the mesh."""
@@ -89,7 +94,7 @@ class Sweeps:
 
         It ends early where a new walk of the tree would split better.
         """
-        later = 0
+        later = 0  # triangles beyond the bound that only the next walk of the tree can split
         for rounds in range(1, MAX_ROUNDS + 1):
             self.m.round = rounds
             self.fitter.tell_progress()
@@ -118,9 +123,9 @@ class Sweeps:
         launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, local: float) -> dict[str, int]:
-        """Split triangles beyond the bound, or pin them to the surface.
+        """Split triangles beyond the bound, or pin them to the surface; return counts by the names below.
 
-        Returns the counts of both and of what remains.
+        local: LOCAL, or 0 to split all of them.
         """
         self.found_np[1:3] = self.triangles, self.vertices
         inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.found]

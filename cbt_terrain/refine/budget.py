@@ -68,8 +68,8 @@ def ramp_start(
     _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_splits, finer_by=1)
     history.hints.marks = marks
     finer = int(found[0]) + roots if len(found) else FAR_OVER * max_splits
-    part = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
-    return last * 2.0 ** (part / STEPS_PER_OCTAVE)
+    fraction = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
+    return last * 2.0 ** (fraction / STEPS_PER_OCTAVE)
 
 
 def count_splits(
@@ -82,10 +82,10 @@ def count_splits(
     max_splits: int,
     finer_by: int = 0,
 ) -> tuple[int, np.ndarray]:
-    """Count split triangles.
+    """Count split triangles at steps from `finest` to `coarsest`.
 
-    Returns the first step from `finest` to `coarsest` with at most `max_splits`, and the counts from it on; `coarsest`
-    + 1 and no counts if there is no such step.
+    Return the first step with at most `max_splits`, and the counts from it on; `coarsest` + 1 and no counts if there is
+    no such step.
 
     finer_by: number of steps by which the limits are finer.
     """
@@ -120,8 +120,8 @@ def count_splits(
     history.hints.marks = np.concatenate(found) / 2.0**cell_bits
     first = int(scratch.numpy("count_from_step")[:slices].max())
     splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
-    more = int(np.count_nonzero(splits > max_splits))  # each slice knows only its own splits
-    return first + more, splits[more:]
+    too_fine = int(np.count_nonzero(splits > max_splits))  # each slice knows only its own splits
+    return first + too_fine, splits[too_fine:]
 
 
 def _cut_tree(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, max_splits: int) -> list[int]:
@@ -133,5 +133,5 @@ def _cut_tree(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int,
     end = lattice.squares << cell_bits
     if threads < 2 or max_splits < launch.SLICE_ITEMS or len(marks) < threads:
         return [0, end]
-    at = [marks[len(marks) * k // threads] for k in range(1, threads)]
-    return [0, *sorted({cut for cut in (int(mark * 2.0**cell_bits) for mark in at) if 0 < cut < end}), end]
+    marks_at_cuts = [marks[len(marks) * k // threads] for k in range(1, threads)]
+    return [0, *sorted({cut for cut in (int(mark * 2.0**cell_bits) for mark in marks_at_cuts) if 0 < cut < end}), end]

@@ -144,24 +144,24 @@ class Outcome:
         """Find the largest value above `threshold` of a quantity if a leaf at the depth limit is too coarse."""
         return self.search(what, threshold) if self.stopped else None
 
-    def tighten(self, what: int, finest: float, guaranteed: float, wanted: float) -> tuple[float, Excess | None]:
+    def tighten(self, what: int, finest: float, guaranteed: float, request: float) -> tuple[float, Excess | None]:
         """Return the smaller of two bounds of an error, and the worst leaf's error if that was searched.
 
         The bounds are `guaranteed`, and the worst leaf's. Leaves, refined to the tolerance `finest`, are
-        searched only if rounding makes `guaranteed` exceed `wanted`, and not if the depth limit stopped one,
-        which `stopped_above` finds. what: kind of error.
+        searched only if rounding makes `guaranteed` exceed `request`, and not if the depth limit stopped one,
+        which `stopped_above` finds. what: ERROR or METRES, in whose unit of `search` all numbers are.
         """
-        if self.stopped or guaranteed <= wanted * (1 + MARGIN):
+        if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
         worst = replace(self, max_depth=ANY).search(what, finest)
         return min(guaranteed, worst.value if worst else finest), worst
 
 
-def bounds_of(criterion: Criterion, spans: Spans, o: Outcome) -> ReportedBounds:
+def bounds_of(criterion: Criterion, spans: Spans, outcome: Outcome) -> ReportedBounds:
     """Return the bounds of a refined mesh that an update reports, with reasons where they exceed the request."""
-    px, metres = bound_px(criterion, spans, o), bound_m(criterion, o)
-    edge, area = bound_edge_px(criterion, spans, o), bound_area_px(criterion, spans, o)
-    relaxed = factor_of(criterion, o, [px, metres, edge, area])
+    px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
+    edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
+    relaxed = factor_of(criterion, outcome, [px, metres, edge, area])
     return ReportedBounds(
         bound_px=px.value if px else None,
         bound_m=metres.value if metres else None,
@@ -183,119 +183,121 @@ def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
     return next((reason for reason in REASONS if reason in reasons), "")
 
 
-def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the distance on screen between a point and its true position, pixels; 0 if none is in view.
 
     None without that criterion or without views.
     """
     if not criterion.error_px or not spans.views:
         return None
-    found = _bound_px(criterion, spans, o)
+    found = _bound_px(criterion, spans, outcome)
     if found.reason:  # ground in the guard band may be nearer than the visible ground
-        found = _bound_px(criterion, spans, replace(o, arrays=o.in_frame()))
+        found = _bound_px(criterion, spans, replace(outcome, arrays=outcome.in_frame()))
     return found
 
 
-def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
+def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     """Return the bound of the screen error for the views of `o.arrays`.
 
-    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway.
+    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway. `finest`
+    is the tolerance of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
     """
-    fixed = o.search(FIXED, -1.0)
+    fixed = outcome.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
-    mean, source = mean_ramp(criterion.morph_until), o.domain.source
-    wanted = criterion.error_px * o.factor(ERROR, criterion.error_px / mean)
-    finest = wanted / mean
-    min_fixed, max_fixed = o.domain.rounding + source, _rounding_error(o)
+    mean, source = mean_ramp(criterion.morph_until), outcome.domain.source
+    relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / mean)
+    finest = relaxed_request / mean
+    min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
     low, high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
-    guaranteed, limit = (
-        _guaranteed(finest, fixed.value, low, high),
-        fixed.value * (1 + o.relief / min_fixed) if min_fixed else 0.0,
-    )
-    too_coarse = o.stopped_above(ERROR, min(guaranteed, limit))
-    guaranteed, worst = o.tighten(ERROR, finest, guaranteed, finest)
-    guaranteed = min(guaranteed + (wanted - finest), limit)
+    guaranteed = _guaranteed(finest, fixed.value, low, high)
+    limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error is beyond the relief
+    too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
+    guaranteed, worst = outcome.tighten(ERROR, finest, guaranteed, finest)
+    guaranteed = min(guaranteed + (relaxed_request - finest), limit)
     worst_leaf = too_coarse or worst or fixed
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
-    value = too_coarse.value + (wanted - finest) if too_coarse else guaranteed
-    found = _limit_bound(
-        wanted, value, (worst_leaf.fixed - source) * spans_per_metre, source * spans_per_metre, too_coarse is not None
-    )
+    value = too_coarse.value + (relaxed_request - finest) if too_coarse else guaranteed
+    precision = (worst_leaf.fixed - source) * spans_per_metre
+    found = _limit_bound(relaxed_request, value, precision, source * spans_per_metre, stopped=too_coarse is not None)
     if found.value <= criterion.error_px:
         return found
     seen = min(spans.pixels(found.value), LARGEST)
-    assert found.terms is not None, "_bound gives terms"
+    assert found.terms is not None, "_limit_bound gives terms"
     terms = Terms.shares(seen, found.terms.geometric, found.terms.precision, found.terms.source)
     return Bound(seen, found.reason, terms)
 
 
-def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
+def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion.
 
     It is the request times the relaxation factor, or more if rounding or the depth limit prevents that.
     """
     if not criterion.error_m:
         return None
-    fixed, source, mean = _rounding_error(o), o.domain.source, mean_ramp(criterion.morph_until)
+    fixed, source, mean = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
     finest = weighed_as(criterion.error_m, source, mean)
-    factor = o.factor(METRES, finest)
+    factor = outcome.factor(METRES, finest)
     finest *= factor
-    guaranteed, limit, morph_error = _guaranteed(finest, fixed, source, source), o.relief + fixed, (mean - 1) * finest
-    over = o.stopped_above(METRES, min(guaranteed, limit))
-    guaranteed, _worst = o.tighten(METRES, finest, guaranteed, criterion.error_m * factor - morph_error)
-    precision, value = (
-        (over.fixed if over else fixed) - source,
-        over.value + morph_error if over else min(guaranteed + morph_error, limit),
-    )
-    return _limit_bound(criterion.error_m * factor, value, precision, source, over is not None)
+    guaranteed, limit = _guaranteed(finest, fixed, source, source), outcome.relief + fixed
+    relaxed_request, morph_error = criterion.error_m * factor, (mean - 1) * finest
+    too_coarse = outcome.stopped_above(METRES, min(guaranteed, limit))
+    guaranteed, _worst = outcome.tighten(METRES, finest, guaranteed, relaxed_request - morph_error)
+    precision = (too_coarse.fixed if too_coarse else fixed) - source
+    value = too_coarse.value + morph_error if too_coarse else min(guaranteed + morph_error, limit)
+    return _limit_bound(relaxed_request, value, precision, source, stopped=too_coarse is not None)
 
 
-def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the longest edge between float32 corners, pixels; None without that criterion.
 
-    The search measures edges in spans, `spans.edge` of them a pixel.
+    The search measures edges in spans, `spans.edge` of them a pixel. `longer`: factor by which rounding to float32
+    lengthens edges.
     """
     if not criterion.edge_px:
         return None
     mean = mean_ramp(criterion.morph_until)
-    wanted = criterion.edge_px * o.factor(EDGE, criterion.edge_px / mean * spans.edge)
-    finest = wanted / mean
-    over, longer = o.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(o.deepest)
-    longest = over.value / spans.edge + (wanted - finest) if over else wanted
-    return Bound(min(longest * longer, LARGEST), _of_edges(over, longer))
+    relaxed_request = criterion.edge_px * outcome.factor(EDGE, criterion.edge_px / mean * spans.edge)
+    finest = relaxed_request / mean
+    too_coarse, longer = outcome.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
+    longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
+    return Bound(min(longest * longer, LARGEST), _of_edges(too_coarse, longer))
 
 
-def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
+def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the largest triangle, square pixels; None without that criterion.
 
-    The search uses the square root of twice the area.
+    The search uses the square root of twice the area: the leg of a right triangle of two equal legs.
     """
     if not criterion.area_px:
         return None
     request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
-    factor = o.factor(AREA, request / mean * spans.edge)
-    wanted, finest = request * factor, request * factor / mean
-    over, longer = o.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(o.deepest)
-    longest = over.value / spans.edge + (wanted - finest) if over else wanted
-    area = 0.5 * longest * longest if over else criterion.area_px * factor * factor
-    return Bound(min(area * longer * longer, LARGEST), _of_edges(over, longer))
+    factor = outcome.factor(AREA, request / mean * spans.edge)
+    relaxed_request, finest = request * factor, request * factor / mean
+    too_coarse, longer = outcome.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
+    longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
+    area = 0.5 * longest * longest if too_coarse else criterion.area_px * factor * factor
+    return Bound(min(area * longer * longer, LARGEST), _of_edges(too_coarse, longer))
 
 
-def factor_of(criterion: Criterion, o: Outcome, bounds: list[Bound | None]) -> float:
-    """Return the finite factor by which a triangle limit coarsened a criterion; `bounds` as the functions above."""
-    if o.relaxed < math.inf:
-        return o.relaxed
+def factor_of(criterion: Criterion, outcome: Outcome, bounds: list[Bound | None]) -> float:
+    """Return the finite factor by which a triangle limit coarsened a criterion.
+
+    bounds: screen error, height error, edge and area, None for those that the criterion does not limit. The area grows
+    with the square of the factor.
+    """
+    if outcome.relaxed < math.inf:
+        return outcome.relaxed
     requests = criterion.error_px, criterion.error_m, criterion.edge_px, criterion.area_px
     ratios = [bound.value / request for bound, request in zip(bounds, requests, strict=True) if bound]
     return max(1.0, *ratios[:3], *map(math.sqrt, ratios[3:]))
 
 
-def _rounding_error(o: Outcome) -> float:
+def _rounding_error(outcome: Outcome) -> float:
     """Return the largest error, metres, that refining cannot remove: the rounding of float32 and of the source."""
-    d = o.domain
-    return d.rounding + min(d.lean * o.relief, d.max_lean) + d.source
+    d = outcome.domain
+    return d.rounding + min(d.lean * outcome.relief, d.max_lean) + d.source
 
 
 def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: float) -> float:
@@ -309,31 +311,31 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
     return max(weighed, 0.8 * weighed + source_high, 0.25 * left + fixed, 1.25 * fixed)
 
 
-def _limit_bound(wanted: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
+def _limit_bound(request: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
     """Return a bound with its reason and terms.
 
-    value: the bound; reduced to `wanted`, the request, if only rounding separates them. precision, source: its
+    value: the bound; reduced to `request`, the request, if only rounding separates them. precision, source: its
     parts from rounding of float32 and of the source. stopped: whether the depth limit stopped a leaf. All in one
     unit.
     """
-    if value <= wanted * (1 + MARGIN):
-        value, stopped = min(value, wanted), False
+    if value <= request * (1 + MARGIN):
+        value, stopped = min(value, request), False
     geometric = max(value - precision - source, 0.0)
     reason = ""
-    if value > wanted:
+    if value > request:
         # If the fixed error alone exceeds the request, no depth would be enough.
-        if precision + source > wanted:
-            reason = "precision" if precision > wanted else "source"
+        if precision + source > request:
+            reason = "precision" if precision > request else "source"
         elif stopped:
             reason = "max_depth"
         else:
-            reason = "precision" if geometric + precision > wanted else "source"
+            reason = "precision" if geometric + precision > request else "source"
     return Bound(value, reason, Terms.shares(value, geometric, precision, source))
 
 
-def _of_edges(over: Excess | None, longer: float) -> str:
-    """Return the reason of a bound on edges: a leaf `over` the limit, or float32 corners `longer` than allowed.
+def _of_edges(too_coarse: Excess | None, longer: float) -> str:
+    """Return the reason why a bound on edges exceeds the request, "" if it does not.
 
-    over: the worst leaf if the depth limit stopped one. longer: factor from `excess_of_edges`.
+    too_coarse: the worst leaf if the depth limit stopped one. longer: factor from `excess_of_edges`.
     """
-    return "max_depth" if over else "precision" if longer > 1 else ""
+    return "max_depth" if too_coarse else "precision" if longer > 1 else ""

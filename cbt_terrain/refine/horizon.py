@@ -78,9 +78,9 @@ def fill_horizons(
 
 
 def horizon_of(
-    field: HeightField, domain: Domain, criterion: CriterionArrays, max_depth: int, off: float, threads: int
+    field: HeightField, domain: Domain, criterion: CriterionArrays, max_depth: int, factor: float, threads: int
 ) -> CriterionArrays:
-    """Return the criterion's views with filled horizon maps, for a mesh that satisfies it times `off`.
+    """Return the criterion's views with filled horizon maps, for a mesh that satisfies it times `factor`.
 
     max_depth: bisections of the mesh's deepest leaf. The maps can test whether light or a view reaches a point.
     """
@@ -90,7 +90,7 @@ def horizon_of(
     hiding.view_count, hiding.error_px2, hiding.metres2 = len(views), criterion.error_px2, criterion.metres2
     hiding.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
     if entries:
-        fill_horizons(field, domain, hiding, max_depth, off, Buffers(), threads)
+        fill_horizons(field, domain, hiding, max_depth, factor, Buffers(), threads)
     return hiding
 
 

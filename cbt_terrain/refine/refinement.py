@@ -34,8 +34,8 @@ MAX_TRIANGLES = 1 << 26
 REUSED_COST = 0.1
 # A count and a walk agree unless errors are not nested, except on step 0, which need not be counted.
 MAX_SEARCHES = 2
-# Relaxation factors for which horizon maps are tried, for unlimited and for limited meshes: the first map that the
-# result satisfies is used; the last hides nothing.
+# Relaxation factors for which horizon maps are tried, for unlimited and (index 1) for limited meshes: the first map
+# that the result satisfies is used; the last hides nothing.
 RELAXED = (1.0, math.inf), (4.0, 64.0, math.inf)
 
 
@@ -58,7 +58,7 @@ def refine(
         if slices is not None:
             break
     assert slices is not None, "no limit applies to the last attempt"
-    leaves, factor = _end(history, slices, field.lattice), math.sqrt(criterion.limit)
+    leaves, factor = _end(history, slices, field.lattice), math.sqrt(criterion.limit)  # a factor on squares
     if morphs and request.is_limited:
         factor = ramp_start(field.lattice, request, history, threads, step, leaves.total)
     return leaves, factor
@@ -69,7 +69,8 @@ def _refine_to_limit(
 ) -> tuple[Slices | None, int]:
     """Return the finest walk that keeps to the triangle limit, and its relaxation step.
 
-    There is no walk (None) if that relaxes the criterion by more than `relaxed`.
+    There is no walk (None) if that relaxes the criterion by more than `relaxed`. The step is kept in the hints, and the
+    factor of its squares in the criterion.
     """
     criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)
@@ -82,8 +83,8 @@ def _refine_to_limit(
         slices = _walk(field, request, history, threads, max_leaves)
     low, too_many = int(plain), 0
     while slices is None:
-        near = start if start and start.step else None
-        found = hints.step = search(field.lattice, request, history, threads, max_leaves, near, low)
+        last_relaxed = start if start and start.step else None
+        found = hints.step = search(field.lattice, request, history, threads, max_leaves, last_relaxed, low)
         criterion.limit, low = limit_at_step(found.step), found.step + 1
         if criterion.limit > relaxed * relaxed:
             break
@@ -124,7 +125,7 @@ def _walk(
 ) -> Slices | None:
     """Walk over the curve, again with larger arrays if a slice needs them; None if there are more than `max_leaves`.
 
-    expected: leaves of the mesh if they are counted, so that one walk is enough.
+    expected: leaves of the mesh if they were counted, so that one walk is enough; else 0.
     """
     domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)

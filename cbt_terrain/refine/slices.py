@@ -26,8 +26,9 @@ SLACK = 0.05
 class Slices:
     """The structs of all slices.
 
-    `capacity`: leaves for which each has room. `counts` int64 [slices, 4]: leaves, vertices, edges, and 1 if a leaf is
-    too coarse at the deepest level. `reused` int64 [slices]: leaves.
+    `walks`, `reuses`: a kernels' struct for each slice, the latter after `bind_reuse`. `capacity`: leaves for which
+    each slice has room. `cell_bits`: bisections of a square down to cells of the tree. `counts` int64 [slices, 4]:
+    leaves, vertices, edges, and 1 if a leaf is too coarse at the deepest level. `reused` int64 [slices]: leaves.
     """
 
     history: FrameHistory

@@ -15,7 +15,7 @@ from ...kernels.budget.count_state import STEPS_PER_OCTAVE
 
 MAX_STEP = 160 * STEPS_PER_OCTAVE
 # Intermediate goals: fractions of the budget, but at least these numbers of splits.
-PARTS = (1 / 8192, 16), (1 / 64, 400), (1 / 8, 2000)
+GOALS = (1 / 8192, 16), (1 / 64, 400), (1 / 8, 2000)
 # A mesh is close enough to an intermediate goal if it has a third of its splits.
 NEAR = 3
 # Steps in a window that begins just before the predicted step, for the budget and for intermediate goals; after each
@@ -49,8 +49,8 @@ def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Fo
     if start:
         finest = min(max(start.step - 1, low), MAX_STEP)
         search.look(finest, min(finest + WINDOW, MAX_STEP), max_splits)
-    for part, fewest in PARTS:
-        goal = max(int(part * max_splits), fewest)
+    for fraction, min_splits in GOALS:
+        goal = max(int(fraction * max_splits), min_splits)
         if goal < max_splits:
             search.approach(goal, REACH_OF_PARTS)
     if not start and search.window(max_splits, search.low, 1, REACH)[0] == 0:
@@ -60,7 +60,10 @@ def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Fo
 
 
 class _Search:
-    """State of a search: no step finer than `low` fits, `high` fits, and `known` holds the splits of counted steps."""
+    """State of a search: no step finer than `low` fits, `high` fits (beyond MAX_STEP: none is known to fit).
+
+    `known`: splits of each step, 0 where they are not counted.
+    """
 
     def __init__(self, splits: Splits, max_splits: int, low: int) -> None:
         self._splits, self._max_splits, self.low, self.high = splits, max_splits, low, MAX_STEP + 1
@@ -72,6 +75,7 @@ class _Search:
         first, found = self._splits(finest, coarsest, goal)
         self.known[first : coarsest + 1] = found
         if len(found) and first <= self.high:
+            # A finer step of the window has more than `goal` splits.
             self.high, self._reached = first, int(found[0]) if first == finest else goal
         if goal == self._max_splits and first > finest:
             self.low = max(self.low, first)
@@ -103,10 +107,10 @@ class _Search:
 
     def _predict_step(self, goal: int) -> int:
         """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
-        more = max(goal / max(self._reached, 1), 1)
+        growth = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
-        fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / more, 0.5), 0.9) * known[0]))
+        fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / growth, 0.5), 0.9) * known[0]))
         slope = SPLITS_PER_ERROR / STEPS_PER_OCTAVE
         if len(fewer):
             slope = max(math.log2(known[0] / known[fewer[0]]) / fewer[0], MIN_SPLITS_PER_ERROR / STEPS_PER_OCTAVE)
-        return self.high - 1 - round(math.log2(more) / slope)
+        return self.high - 1 - round(math.log2(growth) / slope)

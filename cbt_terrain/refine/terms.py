@@ -87,7 +87,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
-    times = 2.0 if lattice.is_padded else 1.0
+    times = 2.0 if lattice.is_padded else 1.0  # vertices cut at the border are rounded twice
     x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
@@ -97,8 +97,8 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
     near = (0.0, 0.0)
     if (lattice.anchor_x or lattice.anchor_y) and cells:
-        part = times * 2.0**-SINGLE_BITS * OUTWARD / cells
-        near = part / lattice.step_x if x else 0.0, part / lattice.step_y if y else 0.0
+        relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / cells
+        near = relative_error / lattice.step_x if x else 0.0, relative_error / lattice.step_y if y else 0.0
     return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale), near)
 
 
@@ -118,8 +118,8 @@ def position_rounding(
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
     # A bicubic height is a sum of sixteen, which rounds about twice as much.
-    part = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
-    return plane[0], plane[1], _half_step(highest) + part * (heights + abs(vertical_offset))
+    relative_error = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
+    return plane[0], plane[1], _half_step(highest) + relative_error * (heights + abs(vertical_offset))
 
 
 def _half_step(largest: float) -> float:

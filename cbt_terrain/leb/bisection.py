@@ -70,7 +70,7 @@ def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
     Return which nodes were merged: bool.
     """
     ids = np.ascontiguousarray(ids, np.uint64)
-    pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)
+    pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)  # 0 beyond the lattice
     halves = pairs[:, :, None] * np.uint64(2) + np.array([0, 1], np.uint64)
     whole = ((pairs == 0) | tree.is_leaf(np.maximum(halves, 1).ravel()).reshape(halves.shape).all(axis=2)).all(axis=1)
     tree.merge(np.setdiff1d(pairs[whole], [0]))

@@ -29,16 +29,16 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     # Points on the far border belong to the triangle inside it.
     ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
     (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
-    depth, below = tree.max_depth - lattice.square_bits, 2 * meshlet
-    path = (row * lattice.columns + column) << depth + below
+    depth, meshlet_bits = tree.max_depth - lattice.square_bits, 2 * meshlet
+    path = (row * lattice.columns + column) << depth + meshlet_bits
     for first in range(0, len(path), AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        path[part] += _path(x[part], y[part], depth + below)
-    leaf, ids = tree.find(path >> below)
+        path[part] += _path(x[part], y[part], depth + meshlet_bits)
+    leaf, ids = tree.find(path >> meshlet_bits)
     # A leaf of 2^n cells has 2^n steps of the path in each of its triangles.
     step_bits = (tree.max_depth - depths_of(ids)).astype(np.int64)
-    first_step = tree.cells_of(ids).astype(np.int64) << below
-    return np.where(inside, (leaf.astype(np.int64) << below) + (path - first_step >> step_bits), -1)
+    first_step = tree.cells_of(ids).astype(np.int64) << meshlet_bits
+    return np.where(inside, (leaf.astype(np.int64) << meshlet_bits) + (path - first_step >> step_bits), -1)
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:

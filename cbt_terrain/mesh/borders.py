@@ -20,7 +20,7 @@ from .cut import Room, Side, border_side, copy_with_room, cut, drop_triangles
 from .surface import Surface
 
 
-def end(
+def cut_ends(
     surface: Surface, field: HeightField, domain: Domain, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, list[np.ndarray]]:
     """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
@@ -36,6 +36,7 @@ def end(
 
 def border_sides(domain: Domain) -> list[Side]:
     """Return the sides where the raster ends before its squares do: the east, the north, both or none."""
+    # Of each axis: the border in units, the first unit's coordinate, and metres a unit.
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
     # Points have float32's steps, and a point where an edge is cut has those of both axes.
     rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)

@@ -96,7 +96,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
         return buffers.extend(buffer_name, count)
 
     if not request.whole:
-        surface, swapped = borders.end(surface, field, domain, room=room, threads=threads)
+        surface, swapped = borders.cut_ends(surface, field, domain, room=room, threads=threads)
         built.swapped = [items for items in swapped if items.size]
     history.next.vertices = built
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})

@@ -46,8 +46,8 @@ class Side:
     """The side of a line that a cut keeps.
 
     `value`: function from positions, float32 [V, 3], to signed values, float64 [V]; each depends on its position alone.
-    `known`: arrays, columns and their exact values on the line. `tolerance`: see TOLERANCE. `rounding`: distance by
-    which new vertices of earlier sides may miss this line where both lines meet in an edge.
+    `known`: (array's name, column, exact value) of new vertices on the line. `tolerance`: see TOLERANCE. `rounding`:
+    distance by which new vertices of earlier sides may miss this line where both lines meet in an edge.
     """
 
     value: Callable[[np.ndarray], np.ndarray]
@@ -121,7 +121,13 @@ def drop_triangles(
 
 
 class _Work:
-    """A surface that is being cut, in arrays with room for new elements."""
+    """A surface that is being cut, in arrays with room for new elements.
+
+    `items`: entry of ITEMS for each array by name; `arrays`, and `rows` with one row per element, likewise. `before`:
+    numbers of vertices, edges and triangles before all cuts; `counts`: those now, and of listed triangles. `m`: the
+    kernels' struct, whose arrays `listed`, `value`, `ends`, `parent` and `removed` are. `corners`: vertices of the
+    triangles that were listed first.
+    """
 
     def __init__(self, surface: Surface, near: np.ndarray, sides: int, room: Room, threads: int) -> None:
         """Allocate the arrays for `sides` cuts and bind them to the kernels' struct.
@@ -137,23 +143,23 @@ class _Work:
         near[surface.edges[max(0, len(surface.edges) - MAX_EDGES * max_removed) :]] = True
         listed = _triangles_near(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
-        # At a side each triangle may become two, with two new vertices and two new edges.
-        more = 2 * len(listed) * ((1 << sides) - 1)
+        # Each side may double the listed triangles, and each triangle adds up to two vertices and two edges.
+        max_new = 2 * len(listed) * ((1 << sides) - 1)
         self.counts = np.array([*self.before, len(listed)], np.int32)
         domains = TOPOLOGY | {name: a.domain for name, a in surface.attributes.items()}
         self.items = {name: ITEMS[domain] for name, domain in domains.items()}
         self.arrays = {
-            name: room(name, array, self.items[name][1] * (self.before[self.items[name][0]] + more))
+            name: room(name, array, self.items[name][1] * (self.before[self.items[name][0]] + max_new))
             for name, array in surface.arrays().items()
         }
         self.rows = {name: self._rows(name) for name in self.arrays}
-        self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
-        self.parent, self.removed = np.empty(more, np.int32), np.zeros((3, max(self.before) + more), bool)
+        self.value, self.ends = np.empty(self.before[0] + max_new), np.empty((max_new, 2), np.int32)
+        self.parent, self.removed = np.empty(max_new, np.int32), np.zeros((3, max(self.before) + max_new), bool)
         m = self.m = kernels.Cut()
         m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
         m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
-        self.listed = copy_with_room("", listed, len(listed) + more)
+        self.listed = copy_with_room("", listed, len(listed) + max_new)
         m.listed = shared(self.listed, wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
         m.removed, m.counts = shared(self.removed.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
@@ -170,6 +176,7 @@ class _Work:
         """
         first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
+        # `value` lacks the new vertices of earlier sides.
         earlier, on_line = slice(len(value), first), np.zeros(first - len(value), bool)
         if first > len(value):
             found = side.value(self.arrays["positions"][earlier])
@@ -181,12 +188,12 @@ class _Work:
         launch.once(kernels.cut, [self.m], step="cut")
         end, end_edge, end_face, _ = self.counts.tolist()
         p, q = self.ends[: end - first].T
-        part = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
+        fraction = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
         for name, (kind, _) in self.items.items():
             rows = self.rows[name]
             if kind == kernels.VERTEX:
                 at_p, at_q = rows[p].astype(np.float64), rows[q].astype(np.float64)
-                new = at_p + part * (at_q - at_p)
+                new = at_p + fraction * (at_q - at_p)
                 if name == NORMALS:
                     new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
                 rows[first:end] = new
@@ -204,17 +211,17 @@ class _Work:
     def _merge(self, new: np.ndarray) -> None:
         """Merge the two ends of new edges that are too short for float32, as where a sliver is cut."""
         edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
-        place = self.arrays["positions"][edges[new], :2].astype(np.float64)
-        length = lengths((place[:, 0] - place[:, 1]).T)
-        short = new[length < APART * np.abs(place).max(axis=(1, 2), initial=0.0)]
+        ends_in_plan = self.arrays["positions"][edges[new], :2].astype(np.float64)
+        lengths_in_plan = lengths((ends_in_plan[:, 0] - ends_in_plan[:, 1]).T)
+        short = new[lengths_in_plan < APART * np.abs(ends_in_plan).max(axis=(1, 2), initial=0.0)]
         if not len(short):
             return
         listed = self.listed[: self.counts[kernels.LISTED]]
         listed = listed[~self.removed[kernels.TRIANGLE, listed]]
         removed = np.unique(edges[short])
-        to = _merge_numbers(edges[short], self.counts[kernels.VERTEX])
-        corners[listed], used = to[corners[listed]], np.unique(sides[listed])
-        edges[used] = to[edges[used]]
+        to = _merge_numbers(edges[short], self.counts[kernels.VERTEX])  # the vertex that each becomes
+        corners[listed], used_edges = to[corners[listed]], np.unique(sides[listed])
+        edges[used_edges] = to[edges[used_edges]]
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
         # Of a flat triangle's edges one is a point; the others are one edge.
         points = edges[sides[flat], 0] == edges[sides[flat], 1]
@@ -229,16 +236,16 @@ class _Work:
         """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
         launch.once(kernels.keep_used, [self.m], step="cut")
         ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)
-        inputs = [self.m, *ends[:2], *(shared(to, wp.int32) for to in moved[:2])]
+        inputs = [self.m, *ends[:2], *(shared(gaps, wp.int32) for gaps in moved[:2])]
         launch.once(kernels.renumber, inputs, step="cut")
         views = {}
-        for name, (kind, each) in self.items.items():
-            source, to = moves[kind]
-            if kind == kernels.VERTEX:
+        for name, (kind, per_element) in self.items.items():
+            source, gaps = moves[kind]
+            if kind == kernels.VERTEX:  # the history needs the removed ones
                 swap(self.rows[name], moves[kind])
             else:
-                self.rows[name][to] = self.rows[name].take(source, axis=0)
-            views[name] = self.arrays[name][: each * ends[kind]]
+                self.rows[name][gaps] = self.rows[name].take(source, axis=0)
+            views[name] = self.arrays[name][: per_element * ends[kind]]
         attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
         return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 

@@ -31,7 +31,7 @@ def displace(
     geomorph: Geomorph | None,
     meshlet: int,
 ) -> None:
-    """Displace the points in parts (base, count) of the array `point`, each part in `pieces` pieces.
+    """Displace the points in parts (first entry, number) of the array `point`, each part in `pieces` pieces.
 
     `slots`: number of each part's list of runs, which `reuse_points` or `reuse_inner_points` has bound; None if nothing
     is copied. geomorph: weights by which points move, None without. meshlet: leaves are drawn as 4**meshlet triangles.

@@ -35,11 +35,8 @@ class Geomorph:
         """
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp
-        ramp.limit, ramp.end2, ramp.steep = (
-            self.relaxed * self.relaxed,
-            self.end * self.end,
-            1.0 / (1.0 - 1.0 / self.end),
-        )
+        ramp.limit, ramp.end2 = self.relaxed * self.relaxed, self.end * self.end
+        ramp.steep = 1.0 / (1.0 - 1.0 / self.end)
         ramp.bisections = 2 * meshlet
         if layers:
             ramp.layers = layers

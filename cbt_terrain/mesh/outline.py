@@ -60,6 +60,7 @@ def _lines(border: np.ndarray) -> np.ndarray:
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths(along.T)[:, None]
     lines = np.concatenate([normal, -np.sum(normal * border[:, 0], axis=1, keepdims=True)], axis=1)
     size = np.abs(border).max()
+    # Directions of short edges are off by far more than their ends.
     rounded = np.rint(lines / (1e3 * SAME * np.array([1.0, 1.0, size])))
     return lines[np.sort(np.unique(rounded, axis=0, return_index=True)[1])]
 
@@ -85,13 +86,13 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
     is_inside = covered(triangles, points)
     values = np.where(is_inside, 1.0, -1.0)
     corners = is_inside[surface.triangles]
-    near = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
+    beside_border = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
     start, along = border[:, 0], border[:, 1] - border[:, 0]
-    for part in np.array_split(near, 1 + len(near) * len(border) // BLOCK):
-        away = points[part][:, None] - start
-        t = np.clip(np.sum(away * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
-        away -= t[:, :, None] * along
-        values[part] *= np.sqrt(np.sum(away * away, axis=2).min(axis=1))
+    for block in np.array_split(beside_border, 1 + len(beside_border) * len(border) // BLOCK):
+        from_start = points[block][:, None] - start
+        t = np.clip(np.sum(from_start * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
+        from_start -= t[:, :, None] * along
+        values[block] *= np.sqrt(np.sum(from_start * from_start, axis=2).min(axis=1))
     return values
 
 

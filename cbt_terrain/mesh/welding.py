@@ -63,6 +63,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
         inputs = [slices, room, w, open_edges, open_level, found]
         launch.once(join_kernels.join, inputs, step="weld", recorded=scratch.launches)
     state = scratch.numpy("weld_state")[: slices * weld_state.STATE_SIZE].reshape(slices, -1)
+    # Each slice ends at the level at which the next one begins; the first begins, and the last ends, at 0.
     entered, left = state[:, weld_state.FIRST_LEVEL], state[:, weld_state.LAST_LEVEL]
     torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
     # A single slice has no earlier ones that could have the edges it looks for.

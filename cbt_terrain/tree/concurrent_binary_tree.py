@@ -65,12 +65,12 @@ class ConcurrentBinaryTree:
             )
         self.max_depth, self.cell_count, self.threads = max_depth, 1 << max_depth, threads
         self.bits = bitfield.Bitfield()
-        self._state = np.zeros(5, np.int32)
+        self._state = np.zeros(5, np.int32)  # counters and flags by bitfield.PAGES_USED and the like
         self.bits.state = shared(self._state, wp.int32)
         self.bits.max_depth, self.bits.top = max_depth, (max_depth - 1) // 6
         self._arrays: dict[str, np.ndarray] = {}
-        self._runs: list[writing.LeafRun] = []
-        self._recorded: dict = {}
+        self._runs: list[writing.LeafRun] = []  # kept for the next `set_leaves`
+        self._recorded: dict = {}  # launches that are recorded once, see `launch.slices`
         self._clear(FIRST_PAGES)
 
     # Count: O(1)
@@ -179,7 +179,7 @@ class ConcurrentBinaryTree:
             self._clear(num_pages)
             self._state[bitfield.DIFFERS] = is_empty = True
             for run in runs:
-                run.end_same = run.first_same
+                run.end_same = run.first_same  # an empty tree has no leaves to keep
         self._reduce()
         if 2 * self._pages_used > self.bits.num_pages and is_empty:
             self._resize(2 * num_pages)

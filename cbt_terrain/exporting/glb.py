@@ -27,11 +27,11 @@ def glb_of(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles
         triangles: int [t, 3], counter-clockwise from outside.
         extras: entries for JSON, of the file's asset and of its mesh.
     """
-    places = y_up(positions)
-    turned = y_up(normals)
-    turned /= np.maximum(np.sqrt((turned.astype(np.float64) ** 2).sum(1, keepdims=True)), 1e-30)
+    points = y_up(positions)
+    directions = y_up(normals)
+    directions /= np.maximum(np.sqrt((directions.astype(np.float64) ** 2).sum(1, keepdims=True)), 1e-30)
     texture = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]).astype(np.float32)
-    arrays = [places, turned.astype(np.float32), texture, triangles.reshape(-1).astype(np.uint32)]
+    arrays = [points, directions.astype(np.float32), texture, triangles.reshape(-1).astype(np.uint32)]
     views: list[dict] = []
     accessors: list[dict] = []
     binary = b""
@@ -43,7 +43,7 @@ def glb_of(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles
         component = UNSIGNED_INT if is_index else FLOAT
         accessors.append({"bufferView": len(accessors), "componentType": component, "count": len(array), "type": kind})
         binary += array.tobytes()  # whole words, so the next array is aligned
-    accessors[0] |= {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+    accessors[0] |= {"min": points.min(0).tolist(), "max": points.max(0).tolist()}
     primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0}
     content = {
         "asset": {"version": "2.0", "generator": "Adaptive Terrain", "extras": extras},

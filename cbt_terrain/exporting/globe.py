@@ -54,15 +54,15 @@ def place_on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tup
         folder: for a file that the child process reads.
     """
     about_middle = np.array([[0.0, 0.0, 0.0], [-ARM, 0.0, 0.0], [ARM, 0.0, 0.0]])
-    points, up = _on_globe(placing, np.concatenate([about_middle, positions]), folder)
+    points, up = _earth_centred(placing, np.concatenate([about_middle, positions]), folder)
     along = points[2] - points[1]
-    along = along - up[0] * (along * up[0]).sum()
+    along = along - up[0] * (along * up[0]).sum()  # without its vertical part
     x = along / np.sqrt((along**2).sum())
     frame = GlobeFrame(points[0], np.stack([x, np.cross(up[0], x), up[0]]))
     return frame, frame.to_frame(points[3:] - frame.origin), frame.to_frame(up[3:])
 
 
-def _on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+def _earth_centred(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return ECEF coordinates of points, and the ellipsoid's upward normals there, both float64 [n, 3].
 
     positions: float64 [n, 3] in the terrain's space, heights above the ellipsoid. folder: where files for the child
@@ -75,12 +75,12 @@ def _on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[np
         longitude, latitude = np.radians(np.load(path)).T
     semi_major, inverse_flattening = WGS84
     flattening = 1.0 / inverse_flattening
-    squared = flattening * (2.0 - flattening)
+    eccentricity2 = flattening * (2.0 - flattening)  # of the ellipsoid, squared
     across = np.cos(latitude)
     up = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)], axis=-1)
-    radius, height = semi_major / np.sqrt(1.0 - squared * up[:, 2] ** 2), positions[:, 2]
+    radius, height = semi_major / np.sqrt(1.0 - eccentricity2 * up[:, 2] ** 2), positions[:, 2]
     points = (radius + height)[:, None] * up
-    points[:, 2] = (radius * (1.0 - squared) + height) * up[:, 2]
+    points[:, 2] = (radius * (1.0 - eccentricity2) + height) * up[:, 2]
     return points, up
 
 

@@ -71,11 +71,11 @@ NO_RANGE = math.inf, -math.inf
 class _Layer:
     """One raster in tiles: its numbers in the file are (value - offset) / scale, and `max_error` is counted."""
 
-    name: str
+    name: str  # "" for heights
     form: RasterFormat
     suffix: str
-    source: AttributeRequest | None = None
-    channel: int = 0
+    source: AttributeRequest | None = None  # None for heights and for the mask of holes
+    channel: int = 0  # which number of the source's attribute
     low: float = NO_RANGE[0]
     high: float = NO_RANGE[1]
     max_error: float = 0.0
@@ -118,13 +118,18 @@ class _Layer:
 
 
 class _Samples:
-    """Bands of a grid: heights, attributes and holes at its samples."""
+    """Heights, attributes and holes at the samples of a grid, in blocks.
+
+    Attributes:
+        field, filled: the terrain without displacement, the latter also without holes.
+        axes: the grid's samples from west to east, and from its first row to its last.
+        x, y: coordinates of its columns and rows in the terrain, metres.
+        layers: rasters to write, heights first; a later one without a source is the mask of holes.
+        level: log2 of the raster's samples per sample of the grid, over which attributes are averaged.
+    """
 
     def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[_Layer], flipped: bool):
-        """Locate the grid's columns and rows in the terrain and choose the level of its attributes.
-
-        `flipped`: row 0 is the south.
-        """
+        """Locate the grid's columns and rows in the terrain. `flipped`: row 0 is the south."""
         self.field, self.layers = with_detail(field, detail=None), layers
         self.filled = self.field.with_raster(valid=None)
         self.axes, self.threads = axes, launch.default_threads()
@@ -134,29 +139,32 @@ class _Samples:
         steps = axes[0].spacing / field.lattice.step_x, axes[1].spacing / field.lattice.step_y
         self.level = max(0.0, math.log2(max(steps)))
 
-    def band(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
-        """Return heights, where ground is (None: everywhere), and the values of all layers after the first."""
+    def block(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
+        """Return what a block's samples hold: heights, metres, with holes filled; where ground is; values of layers.
+
+        All arrays are [rows, columns]: float64, bool (None without holes), and float64 for each layer after the first.
+        """
         x, y = np.meshgrid(self.x[columns], self.y[rows])
-        places, shape = np.stack([x.ravel(), y.ravel()], -1), x.shape
-        heights = ground_at(self.filled, places, threads=self.threads).heights
+        points, shape = np.stack([x.ravel(), y.ravel()], -1), x.shape
+        heights = ground_at(self.filled, points, threads=self.threads).heights
         inside = None
         if self.field.valid is not None:
-            inside = ground_at(self.field, places, threads=self.threads).inside.reshape(shape)
+            inside = ground_at(self.field, points, threads=self.threads).inside.reshape(shape)
         requests = list({layer.source.name: layer.source for layer in self.layers if layer.source}.values())
-        positions = np.column_stack([places, heights]).astype(np.float32)
-        level = np.full(len(places), self.level, np.float32)
-        found = values_at(SamplePoints(self.field, positions, level, threads=self.threads), requests)
+        positions = np.column_stack([points, heights]).astype(np.float32)
+        level = np.full(len(points), self.level, np.float32)
+        attributes = values_at(SamplePoints(self.field, positions, level, threads=self.threads), requests)
         values = []
         for layer in self.layers[1:]:
             if layer.source is None:
                 assert inside is not None  # the layer of holes
                 values.append(1.0 - inside)
             else:
-                some = found[layer.source.name].reshape(*shape, -1)[..., layer.channel]
-                values.append(some.astype(np.float64))
+                channel_values = attributes[layer.source.name].reshape(*shape, -1)[..., layer.channel]
+                values.append(channel_values.astype(np.float64))
         return heights.reshape(shape), inside, values
 
-    def bands(self, first: int, end: int) -> Iterator[slice]:
+    def row_blocks(self, first: int, end: int) -> Iterator[slice]:
         """Yield the rows `first` to `end` (exclusive) in slices of at most LINES.
 
         A request to stop raises between them.
@@ -204,7 +212,7 @@ def export_height_tiles(
     names = _names(settings, axes, layers)
     field.raster.check_samples()
     samples = _Samples(field, axes, layers, settings.is_flipped)
-    place = placing_or_middle(field)
+    placing = placing_or_middle(field)
     tile_rows = range(axes[1].tiles)
     if any(layer.form.is_integer and not layer.has_range for layer in layers):
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
@@ -212,9 +220,9 @@ def export_height_tiles(
         remove_file(out / f"{settings.name}.json")  # of an earlier export, whose tiles are about to be replaced
         for row in tile_rows:
             for tiles in samples.groups():
-                _write_tiles(samples, out, names, tiles, row, place)
+                _write_tiles(samples, out, names, tiles, row, placing)
             on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
-        index = _tiles_json(samples, names, place, settings)
+        index = _tiles_json(samples, names, placing, settings)
         with written_beside(out / f"{settings.name}.json") as partial:
             partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
@@ -249,7 +257,10 @@ def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
 
 
 def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[_Layer]) -> dict[tuple, str]:
-    """Return the names of all files by layer, x and y. Raises TerrainError for a pattern that does not give them."""
+    """Return the names of all files by layer's index, x and y of the tile.
+
+    Raises TerrainError for a pattern that does not give them.
+    """
     names = {}
     for k, layer in enumerate(layers):
         name = f"{settings.name}_{layer.name}" if layer.name else settings.name
@@ -278,45 +289,45 @@ def placing_or_middle(field: HeightField) -> Placing:
 
 def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:
     """Widen the ranges of integer layers without a given range to all samples, before their values are coded."""
-    total, wanted = samples.axes[1].inside, [not layer.has_range for layer in layers]
-    for rows in samples.bands(0, total):
+    total, lack_range = samples.axes[1].inside, [not layer.has_range for layer in layers]
+    for rows in samples.row_blocks(0, total):
         for tiles in samples.groups():
-            heights, _, values = samples.band(rows, samples.columns_of(tiles))
-            for layer, some, is_wanted in zip(layers, [heights, *values], wanted, strict=True):
-                if is_wanted:
+            heights, _, values = samples.block(rows, samples.columns_of(tiles))
+            for layer, some, lacks_range in zip(layers, [heights, *values], lack_range, strict=True):
+                if lacks_range:
                     layer.widen(some)
         on_progress(rows.stop / total)
 
 
-def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, place: Placing) -> None:
-    """Write some tiles of row `y`, side by side, of all layers, in bands of rows.
+def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, placing: Placing) -> None:
+    """Write some tiles of row `y`, side by side, of all layers, in blocks of rows.
 
-    names: file names by layer, column and row of the tile. group: columns of the tiles. place: conversion to the
+    names: file names by layer, column and row of the tile. group: columns of the tiles. placing: conversion to the
     coordinate system of the files.
     """
     (across, down), columns = samples.axes, samples.columns_of(group)
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(2, "adaptive_terrain_export"))
-        tiles: list[tuple] = []
+        tiles: list[tuple] = []  # (layer's index, its columns in a block, open file, its path, its shape)
         for k, layer in enumerate(samples.layers):
             for x in group:
                 partial = stack.enter_context(written_beside(out / names[k, x, y]))
-                transform, crs = _transform(samples, place, across.first(x), down.first(y))
+                transform, crs = _transform(samples, placing, across.first(x), down.first(y))
                 missing = samples.field.valid is not None and layer.form.keeps_missing
                 shape = RasterShape(across.size, down.size, transform, crs, missing)
                 file = layer.form.open(partial, shape, layer.form.dtype, pool)
                 stack.callback(file.abandon)
                 first = across.first(x) - columns.start
                 tiles.append((k, slice(first, first + across.size), file, partial, shape))
-        for rows in samples.bands(down.first(y), down.first(y) + down.size):
-            heights, inside, values = samples.band(rows, columns)
+        for rows in samples.row_blocks(down.first(y), down.first(y) + down.size):
+            heights, inside, values = samples.block(rows, columns)
             if not samples.layers[0].form.is_integer:
                 samples.layers[0].widen(heights)
             coded = [layer.encode(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
             if inside is not None and samples.layers[0].form.keeps_missing:
                 coded[0][~inside] = np.nan
-            for k, part, file, _, _ in tiles:
-                file.add(coded[k][:, part])
+            for k, tile_columns, file, _, _ in tiles:
+                file.add(coded[k][:, tile_columns])
         for _, _, file, _, _ in tiles:
             file.close()
         finish = samples.layers[0].form.finish
@@ -325,28 +336,28 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
             finish(*zip(*written, strict=True))
 
 
-def _transform(samples: _Samples, place: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:
+def _transform(samples: _Samples, placing: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:
     """Return the affine transform from pixels, whose centres are samples, to coordinates, and the name of their system.
 
     column, row: sample of the tile's first pixel.
     """
-    step_x, step_y = _sample_steps(samples, place)
-    x, y = _origin(samples, place)
-    return (step_x, 0.0, x + (column - 0.5) * step_x, 0.0, step_y, y + (row - 0.5) * step_y), place.crs
+    step_x, step_y = _sample_steps(samples, placing)
+    x, y = _origin(samples, placing)
+    return (step_x, 0.0, x + (column - 0.5) * step_x, 0.0, step_y, y + (row - 0.5) * step_y), placing.crs
 
 
-def _sample_steps(samples: _Samples, place: Placing) -> tuple[float, float]:
+def _sample_steps(samples: _Samples, placing: Placing) -> tuple[float, float]:
     """Return the step from a column and from a row to the next one, in the coordinate system's unit."""
     sign = 1.0 if samples.y[-1] > samples.y[0] else -1.0
-    return samples.axes[0].spacing / place.metres_x, sign * samples.axes[1].spacing / place.metres_y
+    return samples.axes[0].spacing / placing.metres_x, sign * samples.axes[1].spacing / placing.metres_y
 
 
-def _origin(samples: _Samples, place: Placing) -> list[float]:
+def _origin(samples: _Samples, placing: Placing) -> list[float]:
     """Return the coordinates, x and y, of the first sample."""
-    return [float(c) for c in place.from_terrain(np.array([samples.x[0], samples.y[0]]))]
+    return [float(c) for c in placing.from_terrain(np.array([samples.x[0], samples.y[0]]))]
 
 
-def _tiles_json(samples: _Samples, names: dict[tuple, str], place: Placing, settings: HeightTiles) -> dict:
+def _tiles_json(samples: _Samples, names: dict[tuple, str], placing: Placing, settings: HeightTiles) -> dict:
     """Return the content of the JSON file beside the tiles: sizes, coding of values and position on the map."""
     axes, heights = samples.axes, samples.layers[0]
     index = {
@@ -359,9 +370,9 @@ def _tiles_json(samples: _Samples, names: dict[tuple, str], place: Placing, sett
         "num_samples_on_terrain": [axis.inside for axis in axes],
         "first_row": "south" if settings.is_flipped else "north",
         "spacing_m": [axis.spacing for axis in axes],
-        "origin": _origin(samples, place),
-        "step": list(_sample_steps(samples, place)),
-        "crs": place.crs,
+        "origin": _origin(samples, placing),
+        "step": list(_sample_steps(samples, placing)),
+        "crs": placing.crs,
         "holes": "none" if samples.field.valid is None else "NaN" if heights.form.keeps_missing else "filled",
         "heights": heights.to_json() | {"unit": "m"},
         "masks": [

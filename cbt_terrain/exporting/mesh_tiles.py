@@ -21,13 +21,13 @@ class TileMesh:
         normals, uv = np.concatenate([self.normals, other.normals]), np.concatenate([self.uv, other.uv])
         return TileMesh(positions, normals, uv, triangles)
 
-    def at(self, vertices: np.ndarray) -> "TileMesh":
+    def vertices_alone(self, vertices: np.ndarray) -> "TileMesh":
         """Return some vertices, by their numbers, without triangles."""
         return TileMesh(self.positions[vertices], self.normals[vertices], self.uv[vertices], self.triangles[:0])
 
 
 def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
-    """Divide the triangles that cross the line where coordinate `axis` is `at`, a float32 number.
+    """Divide the triangles that cross the line where coordinate `axis` is `vertices_alone`, a float32 number.
 
     Each crossing edge gets one vertex, so the mesh stays welded.
     """
@@ -54,17 +54,17 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
 
 
 def _cut_edges(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
-    """Return new vertices where edges cross the line at coordinate `at` of an axis (0 or 1).
+    """Return new vertices where edges cross the line at coordinate `vertices_alone` of an axis (0 or 1).
 
     pairs: the edges' vertices, int [n, 2], on both sides of the line.
     """
     ends = mesh.positions[pairs].astype(np.float64)
-    part = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
+    fraction = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
 
     def interpolate_ends(values: np.ndarray) -> np.ndarray:
         """Interpolate values of the vertices to the places where edges are cut, float32."""
         first, last = values[pairs[:, 0]].astype(np.float64), values[pairs[:, 1]].astype(np.float64)
-        return (first + part * (last - first)).astype(np.float32)
+        return (first + fraction * (last - first)).astype(np.float32)
 
     positions = interpolate_ends(mesh.positions)
     positions[:, axis] = at
@@ -72,9 +72,9 @@ def _cut_edges(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileM
 
 
 def part_of(mesh: TileMesh, which: np.ndarray) -> tuple[TileMesh, np.ndarray]:
-    """Return the part with the triangles `which`, and the numbers of its vertices in `mesh`."""
+    """Return the part with the triangles `which`, by index, and the numbers of its vertices in `mesh`."""
     used, triangles = np.unique(mesh.triangles[which], return_inverse=True)
-    return replace(mesh.at(used), triangles=triangles.reshape(-1, 3)), used
+    return replace(mesh.vertices_alone(used), triangles=triangles.reshape(-1, 3)), used
 
 
 def border_edges(mesh: TileMesh) -> np.ndarray:
@@ -97,7 +97,7 @@ def with_skirt(mesh: TileMesh, edges: np.ndarray, down: np.ndarray) -> TileMesh:
     if not len(edges):
         return mesh
     used, ends = np.unique(edges, return_inverse=True)
-    below = mesh.at(used)
+    below = mesh.vertices_alone(used)
     below = replace(below, positions=(below.positions.astype(np.float64) + down[used]).astype(np.float32))
     lower = len(mesh.positions) + ends.reshape(-1, 2)
     (a, b), (c, d) = edges.T, lower.T

@@ -92,4 +92,5 @@ def _axis(samples: int, step: float, size: int, count: int, overlap: int) -> Til
     stride = size - overlap
     if not count:
         return TileAxis(size, max(1, math.ceil((samples - overlap) / stride)), overlap, step, length)
+    # The tiles have count * stride + overlap samples together.
     return TileAxis(size, count, overlap, length / (count * stride + overlap - 1), length)

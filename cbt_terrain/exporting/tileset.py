@@ -40,13 +40,17 @@ MIN_HALF = 1e-3  # metres; a flat tile has a box, too
 
 @dataclass(eq=False)
 class _Level:
-    """The mesh of one level: its bound in metres, divided into `side` x `side` tiles at `lines`."""
+    """The mesh of one level: its bound in metres, divided into `side` x `side` tiles at `lines`.
+
+    `lines`: x and y in the terrain's space. `_place_levels` sets the last two fields, in the frame of the tileset:
+    positions, float32 [n, 3], and unit vectors upwards, float64 [n, 3].
+    """
 
     mesh: TileMesh
     bound: float
     side: int
     lines: tuple[np.ndarray, np.ndarray]
-    places: np.ndarray = field(default_factory=lambda: np.empty(0))  # float32 positions in the frame of the tileset
+    positions: np.ndarray = field(default_factory=lambda: np.empty(0))
     up: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
@@ -85,9 +89,9 @@ def export_tileset(
     levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
     placing = placing_or_middle(field)
     try:
-        frame = _place(levels, placing, path.parent)
+        frame = _place_levels(levels, placing, path.parent)
         for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
-            level.bound = max(level.bound, finer.bound)
+            level.bound = max(level.bound, finer.bound)  # geometric errors must not grow downwards
         tiles: dict[tuple[int, int, int], tuple] = {}
         remove_file(path)  # of an earlier export, whose tiles are about to be replaced
         total = sum(len(level.mesh.triangles) for level in levels)
@@ -110,7 +114,7 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
 
     `triangles`: about as many in a tile; the number of levels follows from it.
     """
-    terrain, finest = Terrain(field), []
+    terrain, finest_first = Terrain(field), []
     depth = number = 0
     while number <= depth:
         stopping.check()
@@ -120,10 +124,10 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
         s = update.surface
         assert update.bound_m is not None  # the criterion has an error in metres
         mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
-        finest.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - number)))
+        finest_first.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - number)))
         number += 1
         on_progress(1.0 - 0.25**number)  # each coarser level has a quarter of the triangles
-    return finest[::-1]
+    return finest_first[::-1]
 
 
 def _depth(cells: tuple[int, int], tiles: float) -> int:
@@ -149,10 +153,10 @@ def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -
     for axis, (first, cells, step) in enumerate(
         [(west, lattice.cells_x, lattice.step_x), (south, lattice.cells_y, lattice.step_y)]
     ):
-        at = [np.float32(first + round(cells * k / side) * step) for k in range(1, side)]
-        for line in at:
+        positions = [np.float32(first + round(cells * k / side) * step) for k in range(1, side)]
+        for line in positions:
             mesh = split(mesh, axis, float(line))
-        lines.append(np.array(at, np.float64))
+        lines.append(np.array(positions, np.float64))
     if side > 1:  # new vertices are rounded to float32
         slope = length((field.steepest_x, field.steepest_y))
         top = np.abs(mesh.positions).max(0)
@@ -160,14 +164,15 @@ def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -
     return _Level(mesh, bound, side, (lines[0], lines[1]))
 
 
-def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame | None:
+def _place_levels(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame | None:
     """Set positions in the frame of the tileset, and add to bounds by how much the globe bends the triangles.
 
     Return the frame, None for a terrain without a named coordinate system. folder: for a temporary file.
     """
     if not placing.crs:
         for level in levels:
-            level.places, level.up = level.mesh.positions, np.broadcast_to([0.0, 0.0, 1.0], level.mesh.positions.shape)
+            level.positions = level.mesh.positions
+            level.up = np.broadcast_to([0.0, 0.0, 1.0], level.positions.shape)
         return None
     points, ends = [], []
     for level in levels:
@@ -176,13 +181,13 @@ def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame |
         keys = np.unique(edge_keys(edges))  # of integers: of rows it would hold Python's lock for seconds
         ends.append(np.stack([keys >> 32, keys & 0xFFFFFFFF]))
         points += [positions, 0.5 * (positions[ends[-1][0]] + positions[ends[-1][1]])]
-    frame, places, up = place_on_globe(placing, np.concatenate(points), folder)
+    frame, in_frame, up = place_on_globe(placing, np.concatenate(points), folder)
     cuts = np.cumsum([len(some) for some in points])[:-1]
-    parts, ups = np.split(places, cuts), np.split(up, cuts)
+    parts, ups = np.split(in_frame, cuts), np.split(up, cuts)  # of each level its vertices, then its edges' middles
     for level, (a, b), exact, middles, upwards in zip(levels, ends, parts[::2], parts[1::2], ups[::2], strict=True):
-        level.places, level.up = exact.astype(np.float32), upwards
+        level.positions, level.up = exact.astype(np.float32), upwards
         bent = middles - 0.5 * (exact[a] + exact[b])
-        rounding = np.abs(level.places - exact).max()
+        rounding = np.abs(level.positions - exact).max()
         level.bound += MIDDLES * math.sqrt((bent**2).sum(1).max()) + math.sqrt(3.0) * float(rounding)
     return frame
 
@@ -206,7 +211,7 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
         ty, tx = divmod(int(tile), level.side)
         part, used = part_of(level.mesh, order[starts[tile] : starts[tile + 1]])
         count = len(part.triangles)
-        placed = TileMesh(level.places[used], part.normals, part.uv, part.triangles)
+        placed = TileMesh(level.positions[used], part.normals, part.uv, part.triangles)
         edges = border_edges(part)
         edges = edges[~np.isin(edge_keys(used[edges]), outer)]
         placed = with_skirt(placed, edges, -(level.bound + root_bound) * level.up[used])
@@ -232,21 +237,22 @@ def _tile_json(stem: str, levels: list[_Level], tiles: dict, number: int, x: int
     """
     children = []
     if number + 1 < len(levels):
-        places = [(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)]
-        children = [child for at in places if (child := _tile_json(stem, levels, tiles, number + 1, *at)) is not None]
+        quarters = [(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)]
+        below = [_tile_json(stem, levels, tiles, number + 1, *column_row) for column_row in quarters]
+        children = [child for child in below if child is not None]
     box = tiles.get((number, x, y), (None, 0))[0]
     boxes = [child.pop("box") for child in children] + ([box] if box is not None else [])
     if not boxes:
         return None
     low, high = np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)
-    found = {
+    tile = {
         "boundingVolume": {"box": _box_json(low, high)},
         "geometricError": levels[number].bound,
         "box": (low, high),
     }
     if box is not None:
-        found["content"] = {"uri": quote(_glb_name(stem, number, x, y)), "boundingVolume": {"box": _box_json(*box)}}
-    return found | ({"children": children} if children else {})
+        tile["content"] = {"uri": quote(_glb_name(stem, number, x, y)), "boundingVolume": {"box": _box_json(*box)}}
+    return tile | ({"children": children} if children else {})
 
 
 def _box_json(low: np.ndarray, high: np.ndarray) -> list[float]:

@@ -84,18 +84,14 @@ class ChildJob:
         variables: dict[str, str] | None = None,
         report: dict | None = None,
     ):
-        """Start a child process, or finish at once with `report` if there is one.
-
-        `module`: the child's module. `request`: sent to it as JSON. `what`: the work, as a noun for errors. `fix`:
-        remedy if the child dies. `variables`: environment of the child.
-        """
+        """Start a child process, or finish at once with `report` if there is one."""
         self._what, self._fix, self._reading, self._watched = what, fix, reading, watched
         self._progress, self.cancelled = JobProgress(), False
         self._num_lines = 0
         self._messages: dict[str, Any] = {}  # the last message of each key
         self._stall, self._stalled = Stall(), False
         if report is not None:
-            self._progress = JobProgress(1.0, "Done", True, None, report)
+            self._progress = JobProgress(1.0, "Done", done=True, report=report)
         else:
             self._start(module, request, variables or {})
 
@@ -197,7 +193,7 @@ class ChildJob:
             report = self._published()
             error = self._error_of_end() if report is None else None
         if report is not None:
-            self._progress = JobProgress(1.0, "Done", True, None, report)
+            self._progress = JobProgress(1.0, "Done", done=True, report=report)
             self.cancelled = False
         else:
             self._progress = dataclasses.replace(self._progress, done=True, error=error)

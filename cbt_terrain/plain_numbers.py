@@ -81,10 +81,10 @@ def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
     found = rows(values, width, name)
     finite = np.isfinite(found)
     if not finite.all():
-        at = int(np.argmin(finite.all(axis=1)))
-        wrong = ", ".join(f"{value:g}" for value in found[at])
+        first_wrong = int(np.argmin(finite.all(axis=1)))
+        wrong = ", ".join(f"{value:g}" for value in found[first_wrong])
         raise TerrainError(
-            f"Number {at} of the {name} is ({wrong})", expected="finite metres", fix="correct or leave it out"
+            f"Number {first_wrong} of the {name} is ({wrong})", expected="finite metres", fix="correct or leave it out"
         )
     return found
 

@@ -69,9 +69,9 @@ class Update(ReportedBounds):
 class _Result:
     """The last mesh and its parameters.
 
-    `shape`: the arguments that place its leaves' vertices, in the order of `_shape`. `horizon`: arguments of
-    `horizon_of`, None if occlusion is unknown. `pieces`: pieces of cut triangles, once triangles at points are
-    requested.
+    `shape`: the arguments that place its leaves' vertices: meshlet, depth of the deepest leaf, vertical scale, vertical
+    offset and end of the morph. `horizon`: arguments of `horizon_of`, None if occlusion is unknown. `pieces`: pieces of
+    cut triangles, once triangles at points are requested.
     """
 
     update: Update
@@ -143,8 +143,8 @@ class Terrain:
         """
         with self.history.alone():
             meshlet, _, scale, offset, morph = self._need_result().shape
-            how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
-            return self._need_tree().to_bytes(), how | ({"morph": morph} if morph > 1 else {})
+            arguments = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
+            return self._need_tree().to_bytes(), arguments | ({"morph": morph} if morph > 1 else {})
 
     def restore(
         self,
@@ -197,7 +197,7 @@ class Terrain:
         Raises TerrainError if the tree does not fit the height field. key: arguments that identify the frame. meshlet:
         leaves are drawn as 4**meshlet triangles. ms: dict that collects the milliseconds of each step.
         """
-        box_of(self.field, vertical_scale, vertical_offset)
+        box_of(self.field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
         depth = int(depths.max())
         domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
@@ -211,15 +211,15 @@ class Terrain:
                 raise TerrainError(
                     "The saved tree is corrupt", expected="leaves that form a conforming mesh", fix="save it again"
                 ) from None
-            parts = error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
-            bound = add_up(parts) * (1 + MARGIN)
+            terms_m = error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
+            bound = add_up(terms_m) * (1 + MARGIN)
             update = Update(
                 surface=surface,
                 leaves=leaves.total,
                 changed=changed,
                 ms=ms,
                 bound_m=bound,
-                terms_m=Terms.shares(bound, *parts),
+                terms_m=Terms.shares(bound, *terms_m),
             )
             self.history.commit(key, _Result(update, shape), keeps_vertices=not changed)
         return update
@@ -227,7 +227,7 @@ class Terrain:
     def _has_other_shape(self, shape: tuple) -> bool:
         """Return whether the last frame placed its points with arguments other than `shape`.
 
-        They cannot be reused then. shape: meshlet, interpolation, vertical scale, offset and end of the morph.
+        They cannot be reused then. shape: see `_Result`.
         """
         last = self._last
         return last is None or last.shape != shape
@@ -242,12 +242,12 @@ class Terrain:
         with self.history.alone():
             last, lattice = self._need_result(), self.field.lattice
             surface, meshlet = last.update.surface, last.shape[0]
-            found = locate(self._need_tree(), lattice, places, meshlet)
+            whole = locate(self._need_tree(), lattice, places, meshlet)
             if not lattice.is_padded and self.field.valid is None:
-                return found
+                return whole
             if last.pieces is None:
                 last.pieces = Pieces.of(surface, locate(self._need_tree(), lattice, middles(surface), meshlet))
-            return last.pieces.at(found, places)
+            return last.pieces.at(whole, places)
 
     def horizon(self) -> "CriterionArrays | None":
         """Return the horizon maps of the last update's mesh for its views.
@@ -290,15 +290,16 @@ class Terrain:
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
         morph_until = criterion.morph_until
         shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, morph_until)
-        off = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
-        plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
+        # The largest errors of float32 corners along each axis, and of heights in all, metres.
+        offsets = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
+        plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, offsets)
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
-        unsure = domain.rounding + domain.max_lean + domain.source
+        max_rounding = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
             """Return the views in terrain space. margins: degrees around the frame, None for the guard band."""
             seen = zip(spans.views, spans.scales, strict=True)
-            return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
+            return [localise(view, placement, box, criterion, scale, max_rounding, margins) for view, scale in seen]
 
         local = views_within()
         if criterion.hides and self.field.valid is None:  # holes do not occlude, so rings need a raster without them
@@ -311,18 +312,18 @@ class Terrain:
                 request = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
                 leaves, relaxed = refine(self.field, request, self.history, self.threads)
                 # The same leaves displaced the same way are the same mesh.
-                changed |= leaves.changed
+                changed |= leaves.changed  # also of an earlier turn, whose leaves the tree holds now
                 geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
                 surface = None  # or its memory would be in use
                 surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
                 # The cut at the border makes two of some triangles.
-                over = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
-                if over <= 0 or leaves.total > max_leaves:
+                excess = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
+                if excess <= 0 or leaves.total > max_leaves:
                     break
                 max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
-            hides = None
+            horizon = None
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
-                hides = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
+                horizon = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
             outcome = Outcome(
                 domain=domain,
                 arrays=packed,
@@ -338,7 +339,7 @@ class Terrain:
             )
             bounds = vars(bounds_of(criterion, spans, outcome))
             update = Update(surface=surface, leaves=leaves.total, changed=changed, ms=ms, **bounds)
-            self.history.commit(key, _Result(update, shape, hides), keeps_vertices=not changed)
+            self.history.commit(key, _Result(update, shape, horizon), keeps_vertices=not changed)
         return update
 
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:

@@ -25,11 +25,11 @@ class CachedSubtrees:
     domain: Domain
     criterion: CriterionArrays
     max_depth: int
-    slots: int
+    slots: int  # slices of the curve, each with a list of subtrees
     room: int  # of subtrees, and of runs of points, in a slot
 
     def __post_init__(self) -> None:
-        self.limit = self.criterion.limit
+        self.limit = self.criterion.limit  # which later refinements may change
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
         """Return the largest relative change of lengths that pixel footprints consist of or are compared with.

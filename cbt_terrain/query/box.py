@@ -34,36 +34,39 @@ def box_range(
     between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
     terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).
     """
-    numbers = [plain_number(value, float, "A side of the box") for value in (west, south, east, north)]
-    west, south, east, north = numbers
-    if not all(map(math.isfinite, numbers)) or west > east or south > north:
+    sides = [plain_number(value, float, "A side of the box") for value in (west, south, east, north)]
+    west, south, east, north = sides
+    if not all(map(math.isfinite, sides)) or west > east or south > north:
         raise TerrainError(
             f"The box goes from {west} to {east} m east and from {south} to {north} m north",
             expected="finite numbers, the smaller ones first",
         )
     surface, lattice = pack_surface(field, vertical_scale, vertical_offset), field.lattice
-    low, high = _in_cells(numbers, lattice)
+    low, high = _in_cells(sides, lattice)
     if (low > high).any():
         return math.nan, math.nan
-    # The border of a hole may be the last side of the cells before it.
+    # A point on the border of a hole is on the last side of the cells before it, which have ground.
     before = low if field.valid is None else np.ceil(low) - 1
     column, first = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
     rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
-    found = np.empty((rows, 2))
+    row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
-    inputs = [surface, blocks_of(field, surface), column, first, *corners, shared(found, wp.vec2d)]
+    inputs = [surface, blocks_of(field, surface), column, first, *corners, shared(row_ranges, wp.vec2d)]
     launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
-    low_z, high_z = float(found[:, 0].min()), float(found[:, 1].max())
+    low_z, high_z = float(row_ranges[:, 0].min()), float(row_ranges[:, 1].max())
     if low_z > high_z:
         return math.nan, math.nan
-    more = 0.0 if surface.bicubic else highest(field.parts) * abs(surface.scale)
-    return low_z - more, high_z + more
+    amplitude = 0.0 if surface.bicubic else highest(field.parts) * abs(surface.scale)
+    return low_z - amplitude, high_z + amplitude
 
 
-def _in_cells(numbers: list[float], lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners of the box in cells from the raster's south-western corner, cut at the border."""
+def _in_cells(sides: list[float], lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest corner of a box, float64 [2] each, in cells from the raster's south-western corner.
+
+    They are cut at the border. sides: west, south, east and north, metres.
+    """
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
-    low, high = ((np.array(pair) - corner) / steps for pair in (numbers[:2], numbers[2:]))
+    low, high = ((np.array(pair) - corner) / steps for pair in (sides[:2], sides[2:]))
     return np.maximum(low, 0.0), np.minimum(high, _cells(lattice))
 
 

@@ -93,7 +93,7 @@ def profile(
     lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     spacing = plain_number(spacing, float | None, "The spacing of the profile")
-    along, places = _crossings(field, line, ends) if spacing is None else _evenly(line, ends, spacing)
+    along, places = _crossings(field, line, ends) if spacing is None else _space_evenly(line, ends, spacing)
     return Profile(along, ground_at(field, places, vertical_scale, vertical_offset).heights, places)
 
 
@@ -107,7 +107,7 @@ def _check_count(count: float) -> None:
         )
 
 
-def _evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def _space_evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return points every `spacing` metres, and the last point: metres along the line, and x and y."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise TerrainError(f"The spacing of the profile is {spacing} metres", expected="a positive number")
@@ -127,22 +127,22 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []
-    for n, (a, b) in enumerate(pairwise(line)):
-        parts, crossed = [np.array([0.0])], [a[None]]
+    for segment, (a, b) in enumerate(pairwise(line)):
+        fractions_by_axis, points_by_axis = [np.array([0.0])], [a[None]]
         for axis in (0, 1):
-            low, high = sorted(cells[n : n + 2, axis])
+            low, high = sorted(cells[segment : segment + 2, axis])
             numbers = np.arange(np.ceil(low), np.floor(high) + 1)
             if a[axis] == b[axis] or not len(numbers):
                 continue
-            at = corner[axis] + numbers * steps[axis]
-            part = (at - a[axis]) / (b[axis] - a[axis])
-            where = a + part[:, None] * (b - a)
-            where[:, axis] = at  # to the last bit on the line of samples
-            inner = (part > 0.0) & (part < 1.0)
-            parts.append(part[inner])
-            crossed.append(where[inner])
-        part, where = np.concatenate(parts), np.concatenate(crossed)
-        order = np.argsort(part, kind="stable")
-        along.append(ends[n] + part[order] * (ends[n + 1] - ends[n]))
-        places.append(where[order])
+            lines = corner[axis] + numbers * steps[axis]
+            fractions = (lines - a[axis]) / (b[axis] - a[axis])
+            points = a + fractions[:, None] * (b - a)
+            points[:, axis] = lines  # to the last bit on the line of samples
+            inner = (fractions > 0.0) & (fractions < 1.0)
+            fractions_by_axis.append(fractions[inner])
+            points_by_axis.append(points[inner])
+        fractions, points = np.concatenate(fractions_by_axis), np.concatenate(points_by_axis)
+        order = np.argsort(fractions, kind="stable")
+        along.append(ends[segment] + fractions[order] * (ends[segment + 1] - ends[segment]))
+        places.append(points[order])
     return np.append(np.concatenate(along), ends[-1]), np.concatenate([*places, line[-1:]])

@@ -39,15 +39,15 @@ def pick(
     begins on the surface hits it there, one that touches it does, one through a hole does not. Exact up to float64
     rounding: on a bilinear surface a root is solved for, on others it is enclosed (kernels/query/crossing.py).
     """
-    origins, directions = _checked_rays(origins, directions)
+    origins, directions = _check_rays(origins, directions)
     surface = pack_surface(field, vertical_scale, vertical_offset)
     distance = np.empty(len(origins))
     blocks = blocks_of(field, surface)
     for first in range(0, len(origins), AT_ONCE):
-        some = slice(first, first + AT_ONCE)
-        rays = [shared(array[some], wp.vec3d) for array in (origins, directions)]
-        inputs = [surface, blocks, *rays, shared(distance[some], wp.float64)]
-        launch.spread(kernels.pick, len(distance[some]), inputs, step="query", threads=threads, cost=COST)
+        block = slice(first, first + AT_ONCE)
+        rays = [shared(array[block], wp.vec3d) for array in (origins, directions)]
+        inputs = [surface, blocks, *rays, shared(distance[block], wp.float64)]
+        launch.spread(kernels.pick, len(distance[block]), inputs, step="query", threads=threads, cost=COST)
     return _hits(origins, directions, distance)
 
 
@@ -63,14 +63,14 @@ def nearest(
 
     Arguments as of `pick`. `distance` is negative for a hit against the direction.
     """
-    points, directions = _checked_rays(points, directions)
+    points, directions = _check_rays(points, directions)
     heights = vertical_scale, vertical_offset, threads
     ahead = pick(field, points, directions, *heights).distance
     behind = pick(field, points, -directions, *heights).distance
     return _hits(points, directions, np.where(behind < ahead, -behind, ahead))
 
 
-def _checked_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _check_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return origins and directions, float64 [n, 3], with directions of length 1.
 
     Raises TerrainError for other shapes or a direction of length 0.
@@ -81,9 +81,9 @@ def _checked_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarr
         raise TerrainError(what, expected="one each")
     largest = np.abs(directions).max(axis=1, initial=0.0)
     if not largest.all():
-        at = int(np.argmin(largest != 0.0))
+        zero = int(np.argmin(largest != 0.0))
         raise TerrainError(
-            f"Number {at} of the directions of rays is (0, 0, 0)", expected="a direction", fix="give it a length"
+            f"Number {zero} of the directions of rays is (0, 0, 0)", expected="a direction", fix="give it a length"
         )
     directions = directions / largest[:, None]  # squares neither overflow nor vanish
     x, y, z = directions.T

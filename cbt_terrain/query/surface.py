@@ -57,6 +57,7 @@ def blocks_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.H
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)
+    # First entries of the ranges of cells, and of the curvatures, which are stored behind the errors.
     b.cells, b.curvatures = first[-2], lattice.node_count
     b.cell_pages, b.curvature_group = pages[-1], lattice.groups + 1
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)

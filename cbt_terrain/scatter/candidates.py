@@ -18,10 +18,10 @@ class Candidates:
 
     def __init__(self) -> None:
         """Start with no candidates and memory for none."""
-        self._used = 0
+        self._used = 0  # candidates in the arrays, those of replaced runs included
         self._keys = np.empty(0, np.int64)  # ascending
-        self._at = np.empty(0, np.int64)  # first candidate of each run
-        self._count = np.empty(0, np.int64)
+        self._first = np.empty(0, np.int64)  # first candidate of each run
+        self._count = np.empty(0, np.int64)  # candidates of each run
         self._allocate(0)
 
     @property
@@ -37,11 +37,14 @@ class Candidates:
         return arrays
 
     def find(self, keys: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first candidate of each key's run, int64 [n], and whether the run has `count`, bool [n]."""
+        """Return the first candidate of each key's run, int64 [n], and whether it has `count` or more, bool [n].
+
+        The first is arbitrary where it has not.
+        """
         if not len(self._keys):
             return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
         number = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return self._at[number], (self._keys[number] == keys) & (self._count[number] >= count)
+        return self._first[number], (self._keys[number] == keys) & (self._count[number] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
         """Reserve `count` candidates and return the index of the first.
@@ -50,15 +53,15 @@ class Candidates:
         again.
         """
         if self._used + count > len(self.density):
-            number = np.searchsorted(self._keys, np.sort(keys))
-            held, before = self._count[number], (self.positions, self.normals, self.density)
-            ends = np.cumsum(held)
+            runs = np.searchsorted(self._keys, np.sort(keys))
+            counts, before = self._count[runs], (self.positions, self.normals, self.density)
+            ends = np.cumsum(counts)
             used = int(ends[-1]) if len(ends) else 0
-            which = np.arange(used) + np.repeat(self._at[number] - (ends - held), held)
+            moved = np.arange(used) + np.repeat(self._first[runs] - (ends - counts), counts)
             self._allocate(int(SPARE * (used + count)))
             for array, old in zip((self.positions, self.normals, self.density), before, strict=True):
-                array[:used] = old[which]
-            self._keys, self._at, self._count, self._used = self._keys[number], ends - held, held, used
+                array[:used] = old[moved]
+            self._keys, self._first, self._count, self._used = self._keys[runs], ends - counts, counts, used
         return self._used
 
     def add(self, keys: np.ndarray, count: np.ndarray) -> None:
@@ -66,11 +69,12 @@ class Candidates:
 
         keys: of the runs, int64 [n]. count: candidates of each run, int64 [n].
         """
-        at = self._used + np.cumsum(count) - count
+        firsts = self._used + np.cumsum(count) - count
         others = ~np.isin(self._keys, keys)
-        both = [np.concatenate([a[others], b]) for a, b in ((self._keys, keys), (self._at, at), (self._count, count))]
-        order = np.argsort(both[0])
-        self._keys, self._at, self._count = (array[order] for array in both)
+        added = (self._keys, keys), (self._first, firsts), (self._count, count)
+        merged = [np.concatenate([old[others], new]) for old, new in added]
+        order = np.argsort(merged[0])
+        self._keys, self._first, self._count = (array[order] for array in merged)
         self._used += int(count.sum())
 
     def _allocate(self, capacity: int) -> None:

@@ -56,7 +56,11 @@ class ScatterRequest:
 
 @dataclass(eq=False)
 class ScatterGround:
-    """A scatter on a placed field, independent of views. A frame history owns it."""
+    """A scatter on a placed field, independent of views. A frame history owns it.
+
+    `scale`: vertical scale and offset. `boundary`: see ScatterRequest. `box`: of the terrain, float64 [2, 3] metres.
+    `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row.
+    """
 
     field: HeightField
     scatter: Scatter
@@ -94,7 +98,7 @@ class ScatterGround:
     def runs(self, squares: Squares, views: int, threads: int) -> np.ndarray:
         """Return the runs of squares with their candidates on the ground; numpy dtype of CandidateRun [n].
 
-        views: number of views.
+        views: number of views. Candidates that the cache lacks are computed, somewhat more than are needed.
         """
         tiles, window = squares.of_tile(self.scatter.seed)
         runs = np.zeros(len(window), kernels.CandidateRun.numpy_dtype())
@@ -103,7 +107,7 @@ class ScatterGround:
         runs["out"] = np.cumsum(squares.count) - squares.count
         runs["clear"] = squares.clear if views == 1 else 0
         keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first
-        at, known = self.candidates.find(keys, squares.count)
+        firsts, known = self.candidates.find(keys, squares.count)
         if not known.all():
             fresh, count = runs[~known], squares.count[~known]
             fresh["count"] = count = np.minimum((SPARE * count).astype(np.int64) + 8, available[~known])
@@ -111,8 +115,8 @@ class ScatterGround:
             fresh["at"] = begin + np.cumsum(count) - count
             self._place(fresh, slice(begin, begin + int(count.sum())), threads)
             self.candidates.add(keys[~known], count)
-            at, _ = self.candidates.find(keys, squares.count)
-        runs["at"] = at
+            firsts, _ = self.candidates.find(keys, squares.count)
+        runs["at"] = firsts
         return runs
 
     def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
@@ -127,11 +131,13 @@ class ScatterGround:
         if self.boundary is not None:
             density *= covered(counter_clockwise(self.boundary), positions[:, :2].astype(np.float64))
         reads = self.scatter.reads()
-        there = np.flatnonzero(density) if reads else np.empty(0, np.int64)
-        if len(there):
-            places = SamplePoints(self.field, positions[there], np.zeros(len(there), np.float32), *self.scale, threads)
+        positive = np.flatnonzero(density) if reads else np.empty(0, np.int64)
+        if len(positive):
+            places = SamplePoints(
+                self.field, positions[positive], np.zeros(len(positive), np.float32), *self.scale, threads
+            )
             for request, column in reads:
-                density[there] *= values_at(places, [request])[request.name][:, column]
+                density[positive] *= values_at(places, [request])[request.name][:, column]
 
 
 def pieces_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:

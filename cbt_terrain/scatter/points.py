@@ -134,23 +134,23 @@ def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGroun
 
     Also the horizon that hides points, and the square of the distance in metres up to which density is full.
     """
-    scatter, horizon, seen, local = request.scatter, request.horizon, Views(), []
+    scatter, horizon, packed, local = request.scatter, request.horizon, Views(), []
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
     criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)
     for view in views:
-        found = localise(view, placement, ground.box, criterion, 1.0, margins=margins)
-        planes = np.array(found.planes, np.float64).reshape(-1, 4)
-        planes[: found.plane_count, 3] += scatter.margin_m
-        found.planes = planes
-        local.append(found)
+        local_view = localise(view, placement, ground.box, criterion, 1.0, margins=margins)
+        planes = np.array(local_view.planes, np.float64).reshape(-1, 4)
+        planes[: local_view.plane_count, 3] += scatter.margin_m
+        local_view.planes = planes
+        local.append(local_view)
     if horizon is not None:
         _take_horizon(local, horizon)
-        seen.slopes, linear = horizon.slopes, placement[:3, :3]
+        packed.slopes, linear = horizon.slopes, placement[:3, :3]
         # The box of the ellipsoid that a ball of the world is in the terrain's space.
-        seen.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
-    seen.count, seen.full2 = len(local), scatter.full_until * scatter.full_until if scatter.full_until else math.inf
-    seen.views = wp.array(local or [LocalView()], dtype=LocalView, device=launch.DEVICE)
-    return seen
+        packed.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
+    packed.count, packed.full2 = len(local), scatter.full_until * scatter.full_until if scatter.full_until else math.inf
+    packed.views = wp.array(local or [LocalView()], dtype=LocalView, device=launch.DEVICE)
+    return packed
 
 
 def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> ScatterPoints:
@@ -168,7 +168,7 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
 
 
 def _take_horizon(views: list[LocalView], horizon: CriterionArrays) -> None:
-    """Give each view its part of the horizon map, by which points behind ground are left out.
+    """Give each view its part of the horizon map, so that points behind ground are left out.
 
     Raises TerrainError if the map was made for other views.
     """

@@ -75,18 +75,18 @@ def squares_in_view(
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
     halvings = -max(0, int(np.ceil(np.log2(tiles))))
-    numbers, found = np.zeros((1, 2), np.int32), []
+    numbers, found = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of the final ones
     while len(numbers):
-        wanted = np.empty((len(numbers), 2))
-        q = _pack_squares(field, west, south, side * 2.0**-halvings)
-        arrays = [shared(numbers, wp.vec2i), wp.array(wanted, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]
-        inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
+        density_range = np.empty((len(numbers), 2))
+        packed = _pack_squares(field, west, south, side * 2.0**-halvings)
+        arrays = [shared(numbers, wp.vec2i), wp.array(density_range, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]
+        inputs = [domain, views, packed, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.density_range, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
-        high, low = wanted.T
+        high, low = density_range.T
         # Ranks r = (rank + 1/2) / POINTS of full or partial size, with a margin for the rounding of densities.
         growing = high * max_density * (float(GROWING) * (1 + 1e-6))
         ranks = np.minimum(np.ceil(growing * POINTS - 0.5), POINTS).astype(np.int64)
-        divided = ranks > 0
+        divided = ranks > 0  # squares without points are dropped
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
             count = tile().count(halvings, Squares(depth, numbers, ranks, divided).of_tile(seed)[1], ranks)

@@ -87,10 +87,10 @@ def tile() -> Tile:
 
 def shifts(tiles: np.ndarray, seed: int) -> np.ndarray:
     """Return the shifts of tiles (int32 [n, 2]: column, row) to the east and north in sides / SHIFTS, int32 [n, 2]."""
-    found = np.empty_like(tiles)
-    inputs = [wp.uint32(seed), shared(tiles, wp.vec2i), shared(found, wp.vec2i)]
+    tile_shifts = np.empty_like(tiles)
+    inputs = [wp.uint32(seed), shared(tiles, wp.vec2i), shared(tile_shifts, wp.vec2i)]
     launch.spread(seams.write_shifts, len(tiles), inputs, step="squares")
-    return found
+    return tile_shifts
 
 
 def _rank_key(window: np.ndarray, rank: np.ndarray | int) -> np.ndarray:

@@ -100,7 +100,7 @@ def read_camera_path(path: Path) -> CameraPath:
             raise _path_error(path, f"{where} is {key!r}", "an object with frame, eye, target")
         _check_names(path, where, key, KEY_KEYS)
         frames.append(_read_number(path, where, key, "frame"))
-        eye, target = _numbers(path, where, key, "eye", 3), _numbers(path, where, key, "target", 3)
+        eye, target = _read_numbers(path, where, key, "eye", 3), _read_numbers(path, where, key, "target", 3)
         if eye == target:
             raise _path_error(path, f"{where} has its eye at its target", "different points")
         fov = _field_of_view(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
@@ -120,7 +120,7 @@ def _clip(path: Path, data: dict) -> tuple[float, float]:
 
     Raises TerrainError for a range whose projection matrix would overflow.
     """
-    start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
+    start, end = _read_numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
         raise _path_error(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
     return start, end
@@ -150,10 +150,10 @@ def _check_names(path: Path, where: str, data: dict, known: set[str]) -> None:
 
 def _read_number(path: Path, where: str, data: dict, name: str, default: float | None = None) -> float:
     """Return the number `name` of a JSON object, or its default. Raises TerrainError. where: subject of the error."""
-    return _numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
+    return _read_numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
 
 
-def _numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
+def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
     """Return the list of `count` finite numbers under a name, or raise the error that names file and keyframe.
 
     A single number comes as a list of one, from `_read_number`. where: the keyframe, in errors.

@@ -30,12 +30,12 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def length(vector: ArrayLike) -> float:
-    """Euclidean length of numbers, of any shape."""
+    """Return the Euclidean length of numbers, of any shape."""
     return math.sqrt(add_up(x * x for x in np.asarray(vector, np.float64).reshape(-1).tolist()))
 
 
 def lengths(matrix: np.ndarray) -> np.ndarray:
-    """float64 [n]: Euclidean lengths of the columns of a matrix [k, n]."""
+    """Return the Euclidean lengths of the columns of a matrix [k, n], float64 [n]."""
     return np.sqrt(add_up(row * row for row in np.asarray(matrix, np.float64)))
 
 

@@ -146,7 +146,7 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
             # Inside: sign * coordinate >= -tan(angle) * depth, for the angle of this tangent and the guard's.
             secant = math.sqrt(1 + tangent * tangent)
             across, ahead = (cosine - tangent * sine) / secant, (tangent * cosine + sine) / secant
-            if across > 0:
+            if across > 0:  # else the side is turned by more than a right angle and culls nothing
                 planes.append([*(sign * across * unit + [0, 0, -ahead]), 0])
     if view.kind == ORTHOGRAPHIC:
         planes[0] = [0, 0, -1, -view.clip[0]]

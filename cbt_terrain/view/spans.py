@@ -92,9 +92,9 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     scales = [edge * secant for secant in secants]
     units = [unit_lengths(v, placement, plan.steps) for v in views]
     longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
-    off = max(largest_offset(v, placement, plan.off) for v in views)
-    allowed = min(_stretch(longest, plan.unit_bits, plan.depth, off), 1 + MAX_STRETCH)
-    return Spans(*seen, tuple(scales), edge / allowed, longest, allowed, off, plan.unit_bits)
+    offset = max(largest_offset(v, placement, plan.off) for v in views)
+    allowed = min(_stretch(longest, plan.unit_bits, plan.depth, offset), 1 + MAX_STRETCH)
+    return Spans(*seen, tuple(scales), edge / allowed, longest, allowed, offset, plan.unit_bits)
 
 
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
@@ -111,7 +111,10 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
         x, y, z = _up(view, placement).tolist()
         frame = view.bounds() if view.kind == PERSPECTIVE else ((0.0, 0.0), (0.0, 0.0))
         # Across and along the view a slant is linear in the tangent of the ray.
-        ends = [sorted(f * (end * z + u) for end in at) for f, at, u in zip(_aspect(view), frame, (x, y), strict=True)]
+        ends = [
+            sorted(scale * (end * z + sideways) for end in tangents)
+            for scale, tangents, sideways in zip(_aspect(view), frame, (x, y), strict=True)
+        ]
         largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
         smallest = length([max(low, -high, 0.0) for low, high in ends])
     if view.kind == ORTHOGRAPHIC or not criterion.error_px:
@@ -145,7 +148,7 @@ def _up(view: View, placement: np.ndarray) -> np.ndarray:
 
 
 def _aspect(view: View) -> tuple[float, float]:
-    """Return width and height of a pixel as parts of `pixels_per_unit`."""
+    """Return the pixels per unit along x and y as fractions of `pixels_per_unit`, which is the larger one."""
     assert view.projection is not None, "a panorama has no frame"
     scales, unit = view.projection, view.pixels_per_unit
     across, along = (abs(float(scales[k, k])) * view.resolution[k] / 2 / unit for k in (0, 1))
@@ -174,11 +177,11 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
     if view.kind == PERSPECTIVE:
         return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
     if view.kind == PANORAMIC:
-        slant, part = whole / view.pixels_per_unit, pixels / whole
+        slant, fraction = whole / view.pixels_per_unit, pixels / whole
         steep = math.sqrt(max(0.0, 1 - slant * slant))
-        angle = round_last_bits(math.asin(part)) if part < 1 else math.pi
-        if part < steep:
-            angle = round_last_bits(math.atan2(part * slant, 1 - part * steep))
+        angle = round_last_bits(math.asin(fraction)) if fraction < 1 else math.pi
+        if fraction < steep:
+            angle = round_last_bits(math.atan2(fraction * slant, 1 - fraction * steep))
         return view.pixels_per_unit * angle
     return pixels
 
@@ -195,8 +198,8 @@ def widening(view: View, whole: float, error_px: float) -> float:
         slant, angle = whole / view.pixels_per_unit, error_px / view.pixels_per_unit
         steep = math.sqrt(max(0.0, 1 - slant * slant))
         sine, cosine = (round_last_bits(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
-        part = sine if sine > steep else sine / (slant * cosine + steep * sine)  # of the distance, see `as_seen`
-        return angle / (part * slant) * (1 + ROUNDING)
+        fraction = sine if sine > steep else sine / (slant * cosine + steep * sine)  # of the distance, see `as_seen`
+        return angle / (fraction * slant) * (1 + ROUNDING)
     return (1 + error_px / whole) * (1 + ROUNDING)
 
 

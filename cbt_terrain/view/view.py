@@ -47,7 +47,7 @@ class View:
                 "The camera's matrix has a value that is not finite", fix="check its location and its parents"
             )
         keep_plain_numbers(self, "The view's")
-        object.__setattr__(self, "resolution", _checked_resolution(self.resolution))
+        object.__setattr__(self, "resolution", _check_resolution(self.resolution))
         if self.kind == PANORAMIC:
             if not 0 < self.radians_per_pixel < math.inf:
                 raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel", expected="more than 0")
@@ -116,18 +116,19 @@ class View:
         Raises:
             TerrainError: for a number that no camera has.
         """
-        width, height = resolution = _checked_resolution(resolution)
+        width, height = resolution = _check_resolution(resolution)
         fov_deg, roll_deg = plain_number(fov_deg, float, "The field of view"), plain_number(roll_deg, float, "The roll")
         ortho_width = plain_number(ortho_width, float, "The width of the orthographic view")
         start, end = clip = plain_number(clip, tuple[float, float], "The clip range")
         if kind == PERSPECTIVE and not 1e-7 < fov_deg < 180:
             raise TerrainError(f"The field of view is {fov_deg} degrees", expected="more than 1e-7 and less than 180")
-        eye, target = _point(eye, "eye"), _point(target, "target")
+        eye, target = _read_point(eye, "eye"), _read_point(target, "target")
         back = eye - target
         distance = length(back)
         if not distance > 0:
             raise TerrainError(f"The view's eye and target are both {eye.tolist()}", expected="two different points")
         back /= distance
+        # Straight down, or up, the picture's upper side is the north.
         up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999999 else np.array([0.0, 1.0, 0.0])
         right = np.cross(up, back)
         right /= length(right)
@@ -163,15 +164,15 @@ def listed_views(views: "Iterable[View] | View") -> list[View]:
     return found
 
 
-def _point(place: ArrayLike, name: str) -> np.ndarray:
+def _read_point(position: ArrayLike, name: str) -> np.ndarray:
     """Return a point as float64 [3], metres; TerrainError for anything else. name: what errors call the point."""
-    found = vectors(place, 3, f"view's {name}")
+    found = vectors(position, 3, f"view's {name}")
     if len(found) != 1:
         raise TerrainError(f"The view's {name} has {len(found)} points", expected="one point: x, y and z in metres")
     return found[0]
 
 
-def _checked_resolution(resolution: object) -> tuple[float, float]:
+def _check_resolution(resolution: object) -> tuple[float, float]:
     """Return pixels each way, whole ones as ints, so that JSON has one text for a resolution."""
     pixels = plain_number(resolution, tuple[float, float], "The resolution")
     if not all(0 < n <= MAX_PIXELS for n in pixels):

@@ -290,7 +290,7 @@ def _complete_group(
             found[name] = array
         return len(places)
     if len(which):
-        some = {name: array[which] for name, array in read.items()}
-        for name, array in _compute_group(group, places.only(which), some).items():
+        read_there = {name: array[which] for name, array in read.items()}
+        for name, array in _compute_group(group, places.only(which), read_there).items():
             found[name][which] = array
     return len(which)

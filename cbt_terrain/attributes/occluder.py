@@ -55,7 +55,7 @@ def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out:
     inputs: its arguments before the points and the result. cost: of a point, as of `launch.spread`.
     """
     for first in range(0, len(places), AT_ONCE):
-        some = slice(first, first + AT_ONCE)
-        where = np.ascontiguousarray(places.positions[some], np.float32)
-        values = [*inputs, shared(where, wp.vec3f), flat(out[some], wp.float32)]
-        launch.spread(kernel, len(where), values, step="light", threads=places.threads, cost=cost)
+        block = slice(first, first + AT_ONCE)
+        positions = np.ascontiguousarray(places.positions[block], np.float32)
+        values = [*inputs, shared(positions, wp.vec3f), flat(out[block], wp.float32)]
+        launch.spread(kernel, len(positions), values, step="light", threads=places.threads, cost=cost)

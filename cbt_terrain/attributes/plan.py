@@ -32,24 +32,24 @@ def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
     Names outside the catalogue belong to others and are ignored. Raises TerrainError for an unknown parameter or an
     invalid value.
     """
-    found: dict[str, AttributeRequest] = {}
+    merged: dict[str, AttributeRequest] = {}
     for request in requests:
         if request.name in ATTRIBUTES:
             ATTRIBUTES[request.name].check(dict(request.parameters))
-            found[request.name] = _merge(found[request.name], request) if request.name in found else request
-    attributes = tuple(sorted(found))
-    waiting = list(found.values())
+            merged[request.name] = _merge(merged[request.name], request) if request.name in merged else request
+    attributes = tuple(sorted(merged))
+    waiting = list(merged.values())
     while waiting:  # also for a known attribute whose request has changed, since that may concern those that it reads
         request = waiting.pop()
         for name in ATTRIBUTES[request.name].reads_with(request.parameters):
             reader = f"effect {request.name}"
-            known = found.get(name) or AttributeRequest(name, (), request.family)
-            found[name] = _merge(known, AttributeRequest(name, (reader,), request.family))
-            if found[name] != known:
-                waiting.append(found[name])
-    reads = {name: ATTRIBUTES[name].reads_with(found[name].parameters) for name in sorted(found)}
+            known = merged.get(name) or AttributeRequest(name, (), request.family)
+            merged[name] = _merge(known, AttributeRequest(name, (reader,), request.family))
+            if merged[name] != known:
+                waiting.append(merged[name])
+    reads = {name: ATTRIBUTES[name].reads_with(merged[name].parameters) for name in sorted(merged)}
     order = TopologicalSorter(reads).static_order()
-    return AttributePlan(tuple(found[name] for name in order), attributes)
+    return AttributePlan(tuple(merged[name] for name in order), attributes)
 
 
 def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:

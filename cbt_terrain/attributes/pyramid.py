@@ -53,10 +53,10 @@ def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray
 
     def halve(arrays: dict[str, np.ndarray]) -> None:
         """Fill the array level by level."""
-        below = pack_pyramid(raster, arrays[name])
-        for level in range(1, below.levels):
+        packed = pack_pyramid(raster, arrays[name])
+        for level in range(1, packed.levels):
             rows, columns = shapes(raster.lattice)[level]
-            inputs = [below, level, below.coarser]
+            inputs = [packed, level, packed.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
 
     return derive_large(raster, {name: derived_shapes(raster.lattice)[PYRAMID]}, halve)[name]

@@ -73,15 +73,15 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             rows, columns = heights.shape
-            azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
-            sweep(heights, steps, azimuth, scale, threads, found)
+            azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
+            sweep(heights, steps, azimuth, scale, threads, horizons)
             sums = state.pop("sky", None)  # a fork in between must not see it change
             sums = np.zeros(heights.shape, np.float32) if sums is None else sums
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
             sky.per_cell, sky.azimuth = wp.vec2f(scale / steps[0], scale / steps[1]), wp.vec2f(*azimuth)
             sky.share = 1.0 / AZIMUTHS
-            sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, found, sums))
+            sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, horizons, sums))
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
             done = state["azimuths"] + 1
             state |= {"sky": _save(field, scale, sums) if done == AZIMUTHS else sums, "azimuths": done}
@@ -131,10 +131,10 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
-            found = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
-            for azimuth, out in zip(azimuths(), found, strict=False):
+            horizons = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
+            for azimuth, out in zip(azimuths(), horizons, strict=False):
                 sweep(heights, steps, azimuth, scale, threads, out)
-            state["horizons"] = found
+            state["horizons"] = horizons
     return _layer(field, state["horizons"], level)
 
 

@@ -119,14 +119,14 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRu
     elif rule.of == splat_rules.FLOW:
         with np.errstate(divide="ignore"):
             limits = np.log10(np.maximum(limits, 0.0))
-    found = kernels.SplatRule()
-    found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
-    found.low, found.high, found.edge = *limits, edge
-    found.per_edge = 1.0 / max(edge, MIN_EDGE)
-    found.sine, found.cosine = math.sin(rule.direction), math.cos(rule.direction)
+    packed = kernels.SplatRule()
+    packed.kind, packed.at = KIND_OF.get(rule.of, kernels.VALUE), at
+    packed.low, packed.high, packed.edge = *limits, edge
+    packed.per_edge = 1.0 / max(edge, MIN_EDGE)
+    packed.sine, packed.cosine = math.sin(rule.direction), math.cos(rule.direction)
     if rule.image is not None:
-        found.rows, found.columns = rule.image.values.shape
-    return found
+        packed.rows, packed.columns = rule.image.values.shape
+    return packed
 
 
 def example(evaluate: Evaluate) -> None:

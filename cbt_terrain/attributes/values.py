@@ -64,8 +64,8 @@ class EffectValues:
         """
         last, older = self._arrays.get(name, (None, None))
         if older is None or len(older) < self._count:
-            more = int(1.25 * self._count)  # so that small growth of the mesh allocates nothing
-            older = np.empty((more, width) if width > 1 else more, np.float32)
+            room = int(1.25 * self._count)  # so that small growth of the mesh allocates nothing
+            older = np.empty((room, width) if width > 1 else room, np.float32)
         self._arrays[name] = older, last
         return older[: self._count], None if last is None else last[: self._last_count]
 

@@ -126,24 +126,27 @@ def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray
 
     These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
     """
-    numbers, near = [], []
+    numbers, within_reach = [], []
     target = ground.target or [slice(0, n) for n in ground.heights.shape]
-    for first, count, whole, side, part in zip(
+    for first, count, whole, side, window in zip(
         ground.first, ground.heights.shape, _whole_shape(ground), (rain.rows, rain.columns), target, strict=True
     ):
         last = min(first + count, whole) - 1
-        found = np.arange(first // side, last // side + 1)
+        tiles_along = np.arange(first // side, last // side + 1)
         reach = side // 2
-        numbers.append(found)
-        near.append(((found + 1) * side > first + part.start - reach) & (found * side < first + part.stop + reach))
-    matter = np.logical_and.outer(*near)
+        numbers.append(tiles_along)
+        within_reach.append(
+            ((tiles_along + 1) * side > first + window.start - reach)
+            & (tiles_along * side < first + window.stop + reach)
+        )
+    needed = np.logical_and.outer(*within_reach)
     # A tile reads its neighbours of earlier colours.
     odd_row, odd_column = (n % 2 for n in np.meshgrid(*numbers, indexing="ij"))
     colours = 2 * odd_row + (odd_row ^ odd_column)
     for colour in (3, 2, 1):
-        matter |= _dilate(matter & (colours == colour)) & (colours < colour)
+        needed |= _dilate(needed & (colours == colour)) & (colours < colour)
     tiles = np.add.outer(numbers[0] * rain.across, numbers[1]).astype(np.int32)
-    return [tiles[matter & (colours == colour)] for colour in range(4)]
+    return [tiles[needed & (colours == colour)] for colour in range(4)]
 
 
 def _dilate(tiles: np.ndarray) -> np.ndarray:

@@ -42,11 +42,11 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         Under lakes it is lowered only where the floor is above that surface.
         """
         way, water = to[y, x].astype(np.int64), wet[y, x] | wet[after]
-        by = way // 3 - 1, way % 3 - 1
-        j, i = (2 * n + s.start + half * step for n, s, step in zip((y, x), coarse, by, strict=True))
+        offsets = way // 3 - 1, way % 3 - 1
+        j, i = (2 * n + s.start + half * step for n, s, step in zip((y, x), coarse, offsets, strict=True))
         level = surface[after]
-        some = ~water | (heights[j, i] > level)
-        np.minimum.at(path_level, (j[some], i[some]), level[some])
+        lowered = ~water | (heights[j, i] > level)
+        np.minimum.at(path_level, (j[lowered], i[lowered]), level[lowered])
 
     def breach_dams(after: Positions) -> None:
         """Limit the ground halfway to the next samples to the heights of both ends."""
@@ -78,8 +78,8 @@ def _find_outlets(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np
     none. flow: drainage area in samples.
     """
     y, x = np.nonzero(~wet & (to != 4) & (flow >= MIN_AREA))
-    over = np.zeros(len(y), bool)
+    is_outlet = np.zeros(len(y), bool)
     for way in (0, 1, 2, 3, 5, 6, 7, 8):
-        near = neighbour(y, x, way)
-        over |= wet[near] & (surface[near] >= surface[y, x] - np.float32(LEVEL)) & (flow[near] < flow[y, x])
-    return y[over], x[over]
+        beside = neighbour(y, x, way)
+        is_outlet |= wet[beside] & (surface[beside] >= surface[y, x] - np.float32(LEVEL)) & (flow[beside] < flow[y, x])
+    return y[is_outlet], x[is_outlet]

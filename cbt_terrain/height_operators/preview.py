@@ -64,7 +64,7 @@ class _Layers(Mapping[str, np.ndarray]):
     """Layers of the coarsest level, interpolated to the preview's samples on first use."""
 
     coarse: Mapping[str, np.ndarray]
-    rows: np.ndarray
+    rows: np.ndarray  # of the preview's samples, float64, in samples of the coarsest level
     columns: np.ndarray
     results: dict[str, np.ndarray] = field(default_factory=dict)
 

@@ -69,10 +69,10 @@ def has(folder: str, wanted: Tiles | None) -> bool:
     """Return whether these tiles were requested of a store with at most these errors; True for None, all tiles."""
     if wanted is None:
         return True
-    there = read_requested(folder)
-    return len(there) == len(wanted) and all(
+    earlier = read_requested(folder)
+    return len(earlier) == len(wanted) and all(
         before.get(tile, np.inf) <= metres
-        for before, level in zip(there, wanted, strict=True)
+        for before, level in zip(earlier, wanted, strict=True)
         for tile, metres in level.items()
     )
 
@@ -82,10 +82,10 @@ def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
 
     folder: the shaped land's. wanted: allowed error of each tile, metres, by level; None for all tiles.
     """
-    there = read_requested(folder)
-    if wanted is None or len(there) != len(wanted):
+    earlier = read_requested(folder)
+    if wanted is None or len(earlier) != len(wanted):
         return wanted
-    pairs = zip(there, wanted, strict=True)
+    pairs = zip(earlier, wanted, strict=True)
     return [
         {tile: min(before.get(tile, np.inf), level.get(tile, np.inf)) for tile in before | level}
         for before, level in pairs

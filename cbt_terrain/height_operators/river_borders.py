@@ -164,7 +164,7 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
     along a cut follow from drainage area, since the ground beyond is unknown there.
     """
     odd = ground.first[0] % 2, ground.first[1] % 2
-    every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
+    every, samples_per_m2 = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
     lake, fixed = coarser.state[LAKE][every], bed.fixed.reshape(bed.shape)[every]
     surface, wet = floor + lake, lake > 0.0
@@ -173,11 +173,13 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
     inside = np.zeros(floor.shape, bool)
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
-    flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD]))
+    flow, load = (
+        (array[every] * samples_per_m2).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD])
+    )
     by_surface, by_floor = ways
     to = np.where(wet, by_floor, by_surface).astype(int)
-    at, cut = _around(to.shape, ground.rims, inset=0)
-    for j, i in zip(*(n[cut & ~fixed[at]] for n in at), strict=True):
+    outermost, cut = _around(to.shape, ground.rims, inset=0)
+    for j, i in zip(*(n[cut & ~fixed[outermost]] for n in outermost), strict=True):
         to[j, i] = _way_back(j, i, surface, flow)
     return _Coarse(odd, surface, flow, load, wet, inside, to)
 
@@ -188,10 +190,11 @@ def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
     The receiver is the neighbour that is no higher and has the least larger drainage area.
     """
     south, west = max(j - 1, 0), max(i - 1, 0)
-    near = np.s_[south : j + 2, west : i + 2]
-    more = np.where((flow[near] > flow[j, i]) & (surface[near] <= surface[j, i] + LEVEL), flow[near], np.inf)
-    y, x = np.unravel_index(more.argmin(), more.shape)
-    return int(3 * (south + y - j + 1) + (west + x - i + 1)) if np.isfinite(more[y, x]) else 4
+    neighbours = np.s_[south : j + 2, west : i + 2]
+    may_receive = (flow[neighbours] > flow[j, i]) & (surface[neighbours] <= surface[j, i] + LEVEL)
+    larger_flow = np.where(may_receive, flow[neighbours], np.inf)
+    y, x = np.unravel_index(larger_flow.argmin(), larger_flow.shape)
+    return int(3 * (south + y - j + 1) + (west + x - i + 1)) if np.isfinite(larger_flow[y, x]) else 4
 
 
 def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple[Positions, np.ndarray]:
@@ -276,16 +279,17 @@ def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> No
     outflow = _max_along(np.where(is_open, ring.flow, 0.0), WANDER)
     is_open &= ~wet  # those of lakes are decided in `set_boundary`
     shut = ring.shut | (is_open & (inflow > LESS * outflow))
-    at, index = _along(bed, ground, coarse, ring)
+    samples, index = _along(bed, ground, coarse, ring)
     for _ in range(ROUNDS):
-        some = (shut | wet)[index]
-        bed.border, bed.outlet_level = at[some], (coarse.surface[ring.at] + np.float32(WALL) * shut)[index[some]]
-        out = np.zeros(len(shut))
-        np.maximum.at(out, index, bed.drain().catchments[at])
-        more = is_open & ~shut & (inflow > outflow) & (out > MORE * outflow)
-        if not more.any():
+        is_border = (shut | wet)[index]
+        bed.border = samples[is_border]
+        bed.outlet_level = (coarse.surface[ring.at] + np.float32(WALL) * shut)[index[is_border]]
+        leaving = np.zeros(len(shut))
+        np.maximum.at(leaving, index, bed.drain().catchments[samples])
+        too_much = is_open & ~shut & (inflow > outflow) & (leaving > MORE * outflow)
+        if not too_much.any():
             break
-        shut |= is_open & _max_along(more, WANDER)
+        shut |= is_open & _max_along(too_much, WANDER)
 
 
 def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
@@ -295,9 +299,9 @@ def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tu
     """
     at, cut = _around(bed.shape, ground.rims, inset=0)
     halves = ((n - odd + 1) // 2 for n, odd in zip(at, coarse.odd, strict=True))
-    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
+    nearest = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
     indices = np.zeros(coarse.to.shape, np.int64)
     indices[ring.at] = np.arange(len(ring.flow))
     samples = at[0] * bed.shape[1] + at[1]
     cut &= ~bed.fixed[samples]
-    return samples[cut], indices[near][cut]
+    return samples[cut], indices[nearest][cut]

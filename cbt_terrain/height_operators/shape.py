@@ -150,10 +150,20 @@ def _summarize_entry(
     """
     computed = list(range(level.tile_count)) if whole else tiles
     rms = float(np.sqrt(sums.mean_square[computed].mean())) if computed else 0.0
-    spacing, effect = max(level.step_x, level.step_y), shaping.entries[number].effect
-    figures = rms, float(sums.max_change.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
-    doubtful = not whole and bool(tiles) and number in shaping.plan.doubted
-    return Added(level.number, spacing, number, effect, *figures, doubtful, sums.planned_ms)
+    return Added(
+        level=level.number,
+        spacing_m=max(level.step_x, level.step_y),
+        entry=number,
+        effect=shaping.entries[number].effect,
+        rms_m=rms,
+        most_m=float(sums.max_change.max()),
+        whole=whole,
+        made=1 if whole else len(tiles),
+        computed=sums.computed,
+        ms=sums.ms,
+        doubtful=not whole and bool(tiles) and number in shaping.plan.doubted,
+        planned_ms=sums.planned_ms,
+    )
 
 
 def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:

@@ -27,13 +27,13 @@ class Added:
     level: int
     spacing_m: float
     entry: int  # index among the active entries
-    effect: str
+    effect: str  # name of the operator
     rms_m: float
     most_m: float
     whole: bool  # computed in one piece, not in tiles
     made: int  # number of pieces, of which `computed` were not cached
     computed: int
-    ms: float
+    ms: float  # of work on this operator
     doubtful: bool = False  # computed in tiles although these differ too much from the level in one piece
     planned_ms: float = 0.0  # that the plan expected on one thread
 

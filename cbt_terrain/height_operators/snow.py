@@ -113,7 +113,7 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
         """Return samples at the next coarser level, aligned with the whole level's samples."""
         return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
-    below = OperatorGround(
+    coarse = OperatorGround(
         heights=halve_samples(ground.heights),
         step_x=2 * ground.step_x,
         step_y=2 * ground.step_y,
@@ -127,7 +127,7 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
         threads=ground.threads,
     )
     shape = tuple(n + o for n, o in zip(ground.heights.shape, odd, strict=True))
-    snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(below, values))
+    snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(coarse, values))
     return snowfall, clinging
 
 

@@ -154,14 +154,15 @@ def tiles_seen(
     """
     levels = levels_of(field.lattice)
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
-    boxes, found = None, []
+    boxes, tiles = None, []
     for level in levels:
         boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merge_boxes(level, boxes)
         pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
-        near = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
-        metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)  # of heights before they are scaled
-        found.append({int(tile): _round_error(m) for tile, m in zip(near, metres, strict=True)})
-    return found
+        fine_enough = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
+        # Errors of heights before they are scaled.
+        metres = pixels[fine_enough] * pixel_error / max(abs(vertical_scale), 1e-30)
+        tiles.append({int(tile): _round_error(m) for tile, m in zip(fine_enough, metres, strict=True)})
+    return tiles
 
 
 def _round_error(metres: float) -> float:
@@ -209,17 +210,17 @@ def add_coarser(
     wanted: allowed error of each requested tile, metres, by level. halo: rows and columns that the operators read
     beyond a tile, by level.
     """
-    found = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
+    needs = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):
         rows, columns = (BAND + h for h in halo[fine.number])
-        needed, sources = found[coarse.number], {}  # sources: coarse tiles that the window of each tile reads
-        for tile in set().union(*(need.tiles for need in found[fine.number].values())):
+        needed, sources = needs[coarse.number], {}  # sources: coarse tiles that the window of each tile reads
+        for tile in set().union(*(need.tiles for need in needs[fine.number].values())):
             window = fine.window(tile, rows, columns)
             y, x = (slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window)
             sources[tile] = coarse.tiles_in((y, x))
-        for tile, need in found[fine.number].items():
+        for tile, need in needs[fine.number].items():
             parent = fine.parent(tile)
-            known = needed.get(parent, TileNeed(math.inf, frozenset({parent})))
-            tiles = known.tiles.union(*(sources[tile] for tile in need.tiles))
-            needed[parent] = TileNeed(min(need.metres, known.metres), tiles)
-    return found
+            earlier = needed.get(parent, TileNeed(math.inf, frozenset({parent})))
+            tiles = earlier.tiles.union(*(sources[tile] for tile in need.tiles))
+            needed[parent] = TileNeed(min(need.metres, earlier.metres), tiles)
+    return needs

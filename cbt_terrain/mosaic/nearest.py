@@ -82,7 +82,10 @@ def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stri
 
 
 def _read(window: Callable[[int, int, int, int], np.ndarray], u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the samples at columns u and rows v from a function that reads windows, in bands of rows."""
+    """Return the samples at columns u and rows v, read in bands of rows.
+
+    window: returns samples by first row, number of rows, first column and number of columns.
+    """
     left, samples = int(u.min()), np.empty(len(u))
     width = int(u.max()) + 1 - left
     rows = np.unique(v)

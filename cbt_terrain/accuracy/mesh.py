@@ -14,7 +14,6 @@ from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
 from ..field import codes, displacement_layers
-from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..mesh.surface import Surface
 from ..run import launch
@@ -86,7 +85,11 @@ class MeshGround:
         packed = self.packed = kernels.Reference()
         packed.bits = self.bits
         packed.bicubic = int(field.interpolation == "bicubic")
-        packed.curved, packed.max_detail = int(packed.bicubic or bool(field.parts)), highest(field.parts)
+        finer = field.raster.finer
+        packed.curved = int(packed.bicubic or bool(field.parts) or finer is not None)
+        packed.max_detail = field.max_change
+        if finer is not None:
+            packed.has_finer, packed.finer = 1, finer.packed
         packed.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
         packed.step_x, packed.step_y = lattice.step_x, lattice.step_y
         packed.west, packed.south, _, _ = lattice.rectangle()

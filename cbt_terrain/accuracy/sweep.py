@@ -22,7 +22,7 @@ from .rows import Row, median_count, worst
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest_run, median_by_step, timed_runs
 
-# Returns what is visible of a height field in a view of a frame.
+# Returns the visible part of a height field in a view of a frame.
 LookUp = Callable[[HeightField, View, TimedFrame], Sight]
 # Cached sights, of 16 bytes a pixel and 1 byte a sample each; those of a longer path are computed anew.
 MAX_SIGHTS = 16

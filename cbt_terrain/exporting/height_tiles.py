@@ -140,7 +140,7 @@ class _Samples:
         self.level = max(0.0, math.log2(max(steps)))
 
     def block(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
-        """Return what a block's samples hold: heights, metres, with holes filled; where ground is; values of layers.
+        """Return the values of a block: heights, metres, with holes filled; where ground is; values of layers.
 
         All arrays are [rows, columns]: float64, bool (None without holes), and float64 for each layer after the first.
         """
@@ -205,6 +205,7 @@ def export_height_tiles(
     if not out.is_dir():
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
     check_no_description(out / f"{settings.name}.json")
+    field.raster.check_no_finer("The export of height tiles")
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap)
     layers = [_Layer("", FORMATS[suffix], suffix), *_mask_layers(masks)]
     if field.valid is not None:

@@ -57,6 +57,7 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         raise TerrainError(f"The interpolation is {name!r}", expected=" or ".join(INTERPOLATIONS))
     if name == field.interpolation:
         return field
+    field.raster.check_no_finer("Bicubic interpolation")
     plain, surfaces = with_detail(field, None), field.cache.surfaces
     surfaces.setdefault(plain.surface, plain)
     return with_detail(cached(surfaces, SurfaceSpec(name), lambda: bicubic(plain)), field.detail)

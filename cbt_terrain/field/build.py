@@ -17,7 +17,7 @@ from .lattice import Lattice, lattice_for
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
-def _in_memory(_name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
+def in_memory(_name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
     """Allocate a zeroed array in memory; a store allocates files instead."""
     return np.zeros(shape, dtype)
 
@@ -69,7 +69,7 @@ def build(
     holes: bool = False,
     source_max: float = 0.0,
     name: str = "The raster",
-    allocate: Allocate = _in_memory,
+    allocate: Allocate = in_memory,
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> HeightField:

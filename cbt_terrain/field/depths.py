@@ -20,13 +20,16 @@ def depth_limit(field: HeightField) -> int:
     lattice = field.lattice
     limit = 2 * (PLANE_BITS - lattice.side_bits)
     if lattice.node_count < MANY_ENTRIES:
-        limit = min(limit, (DETAIL_DEPTH if field.detail else PLAIN_DEPTH) - lattice.square_bits)
+        is_finer = field.detail is not None or field.raster.finer is not None
+        limit = min(limit, (DETAIL_DEPTH if is_finer else PLAIN_DEPTH) - lattice.square_bits)
     return max(1, limit)
 
 
 def usual_depth(field: HeightField) -> int:
     """Return the default depth at which refinement stops; with displacement it resolves the shortest wave."""
     lattice, depth = field.lattice, field.lattice.cell_depth + DEPTH_BELOW_CELLS
+    if field.raster.finer is not None:
+        depth += 2 * field.raster.finer.bits
     edge = min((part.shortest for part in field.parts), default=0.0) / EDGES_A_WAVE
     if edge:
         longest = 2 * radius_at((lattice.step_x, lattice.step_y), lattice.levels, depth)

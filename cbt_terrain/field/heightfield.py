@@ -16,6 +16,7 @@ from ..run.locks import caching
 from . import codes
 from .detail_bounds import DetailTerm, highest
 from .displacement_layers import Ground, bound_terms, pack_layers
+from .finer_tiles import FinerTiles
 from .georeference import Place, known_place, move_place
 from .lattice import Lattice
 from .store_arrays import all_finite
@@ -89,6 +90,7 @@ class HeightRaster:
         place: from the terrain's space to the CRS, see georeference.py; None without a geotransform and in stores of
             older versions.
         path: the store's folder, None for a raster in memory.
+        finer: tiles with heights at a fraction of the step (finer_tiles.py), None without any.
         cache: empty in a copy that `replace` has made.
     """
 
@@ -104,6 +106,7 @@ class HeightRaster:
     place: Place | None = None
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
+    finer: FinerTiles | None = field(default=None, repr=False)
     cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
 
     def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
@@ -121,9 +124,18 @@ class HeightRaster:
         name = f"The store {self.path}" if self.path else "The height field"
         return TerrainError(f"{name} is damaged ({what})", fix="import it again")
 
+    def check_no_finer(self, what: str) -> None:
+        """Raise TerrainError for a raster with finer tiles, for which something is not supported. what: names it."""
+        if self.finer is not None:
+            raise TerrainError(
+                f"{what} is not supported for a terrain with finer tiles",
+                fix="import it with one step (--step)",
+            )
+
     def check_samples(self) -> None:
         """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
-        if self.steps is None and not all_finite(self.samples):
+        arrays = [*([self.samples] if self.steps is None else []), *([self.finer.heights] if self.finer else [])]
+        if not all(map(all_finite, arrays)):
             raise self.damage("it has heights that are not finite")
 
 
@@ -200,6 +212,11 @@ class HeightField:
     def parts(self) -> list[DetailTerm]:
         """Return the summands of the displacement, from which bounds are computed; none without a displacement."""
         return bound_terms(self.detail, self.finest_edge, self.lattice)
+
+    @property
+    def max_change(self) -> float:
+        """Return the largest height of the displacement, with the change of finer tiles, metres."""
+        return highest(self.parts) + (self.raster.finer.max_change if self.raster.finer else 0.0)
 
     @property
     def table(self) -> np.ndarray:

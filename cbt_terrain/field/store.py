@@ -16,6 +16,7 @@
     STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
     STORE/data-*/mask*_*.npy    uint8, masks of displacement layers (attributes/layered_detail.py), of a large raster
     STORE/data-*/borders.npy    with tiles.jsonl and work.json: inputs and borders of tiles
+    STORE/data-*/finer_*.npy    finer tiles (finer_tiles.py), if the store has some: their numbers, heights and errors
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
@@ -39,9 +40,10 @@ from ..errors import TerrainError, check_path
 from ..run import owned_files, partial_files, stopping
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
-from . import codes
+from . import codes, finer_tiles
 from .blocks import level_shapes
 from .displacement_layers import layers_below, mask_levels
+from .finer_tiles import FinerTiles
 from .heightfield import HeightField, HeightRaster
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
@@ -69,6 +71,7 @@ from .store_folder import (
 from .store_layers import LayerFiles, layer_name
 
 VERSION = 6
+FINER_VERSION = 7  # of stores with finer tiles, which older versions of this program cannot show
 REMEDY = "import it again"
 
 # Temporary arrays of an import.
@@ -115,7 +118,8 @@ def read_json(path: Path, file: Path | None = None) -> dict:
         raise TerrainError(what, expected="a folder that `import` has written") from None
     except (OSError, ValueError, RecursionError) as reason:
         raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
-    if not isinstance(content, dict) or content.get("version") != VERSION:
+    is_finer = isinstance(content, dict) and "finer" in content
+    if not isinstance(content, dict) or content.get("version") != (FINER_VERSION if is_finer else VERSION):
         found = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {found}", expected=f"version {VERSION}", fix=REMEDY)
     try:
@@ -177,6 +181,7 @@ def _open(path: Path, content: dict) -> HeightField:
         place=tuple(content["place"]) if "place" in content else None,
         provenance=content["provenance"],
         path=path,
+        finer=_open_finer(folder, lattice, content["finer"]) if "finer" in content else None,
     )
     return HeightField(
         raster,
@@ -184,6 +189,16 @@ def _open(path: Path, content: dict) -> HeightField:
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         **numbers,
     )
+
+
+def _open_finer(folder: Path, lattice: Lattice, entry: dict) -> FinerTiles:
+    """Map the finer tiles of a store. entry: that of its JSON. Raises as `_open`."""
+    shapes = finer_tiles.array_shapes(lattice, entry["bits"], entry["tiles"])
+    arrays = {name: map_array(folder / f"{name}.npy", *of) for name, of in shapes.items()}
+    numbers = arrays["finer_numbers"]
+    if numbers.min() < -1 or numbers.max() >= entry["tiles"]:
+        raise TerrainError(f"The store {folder.parent} is damaged (a finer tile has no heights)", fix=REMEDY)
+    return finer_tiles.from_store(entry, arrays)
 
 
 def is_intact(field: HeightField) -> bool:
@@ -197,6 +212,7 @@ def is_intact(field: HeightField) -> bool:
     layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
+    arrays += field.raster.finer.arrays if field.raster.finer is not None else ()
     if any(array is not None and is_cut_off(array) for array in arrays):
         return False
     return all(map(is_intact, field.cache.anchored.values()))
@@ -214,6 +230,9 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
         raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
     arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     arrays |= {layer_name(name): field.layers[name] for name in field.layers}
+    if field.raster.finer is not None:
+        names = (f"finer_{name}" for name in finer_tiles.ARRAYS)
+        arrays |= dict(zip(names, field.raster.finer.arrays, strict=True))
     for name, array in arrays.items():
         stopping.check()
         if array is not None:
@@ -332,7 +351,7 @@ class Draft:
         for name, array in self._arrays.items():
             append_checksums(self.folder / f"{name}.npy", array)
         content = {
-            "version": VERSION,
+            "version": VERSION if field.raster.finer is None else FINER_VERSION,
             "data": self.folder.name,
             "digest": digest,
             "key": field.raster.digest,
@@ -344,6 +363,7 @@ class Draft:
             "crs": field.crs,
             **({"place": field.raster.place} if field.raster.place else {}),
             **({"layers": layers} if layers else {}),
+            **({"finer": field.raster.finer.entry} if field.raster.finer is not None else {}),
             "provenance": field.provenance,
             "report": report,
         }

@@ -96,6 +96,8 @@ def _is_steps(value: JsonValue) -> bool:
     return type(value[0]) is int and value[1] != 0 and all(_is_number(v, -1e30, 1e30) for v in value)
 
 
+MAX_FINER_BITS, MAX_FINER_TILES = 8, 1 << 22  # of finer tiles
+
 _LAYER = re.compile(r"[a-z][a-z0-9_]{0,40}")
 MAX_LAYERS = 64
 
@@ -113,6 +115,17 @@ def _is_place(value: JsonValue) -> bool:
         return False
     a, b, _, d, e, _ = value
     return 0.0 < abs(a * e - b * d) < math.inf
+
+
+def _is_finer(value: JsonValue) -> bool:
+    """Return whether a value has the number of finer tiles and their numbers (finer_tiles.py)."""
+    if not isinstance(value, dict) or sorted(value) != ["bits", "exponent", "range_base", "range_step", "tiles"]:
+        return False
+    bits, tiles = value["bits"], value["tiles"]
+    if type(bits) is not int or type(tiles) is not int or not _is_exponents([value["exponent"]]):
+        return False
+    is_scale = _is_number(value["range_base"], -LARGEST, LARGEST) and _is_number(value["range_step"], 0.0, LARGEST)
+    return is_scale and 1 <= bits <= MAX_FINER_BITS and 0 < tiles <= MAX_FINER_TILES
 
 
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
@@ -147,6 +160,7 @@ _ENTRIES: dict[str, _Entry] = {
 # Entries that only some stores have.
 _OPTIONAL: dict[str, _Entry] = {
     "layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units"),
+    "finer": (_is_finer, f"the numbers of finer tiles, bits of 1 to {MAX_FINER_BITS}"),
     "place": (_is_place, "six finite numbers that map metres to coordinates one to one"),
 }
 

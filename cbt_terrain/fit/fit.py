@@ -57,6 +57,7 @@ def fit(
     TerrainError if a number cannot be used.
     """
     check_interpolation(field.interpolation)
+    field.raster.check_no_finer("A fitted mesh")
     if field.detail:
         raise TerrainError(
             "A surface with detail cannot be fitted",

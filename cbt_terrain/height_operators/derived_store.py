@@ -67,7 +67,7 @@ class Land:
         whole: folder of the derived store of all of it, whether or not it is there.
         waits: whether the user waits for the store, as a render does, since a preview is not enough.
         stack: the height operators to apply.
-        of_views: whether only the parts in view are fine; such land has a store of its own.
+        of_views: whether only the parts in view are fine; such land has another store.
         seen: the views that need fine land, None for all of it.
     """
 

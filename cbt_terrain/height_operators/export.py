@@ -43,6 +43,7 @@ def export_raster(
     """
     file = check_export(file)
     field = open_store(store)
+    field.raster.check_no_finer("The export of heights")
     known = (HEIGHTS, *field.layers)
     for name in names or ():
         if name not in known:

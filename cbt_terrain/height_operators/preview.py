@@ -96,6 +96,7 @@ def preview(
     images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators.
     """
     check_by_products(stack, source.layers)
+    source.raster.check_no_finer("Shaping of land")
     level = levels_of(source.lattice)[-1]
     states = _apply_entries(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)

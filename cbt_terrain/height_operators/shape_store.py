@@ -112,6 +112,7 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
     if os.path.realpath(source) == os.path.realpath(path):
         raise TerrainError(f"The store {path} would be shaped into itself", fix="choose another folder to write")
     check_by_products(stack, heights.layers)
+    heights.raster.check_no_finer("Shaping of land")
     heights.raster.check_samples()
     return heights
 

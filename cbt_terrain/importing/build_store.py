@@ -27,6 +27,7 @@ from ..rasters.sidecars import sidecars
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
 from .drafts import common_report_entries
+from .finer_import import add_finer_tiles, finer_entries
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .plausibility import ValueCheck, relief_warning
@@ -45,6 +46,8 @@ from .tile_import import (
 )
 from .tile_tasks import TileSource
 
+COARSE_SHARE = 0.4  # of the progress of a raster with finer tiles
+FINER = "Reading finer files"  # message meanwhile
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the header of {} has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
@@ -134,8 +137,10 @@ def import_raster(
                     reader.check.add(rows)
                     on_progress(begin * share, READING)
 
+            end = 1.0 if raster.finer is None else COARSE_SHARE
+
             def tell(share: float, message: str) -> None:
-                on_progress(begin + (1.0 - begin) * share, message)
+                on_progress(begin + (end - begin) * share, message)
 
             if by_tile:
                 field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
@@ -147,6 +152,17 @@ def import_raster(
                 place=place.place,
                 provenance=_provenance(given, raster, place, land),
             )
+            if raster.finer is not None:
+                finer_reader = HeightReader(raster, settings)
+                field = add_finer_tiles(
+                    field,
+                    raster.finer,
+                    finer_reader,
+                    draft.allocate,
+                    lambda done: on_progress(end + (0.99 - end) * done, FINER),
+                )
+                finer_max = _source_max(finer_reader)
+                field = dataclasses.replace(field, source_max=max(field.source_max, finer_max))
             report = _import_report(field, raster, place)
             if settings.source not in LANDS:
                 report["warnings"] += _value_warnings(raster, settings, place, report, reader.check)
@@ -377,6 +393,7 @@ def _import_report(field: HeightField, raster: Raster, place: Georeference) -> d
         **common_report_entries(field),
         "rotation_deg": place.rotation_deg,
         "bounds_against": against,
+        **finer_entries(field),
         **raster.details,
         **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),
         "warnings": warnings,

@@ -25,6 +25,7 @@ from ..run.buffers import flat
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
+from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
@@ -81,6 +82,8 @@ class Composite:
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
         near: float64 [tiles, 4], boxes with their reach.
         steps: float64 [tiles], samples of the grid between two of a tile.
+        levels: int64 [tiles], 0 for the coarsest tiles; finer ones on top of them have higher numbers.
+        finer: the plan and the composite of finer tiles, None for one step everywhere.
         reads_overviews: whether overviews of files were read for a quick import.
     """
 
@@ -97,6 +100,7 @@ class Composite:
         self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
         self.reads_overviews = False
+        self.finer: tuple[FinerPlan, Composite] | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
@@ -106,10 +110,10 @@ class Composite:
         self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
         self.near = self.boxes + near
-        self._levels = np.zeros(len(tiles), np.int64)  # of each tile, 0 for the coarsest
+        self.levels = np.zeros(len(tiles), np.int64)
         if settings.blend:
-            self._levels = find_levels(self.lattices, steps, self.boxes)
-        self.insets = InsetBlend(self._levels, steps, grid, self._scan) if self._levels.any() else None
+            self.levels = find_levels(self.lattices, steps, self.boxes)
+        self.insets = InsetBlend(self.levels, steps, grid, self._scan) if self.levels.any() else None
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}
         on_grid = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
@@ -155,7 +159,7 @@ class Composite:
                 # The middle of a lattice decides which turn of 360 degrees its longitudes are of.
                 parts += [lattice.rectangles.mean(axis=0).tolist()] if lattice.period else []
         if self.insets is not None:
-            parts += [self.insets.rings, self._levels[meets].tolist()]
+            parts += [self.insets.rings, self.levels[meets].tolist()]
         tiles = [self.tiles[rank] for rank in np.flatnonzero(meets)]  # in the order of their priority
         if self.shifts is not None:
             parts += [self.shifts.reference.datum, *map(file_stat, self.shifts.grids([self.shifts.reference, *tiles]))]
@@ -181,6 +185,8 @@ class Composite:
 
     def close(self) -> None:
         """Close all files."""
+        if self.finer is not None:
+            self.finer[1].close()
         while self._open:
             self._open.popitem()[1].close()
 
@@ -209,9 +215,9 @@ class Composite:
                 for half in piece.halves():
                     yield from self._parts(half)
                 return
-            level = int(self._levels[lattice.tiles[0]])
+            level = int(self.levels[lattice.tiles[0]])
             found.append(FoundLattice(level, nodes, self._window(lattice, near, box)))
-        yield piece, np.unique(self._levels[meets]), found
+        yield piece, np.unique(self.levels[meets]), found
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
         """Fill the values of a piece, all NaN, and return the largest error of a value by its position."""
@@ -268,7 +274,7 @@ class Composite:
     def _scan(self, row: int, column: int) -> Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]:
         """Yield the parts of a block with each level above the coarsest, the values below it and with it."""
         block = GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK)
-        if self._levels[self._meets(block)].any():
+        if self.levels[self._meets(block)].any():
             for part, levels, found in self._parts(block):
                 result = empty_values(part)
                 for level, below in _overlay(part, levels, found, result):

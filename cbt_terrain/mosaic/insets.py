@@ -65,7 +65,7 @@ def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
 
 
 def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile lies on a coarser one.
+    """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile overlaps a coarser one.
 
     steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4].
     """

@@ -13,9 +13,10 @@ from ..formats.archives import UnpackedFiles
 from ..importing.thinning import FROM_OVERVIEWS
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
-from ..rasters.raster import ImportSettings, Raster
+from ..rasters.raster import FinerSource, ImportSettings, Raster
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
+from .finer_plan import plan_finer
 from .nearest import nearest_samples
 from .systems import crs_of
 from .target_grid import TargetGrid, choose_grid, footprints
@@ -39,7 +40,16 @@ def open_composite(
     unpacked = unpacked or UnpackedFiles()
     tiles = build_catalogue(settings, store, on_progress, unpacked)
     grid = choose_grid(tiles, settings)
-    return Composite(tiles, grid, footprints(tiles, grid.crs), settings, unpacked)
+    found = footprints(tiles, grid.crs)
+    whole = Composite(tiles, grid, found, settings, unpacked)
+    if settings.step is not None or settings.quick:
+        return whole
+    plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes)
+    if plan is None:
+        return whole
+    coarse = Composite(tiles, plan.grid, found, settings, unpacked)
+    coarse.finer = plan, whole
+    return coarse
 
 
 def check_settings(settings: ImportSettings) -> None:
@@ -108,6 +118,17 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         return values
 
     raster.window, raster.pick, raster.finish = window, pick, finish
+    if composite.finer is not None:
+        plan, whole = composite.finer
+
+        def finer_window(first: int, count: int, column: int, columns: int) -> np.ndarray:
+            """Read a window of the finest grid, as `window`."""
+            values, moved = whole.read(first, count, column, columns)
+            raster.moved = max(raster.moved, moved)
+            raster.shifted = max(raster.shifted, whole.shift_error(first, count, column, columns))
+            return values
+
+        raster.finer = FinerSource(plan.bits, plan.boxes, finer_window)
     return raster
 
 

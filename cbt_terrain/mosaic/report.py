@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import shown
 from ..field.build import from_array
 from ..field.codes import steps_of
+from ..field.finer_tiles import SIDE, TILE_BYTES
 from ..field.lattice import fit
 from ..formats.archives import MAX_UNPACKED_BYTES, is_archive
 from ..importing.drafts import store_bytes, work_bytes
@@ -24,6 +25,7 @@ from .systems import crs_of, period_of, projected
 COVERAGE_POINTS = 256  # along each axis
 MEASURED_SIDE = 513  # samples whose reading and building is timed
 MAX_KINDS = 12
+FINER_COST = 3  # time of a finer sample, as a multiple of that of another: tiles are measured with those around them
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
 IMPORT_ENTRIES = (
@@ -51,6 +53,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gap_percent": round(100.0 * gap, 2),
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
+        **_finer_tiles(composite),
         **({"blend_m": float(f"{blend_metres(composite):.4g}")} if composite.insets else {}),
         "expected_seconds": _expected_seconds(composite),
         "expected_disk_mb": round(_expected_bytes(composite) / 1e6, 1),
@@ -132,6 +135,15 @@ def _seams(seams: SeamReport, scale: float) -> dict:
     }
 
 
+def _finer_tiles(composite: Composite) -> dict:
+    """Return the entries about finer tiles; {} for one step everywhere."""
+    if composite.finer is None:
+        return {}
+    plan, whole = composite.finer
+    place = georeference_of(whole.grid)
+    return {"finer_tiles": plan.tiles, "finer_step_m": [place.step_x, place.step_y]}
+
+
 def _expected_bytes(composite: Composite) -> int:
     """Return the room that an import takes on the disk, bytes, with that of unpacked files."""
     lattice = fit(max(composite.grid.width, 2), max(composite.grid.height, 2))
@@ -144,7 +156,8 @@ def _expected_bytes(composite: Composite) -> int:
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
     sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits
     needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, 0)
-    return needed + min(unpacked, MAX_UNPACKED_BYTES)
+    tiles = 0 if composite.finer is None else composite.finer[0].tiles
+    return needed + tiles * TILE_BYTES + min(unpacked, MAX_UNPACKED_BYTES)
 
 
 def _expected_seconds(composite: Composite) -> float:
@@ -156,5 +169,8 @@ def _expected_seconds(composite: Composite) -> float:
         started = time.perf_counter()
         heights, _ = composite.read(*window)
         from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
-    seconds = (time.perf_counter() - started) * grid.width * grid.height / (width * height)
+    samples = grid.width * grid.height
+    if composite.finer is not None:
+        samples += FINER_COST * composite.finer[0].tiles * SIDE * SIDE
+    seconds = (time.perf_counter() - started) * samples / (width * height)
     return float(f"{seconds:.2g}")

@@ -8,7 +8,6 @@ from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
 from ..field import codes, displacement_layers
-from ..field.detail_bounds import highest
 from ..field.domain import box_of
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..plain_numbers import vertical
@@ -40,6 +39,8 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     s.bicubic = int(field.interpolation == "bicubic")
     s.samples = codes.pack_samples(field.samples, field.steps)
     s.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
+    if field.raster.finer is not None:
+        s.has_finer, s.finer = 1, field.raster.finer.packed
     s.holed = int(field.valid is not None)
     s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
     return s
@@ -53,7 +54,7 @@ def blocks_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.H
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
     b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
     # ... and their float64 rounding errors
-    b.more = highest(field.parts) * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
+    b.more = field.max_change * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)

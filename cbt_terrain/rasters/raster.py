@@ -168,6 +168,21 @@ class ImportSettings:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class FinerSource:
+    """Finer files of a mosaic, on the raster of its coarser ones.
+
+    Attributes:
+        bits: a cell of the raster has 2^bits finer cells a side.
+        boxes: int64 [files, 4], first column and row and last ones of each file, in finer samples.
+        window: window(first, count, column, columns) returns finer samples, NaN where missing.
+    """
+
+    bits: int
+    boxes: np.ndarray
+    window: Callable[[int, int, int, int], np.ndarray]
+
+
 @dataclass
 class Raster:
     """An opened source.
@@ -202,6 +217,7 @@ class Raster:
         details: further entries of the report.
         inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
             None if that is the whole raster.
+        finer: finer files on some parts of the raster; None without any.
         finish: writes further files into the store's new folder; raises TerrainError if a source has changed.
         close: closes the files.
     """
@@ -232,6 +248,7 @@ class Raster:
     shifted: float = 0.0
     details: dict = field(default_factory=dict)
     inputs: Callable[[int, int, int, int], str] | None = None
+    finer: FinerSource | None = None
     finish: Callable[[Path], None] = lambda _folder: None
     close: Callable[[], None] = lambda: None
 

@@ -91,6 +91,9 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
+    finer = field.raster.finer
+    if finer is not None:  # corners of a facet are at least a finer cell apart
+        lean *= 1 << finer.bits
     # The float64 rounding of the positions at which displacement is evaluated adds to this.
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     along = steepest(field.parts) * abs(vertical_scale)
@@ -119,7 +122,9 @@ def position_rounding(
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
     # A bicubic height is a sum of sixteen, which rounds about twice as much.
     relative_error = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
-    return plane[0], plane[1], _half_step(highest) + relative_error * (heights + abs(vertical_offset))
+    # Heights of the raster are rounded where finer tiles hold them.
+    finer = 2.0 * _half_step(heights) if field.raster.finer is not None else 0.0
+    return plane[0], plane[1], _half_step(highest) + relative_error * (heights + abs(vertical_offset)) + finer
 
 
 def _half_step(largest: float) -> float:

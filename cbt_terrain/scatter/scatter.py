@@ -83,7 +83,7 @@ class Scatter:
         return found
 
     def _density_layers(self) -> tuple[Layer, ...]:
-        """Return two layers, of which the upper one has the weight of its own rules."""
+        """Return two layers, of which the upper one has the weight of its rules."""
         return ANYWHERE, replace(self.where, on_top=True)
 
 

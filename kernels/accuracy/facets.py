@@ -14,6 +14,7 @@ import warp as wp
 
 from ..field.codes import Samples, corners_of, sample_at, sample_index
 from ..field.detail import PackedLayers
+from ..field.finer import SIDE, STRIDE, PackedTiles, tile_at
 from ..unchecked import put
 from .cubic import cubic_at
 from .detail import detail_height
@@ -27,7 +28,9 @@ class Reference:
     bicubic: wp.int32  # 1, or 0: bilinear
     curved: wp.int32  # 0: bilinear without detail, so that extrema have a closed form
     layers: PackedLayers
-    max_detail: wp.float64  # largest magnitude of the displacement layers' sum, metres before scaling
+    max_detail: wp.float64  # largest magnitude of displacement layers and finer tiles' change, metres before scaling
+    has_finer: wp.int32  # 1: some squares have finer tiles
+    finer: wp.array(dtype=PackedTiles)  # ... [1]
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64
@@ -135,6 +138,22 @@ def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
+def finer_height(finer: PackedTiles, tile: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Return the height, metres before scaling, of a finer tile at (u, v) finer cells from the raster's corner."""
+    x = wp.floor(u)
+    y = wp.floor(v)
+    row = tile * STRIDE + 1 + (wp.int32(y) & (SIDE - 1))
+    south = sample_index(finer.heights, 1 + (wp.int32(x) & (SIDE - 1)), row)
+    north = south + wp.int64(finer.heights.columns)
+    one = wp.int64(1)
+    a = wp.float64(sample_at(finer.heights, south))
+    b = wp.float64(sample_at(finer.heights, south + one))
+    c = wp.float64(sample_at(finer.heights, north))
+    d = wp.float64(sample_at(finer.heights, north + one))
+    return a + (b - a) * (u - x) + ((c - a) + (a - b - c + d) * (u - x)) * (v - y)
+
+
+@wp.func
 def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the reference surface at (u, v), metres.
 
@@ -148,6 +167,12 @@ def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64
     z = low + (high - low) * t
     if ground.bicubic == 1:
         z = cubic_at(ground.samples, i, j, s, t)
+    if ground.has_finer == 1:
+        bits = ground.finer[0].bits
+        a_cell = wp.float64(wp.int32(1) << bits)
+        tile = tile_at(ground.finer[0], wp.int32(wp.floor(u * a_cell)), wp.int32(wp.floor(v * a_cell)))
+        if tile >= 0:
+            z = finer_height(ground.finer[0], tile, u * a_cell, v * a_cell)
     z += detail_in(ground, u, v)
     return z * ground.scale + ground.offset
 
@@ -163,8 +188,13 @@ def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 @wp.func
 def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
     """Return the height of the reference surface at sample (i, j), metres, with displacement and vertical scale."""
-    h = sample_at(ground.samples, sample_index(ground.samples, i, j))
-    z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
+    z = wp.float64(sample_at(ground.samples, sample_index(ground.samples, i, j)))
+    if ground.has_finer == 1:
+        bits = ground.finer[0].bits
+        tile = tile_at(ground.finer[0], i << bits, j << bits)
+        if tile >= 0:
+            z = finer_height(ground.finer[0], tile, wp.float64(i << bits), wp.float64(j << bits))
+    z += detail_in(ground, wp.float64(i), wp.float64(j))
     return z * ground.scale + ground.offset
 
 

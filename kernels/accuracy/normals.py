@@ -3,9 +3,10 @@
 
 import warp as wp
 
+from ..field.cells import on_sample
 from ..field.codes import sample_index
 from ..field.detail import detail_at
-from ..mesh.displace import on_sample
+from ..field.finer import finer_at, tile_at
 from ..unchecked import put
 from .facets import DeliveredMesh, MeasuredFacet, Reference, facet_of, owns, sample_box
 
@@ -57,6 +58,13 @@ def angles(
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
                     g = on_sample(ground.samples, i, j)
+                    if ground.has_finer == 1:
+                        finer_i = i << ground.finer[0].bits
+                        finer_j = j << ground.finer[0].bits
+                        tile = tile_at(ground.finer[0], finer_i, finer_j)
+                        if tile >= 0:
+                            zero = wp.float64(0.0)
+                            g = finer_at(ground.finer[0], tile, finer_i, finer_j, zero, zero)
                     truth = wp.vec3d(-g[1] * per_x, -g[2] * per_y, up)
                     if ground.layers.count > 0:
                         x = ground.west + wp.float64(i) * ground.step_x

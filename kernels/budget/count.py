@@ -14,7 +14,7 @@ walk over triangles visits it twice. For a window of few steps the pass takes ab
 
 import warp as wp
 
-from ..field.domain import Domain
+from ..field.domain import INLINED, Domain
 from ..refine.interval import (
     DOUBT,
     SPLIT,
@@ -29,6 +29,8 @@ from ..refine.interval import (
 from ..refine.pixels import CriterionArrays
 from ..refine.stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
 from .count_state import CELLS, MARKS, Cell, CellDiamond, Count, count_last_split, last_split
+
+wp.set_module_options(INLINED)
 
 
 @wp.func

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..field.domain import Domain
+from ..field.domain import INLINED, Domain
 from ..mesh.displace import (
     AHEAD,
     HIGHEST,
@@ -24,6 +24,8 @@ from .residual import forget_all, has_settled, morphed_point, settled_above
 from .state import Memory, Morphing, fetch_records
 
 RECORDS_AHEAD = wp.constant(wp.int64(8))  # vertices, from the one whose record is prefetched to the one in use
+
+wp.set_module_options(INLINED)
 
 
 @wp.func

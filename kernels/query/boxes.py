@@ -4,9 +4,20 @@
 import warp as wp
 
 from ..field.codes import bilinear, corners_of
+from ..field.finer import finer_corners
 from ..field.layout import tile_index
 from .crossing import HeightRanges, range_at
-from .surface import QueriedSurface, is_ground
+from .surface import QueriedSurface, finer_cell, finer_tile, is_ground
+
+
+@wp.func
+def heights_in(surface: QueriedSurface, p: wp.vec4d, s0: wp.float64, t0: wp.float64, s1: wp.float64, t1: wp.float64):
+    """Return the lowest and highest height, metres after scaling, of a part of the bilinear patch with the corners p.
+
+    s0 .. t1: sides of the part, 0 .. 1.
+    """
+    z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1)) * surface.scale
+    return wp.min(z) + surface.offset, wp.max(z) + surface.offset
 
 
 @wp.kernel
@@ -37,17 +48,34 @@ def row_ranges(
     i = first_column
     while i < surface.samples.columns - 1 and wp.float64(i) <= east:
         if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
-            if surface.bicubic == 1:
+            tile = finer_tile(surface, i, j)
+            s0 = wp.clamp(west - wp.float64(i), zero, one)
+            s1 = wp.clamp(east - wp.float64(i), zero, one)
+            if tile >= 0:
+                x0, u0 = finer_cell(surface, i, s0)
+                x1, u1 = finer_cell(surface, i, s1)
+                y0, v0 = finer_cell(surface, j, t0)
+                y1, v1 = finer_cell(surface, j, t1)
+                for y in range(y0, y1 + 1):
+                    for x in range(x0, x1 + 1):
+                        p = finer_corners(surface.finer[0], tile, x, y)
+                        a, b = heights_in(
+                            surface,
+                            p,
+                            wp.where(x == x0, u0, zero),
+                            wp.where(y == y0, v0, zero),
+                            wp.where(x == x1, u1, one),
+                            wp.where(y == y1, v1, one),
+                        )
+                        low = wp.min(low, a)
+                        high = wp.max(high, b)
+            elif surface.bicubic == 1:
                 a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
                 low = wp.min(low, a)
                 high = wp.max(high, b)
             else:
-                s0 = wp.clamp(west - wp.float64(i), zero, one)
-                s1 = wp.clamp(east - wp.float64(i), zero, one)
-                p = corners_of(surface.samples, i, j)
-                z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1))
-                z = z * surface.scale
-                low = wp.min(low, wp.min(z) + surface.offset)
-                high = wp.max(high, wp.max(z) + surface.offset)
+                a, b = heights_in(surface, corners_of(surface.samples, i, j), s0, t0, s1, t1)
+                low = wp.min(low, a)
+                high = wp.max(high, b)
         i += 1
     found[n] = wp.vec2d(low, high)

@@ -10,11 +10,12 @@ metres after vertical scaling.
 
 import warp as wp
 
-from ..field.codes import corners_of, error_of
+from ..field.codes import corners_of, error_of, twist_of
+from ..field.finer import finer_corners
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .surface import QueriedSurface, height_and_slopes
+from .surface import QueriedSurface, finer_tile, height_and_slopes
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
 MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
@@ -107,15 +108,14 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 
 @wp.func
-def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
-    """Return (t, side): where the ray meets the bilinear surface in a segment, and its side at the segment's end.
+def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment):
+    """Return (t, side): where the ray meets the bilinear patch with the corners p, and its side at the segment's end.
 
     t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
     above, -1 below.
     """
     zero = wp.float64(0.0)
     first = part.first
-    p = corners_of(surface.samples, part.i, part.j)
     s = ray.u + first * ray.du - wp.float64(part.i)
     r = ray.v + first * ray.dv - wp.float64(part.j)
     low = p[0] + (p[1] - p[0]) * s
@@ -161,15 +161,18 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 
 @wp.func
 def half_curvature_along(
-    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32
+    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
 ) -> wp.float64:
     """Return half of the largest second derivative of the surface along the ray in cell (i, j).
 
-    Its unit is metres per squared metre of t.
+    Its unit is metres per squared metre of t. finer_twist: of a finer cell there, metres a squared raster cell;
+    negative without one.
     """
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
-    if surface.bicubic == 1:
+    if finer_twist >= wp.float64(0.0):
+        curvature = finer_twist * wp.abs(ray.du * ray.dv)
+    elif surface.bicubic == 1:
         at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
         # the store holds a quarter of the norm of the second derivatives over cells
         curvature = (
@@ -184,15 +187,15 @@ def half_curvature_along(
 
 
 @wp.func
-def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
+def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment, finer_twist: wp.float64):
     """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side at the end.
 
     t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
-    above, -1 below. The segment is in one raster cell. The ray advances by steps in which the bounded second derivative
-    rules out a crossing.
+    above, -1 below. The segment is in one raster cell, or in a finer cell with a twist (see `half_curvature_along`).
+    The ray advances by steps in which the bounded second derivative rules out a crossing.
     """
     zero = wp.float64(0.0)
-    curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)
+    curvature = half_curvature_along(surface, blocks, ray, part.i, part.j, finer_twist)
     side = part.side
     hit = NOWHERE
     t = part.first
@@ -248,6 +251,60 @@ def passed(part: RaySegment, on_side: wp.float64):
 
 
 @wp.func
+def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
+    """Return (t, side): where the ray meets the surface in a segment in a raster cell of finer tiles, cell by cell.
+
+    t is infinite if they meet nowhere. side: 1 above the surface at the segment's end, -1 below, 0 on it.
+    """
+    zero = wp.float64(0.0)
+    bits = surface.finer[0].bits
+    count = wp.int32(1) << bits
+    scale = wp.float64(count)
+    fine = ray  # in finer cells
+    fine.u = ray.u * scale
+    fine.v = ray.v * scale
+    fine.du = ray.du * scale
+    fine.dv = ray.dv * scale
+    east = wp.where(ray.du > zero, 1, 0)
+    north = wp.where(ray.dv > zero, 1, 0)
+    tile = finer_tile(surface, part.i, part.j)
+    west_end = part.i << bits
+    south_end = part.j << bits
+    i = wp.clamp(wp.int32(wp.floor(fine.u + part.first * fine.du)), west_end, west_end + count - 1)
+    j = wp.clamp(wp.int32(wp.floor(fine.v + part.first * fine.dv)), south_end, south_end + count - 1)
+    piece = part
+    hit = NOWHERE
+    side = part.side
+    inside = wp.bool(True)
+    while inside and hit == NOWHERE:
+        to_x = NOWHERE
+        to_y = NOWHERE
+        if ray.du != zero:
+            to_x = (wp.float64(i + east) - fine.u) / fine.du
+        if ray.dv != zero:
+            to_y = (wp.float64(j + north) - fine.v) / fine.dv
+        out = smaller(to_x, to_y)
+        piece.last = larger(piece.first, smaller(out, part.last))
+        piece.side = side
+        corners = finer_corners(surface.finer[0], tile, i, j)
+        if surface.layers.count == 0:
+            piece.i = i
+            piece.j = j
+            hit, side = in_bilinear(surface, corners, fine, piece)
+        else:
+            piece.i = part.i
+            piece.j = part.j
+            hit, side = in_curved(surface, blocks, ray, piece, twist_of(corners) * scale * scale)
+        piece.first = piece.last
+        if to_x <= to_y:
+            i += 2 * east - 1
+        else:
+            j += 2 * north - 1
+        inside = out < part.last and i >= west_end and j >= south_end and i < west_end + count and j < south_end + count
+    return hit, side
+
+
+@wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
     """Return (t, side): where the ray meets the surface in a segment in one cell, and its side at the end.
 
@@ -255,13 +312,15 @@ def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: R
     """
     hit = NOWHERE
     side = wp.float64(0.0)
-    if surface.bicubic == 0 and surface.layers.count == 0:
-        hit, side = in_bilinear(surface, ray, part)
+    if finer_tile(surface, part.i, part.j) >= 0:
+        hit, side = in_finer_cells(surface, blocks, ray, part)
+    elif surface.bicubic == 0 and surface.layers.count == 0:
+        hit, side = in_bilinear(surface, corners_of(surface.samples, part.i, part.j), ray, part)
     else:
         low, high = cell_range(surface, blocks, part.i, part.j)
         on_side = clear_of(low, high, ray, part)
         if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, part)
+            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0))
         else:
             hit, side = passed(part, on_side)
     return hit, side

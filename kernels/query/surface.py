@@ -4,10 +4,11 @@
 import warp as wp
 
 from ..bicubic.surface import in_patch
+from ..field.cells import in_cell
 from ..field.codes import Samples, corners_of
 from ..field.detail import PackedLayers, detail_at
+from ..field.finer import PackedTiles, finer_at, finer_corners, tile_at
 from ..field.holes import is_whole
-from ..mesh.displace import in_cell
 
 
 @wp.struct
@@ -27,6 +28,8 @@ class QueriedSurface:
     bicubic: wp.int32  # 1, or 0: bilinear
     samples: Samples
     layers: PackedLayers
+    has_finer: wp.int32  # 1: some squares have finer tiles
+    finer: wp.array(dtype=PackedTiles)  # ... [1]
     holed: wp.int32  # 1: some samples are missing
     valid: wp.array(dtype=wp.uint8)  # of each sample, 0 where it is missing; one entry without holes
 
@@ -66,12 +69,30 @@ def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.boo
 
 
 @wp.func
-def bilinear_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height (metres) and slopes (metres a cell) of the bilinear patch of cell (i, j), before scaling.
+def finer_tile(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.int32:
+    """Return the number of the finer tile that holds raster cell (i, j); -1 for none."""
+    tile = wp.int32(-1)
+    if surface.has_finer == 1:
+        bits = surface.finer[0].bits
+        tile = tile_at(surface.finer[0], i << bits, j << bits)
+    return tile
+
+
+@wp.func
+def finer_cell(surface: QueriedSurface, i: wp.int32, s: wp.float64):
+    """Return the finer cell at `s` (0 .. 1) of raster cell `i` along one axis, and the position in it, 0 .. 1."""
+    bits = surface.finer[0].bits
+    at = s * wp.float64(wp.int32(1) << bits)
+    k = wp.clamp(wp.int32(wp.floor(at)), 0, (wp.int32(1) << bits) - 1)
+    return (i << bits) + k, at - wp.float64(k)
+
+
+@wp.func
+def bilinear_patch(p: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Return height (metres) and slopes (metres a cell) of the bilinear patch with the corners p, before scaling.
 
     s, t: position in the cell, 0 .. 1.
     """
-    p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
     north = p[2] - p[0]
     twist = p[3] - p[2] - east
@@ -101,10 +122,17 @@ def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.f
     s, t: position in the cell, 0 .. 1.
     """
     g = wp.vec3d()
-    if surface.bicubic == 1:
+    tile = finer_tile(surface, i, j)
+    if tile >= 0:
+        x, u = finer_cell(surface, i, s)
+        y, v = finer_cell(surface, j, t)
+        a_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
+        g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
+        g = wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+    elif surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:
-        g = bilinear_in(surface, i, j, s, t)
+        g = bilinear_patch(corners_of(surface.samples, i, j), s, t)
     return add_detail(surface, i, j, s, t, g)
 
 
@@ -116,7 +144,12 @@ def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, 
     shading has no steps.
     """
     g = wp.vec3d()
-    if surface.bicubic == 1:
+    tile = finer_tile(surface, i, j)
+    if tile >= 0:
+        x, u = finer_cell(surface, i, s)
+        y, v = finer_cell(surface, j, t)
+        g = finer_at(surface.finer[0], tile, x, y, u, v)
+    elif surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:
         g = in_cell(surface.samples, i, j, s, t)

@@ -10,9 +10,10 @@ import warp as wp
 
 from ..field.codes import sample_at
 from ..field.domain import Domain
+from ..field.finer import STORED_BITS, covers, finer_sample, range_in_tile
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
-from .stored_errors import is_beyond, reach_of
+from .stored_errors import change_limits, is_beyond, reach_of
 
 
 @wp.func
@@ -95,12 +96,22 @@ def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def intersect_range(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
+def intersect_range(
+    domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, in_tiles: wp.bool, r: wp.vec2i
+) -> wp.vec2i:
     """Return the intersection of range r (codes) with the stored range of the diamond split at (x, y).
 
-    A diamond outside the domain leaves r unchanged. finer: see `range_entry`.
+    A diamond outside the domain leaves r unchanged. finer: see `range_entry`. in_tiles: the range is that of a finer
+    tile.
     """
-    if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
+    if in_tiles:
+        shift = domain.unit_bits - domain.levels - domain.finer[0].bits
+        at = range_in_tile(domain.finer[0], x >> shift, y >> shift, finer >> 2)
+        if at >= wp.int64(0):
+            low = wp.int32(item_at(domain.finer[0].ranges, at))
+            high = wp.int32(item_at(domain.finer[0].ranges, at + wp.int64(1)))
+            r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
+    elif x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         index = range_entry(domain, x, y, finer)
         low = wp.int32(item_at(domain.ranges, index))
         high = wp.int32(item_at(domain.ranges, index + wp.int64(1)))
@@ -109,34 +120,104 @@ def intersect_range(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r
 
 
 @wp.func
-def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2i:
-    """Return the lowest and highest height code in the box of a diamond that is coarser than the raster's cells.
+def range_at(
+    domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, levels: wp.int32, in_tiles: wp.bool
+) -> wp.vec2i:
+    """Return the lowest and highest height code in the box of a diamond that is coarser than the cells.
 
     Ranges of the two finest depths are not stored. They are the intersection of the nearest stored ancestors' ranges,
-    which is nested, too.
+    which is nested, too. levels: a root square has 2^levels cells a side. in_tiles: the cells are those of finer tiles.
     """
     r = wp.vec2i(0, 65535)
-    finer = 2 * domain.levels - 2 - depth
+    finer = 2 * levels - 2 - depth
     if finer >= 0:
-        r = intersect_range(domain, x, y, finer, r)
-    elif domain.levels > 1:
-        u = wp.int32(1) << (domain.unit_bits - domain.levels)
+        r = intersect_range(domain, x, y, finer, in_tiles, r)
+    elif levels > 1:
+        u = wp.int32(1) << (domain.unit_bits - levels)
         # The middles of sides of 4 x 4 cells are 2 u apart along both axes, where the sum of their numbers is odd.
         if finer == -1:  # the centre of a cell of 2 x 2: two of its corners
             turned = ((((x - u) + (y - u)) / (2 * u)) & 1) == 0
             v = wp.where(turned, -u, u)
-            r = intersect_range(domain, x - u, y - v, 0, r)
-            r = intersect_range(domain, x + u, y + v, 0, r)
+            r = intersect_range(domain, x - u, y - v, 0, in_tiles, r)
+            r = intersect_range(domain, x + u, y + v, 0, in_tiles, r)
         else:  # the middle of a side of one: one of the side's ends, and the points 2 u beside the other end
             along = wp.where((x & u) != 0, u, 0)
             across = u - along
             ends = wp.where((((x - along) + (y - across)) / (2 * u) & 1) == 1, 1, -1)
             along = along * ends
             across = across * ends
-            r = intersect_range(domain, x - along, y - across, 0, r)
-            r = intersect_range(domain, x + along + 2 * across, y + across + 2 * along, 0, r)
-            r = intersect_range(domain, x + along - 2 * across, y + across - 2 * along, 0, r)
+            r = intersect_range(domain, x - along, y - across, 0, in_tiles, r)
+            r = intersect_range(domain, x + along + 2 * across, y + across + 2 * along, 0, in_tiles, r)
+            r = intersect_range(domain, x + along - 2 * across, y + across - 2 * along, 0, in_tiles, r)
     return r
+
+
+@wp.func
+def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.bool:
+    """Return whether the box of the diamond split at (x, y) is inside finer tiles that have ranges for its depth.
+
+    It is nested: true for all descendants, too.
+    """
+    levels = domain.levels + domain.finer[0].bits
+    found = wp.bool(False)
+    if depth > 2 * (levels - STORED_BITS):
+        reach = reach_of(domain.unit_bits, depth)
+        shift = domain.unit_bits - levels
+        bits = domain.unit_bits - domain.levels
+        x1 = wp.min(x + reach, (domain.samples.columns - 1) << bits)
+        y1 = wp.min(y + reach, (domain.samples.rows - 1) << bits)
+        i0 = wp.max(x - reach, 0) >> shift
+        j0 = wp.max(y - reach, 0) >> shift
+        found = covers(domain.finer[0], i0, j0, x1 >> shift, y1 >> shift)
+    return found
+
+
+@wp.func
+def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """Return the lowest and highest metres of finer tiles, before scaling, in the box of the diamond at (x, y)."""
+    levels = domain.levels + domain.finer[0].bits
+    shift = domain.unit_bits - levels
+    low = wp.float64(0.0)
+    high = wp.float64(0.0)
+    if depth <= 2 * levels:
+        r = range_at(domain, x, y, depth, levels, wp.bool(True))
+        low = domain.finer[0].range_base + wp.float64(r[0]) * domain.finer[0].range_step
+        high = domain.finer[0].range_base + wp.float64(r[1]) * domain.finer[0].range_step
+    else:
+        reach = reach_of(domain.unit_bits, depth)
+        i1 = wp.min((x + reach - 1) >> shift, ((domain.samples.columns - 1) << domain.finer[0].bits) - 1)
+        j1 = wp.min((y + reach - 1) >> shift, ((domain.samples.rows - 1) << domain.finer[0].bits) - 1)
+        i0 = wp.max((x - reach) >> shift, 0)
+        j0 = wp.max((y - reach) >> shift, 0)
+        lowest = finer_sample(domain.finer[0], i0, j0)
+        highest = lowest
+        for j in range(j0, j1 + 2):
+            for i in range(i0, i1 + 2):
+                h = finer_sample(domain.finer[0], i, j)
+                lowest = wp.where(h < lowest, h, lowest)
+                highest = wp.where(h > highest, h, highest)
+        low = wp.float64(lowest)
+        high = wp.float64(highest)
+    return low, high
+
+
+@wp.func
+def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: Diamond) -> Diamond:
+    """Return a diamond whose box is inside finer tiles, with the smaller box and rise that their heights allow."""
+    levels = domain.levels + domain.finer[0].bits
+    low, high = heights_in_tiles(domain, x, y, depth)
+    z0 = low * domain.height_scale + domain.height_offset
+    z1 = high * domain.height_scale + domain.height_offset
+    more = domain.max_detail * domain.error_scale
+    rise = wp.abs(z1 - z0)
+    if depth > 2 * levels:  # inside a finer cell, which is bilinear
+        part = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
+        rise = rise * smaller(wp.float64(1 + (depth & 1)) / part, wp.float64(1.0))
+    rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
+    d.low = wp.vec3d(d.low[0], d.low[1], larger(d.low[2], smaller(z0, z1) - more))
+    d.high = wp.vec3d(d.high[0], d.high[1], smaller(d.high[2], larger(z0, z1) + more))
+    d.rise = smaller(d.rise, rise)
+    return d
 
 
 @wp.func
@@ -154,7 +235,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     if beyond:
         high = low
     elif depth <= 2 * domain.levels:
-        r = range_at(domain, x, y, depth)
+        r = range_at(domain, x, y, depth, domain.levels, wp.bool(False))
         low = domain.range_base + wp.float64(r[0]) * domain.range_step
         high = domain.range_base + wp.float64(r[1]) * domain.range_step
     else:
@@ -187,10 +268,21 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
     if domain.detailed == 1 and d.border < 2:
-        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.max_detail * domain.error_scale)
+        beyond_raster = domain.max_detail
+        climb = wp.float64(domain.detail[depth][1])
+        if domain.has_finer == 1:
+            change = change_limits(domain, x, y, depth)
+            side = wp.float64(wp.int32(1) << (domain.unit_bits - half))  # of the cell, lattice units
+            longest = side * (domain.unit_x + domain.unit_y)
+            beyond_raster += wp.float64(change[0])
+            climb += smaller(wp.float64(2.0) * wp.float64(change[0]), wp.float64(change[1]) * longest)
+        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), beyond_raster * domain.error_scale)
         d.low = d.low - more
         d.high = d.high + more
-        d.rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
+        d.rise += climb * domain.error_scale
+        if domain.has_finer == 1:
+            if meets_tiles_alone(domain, x, y, depth):
+                d = inside_tiles(domain, x, y, depth, d)
     return d
 
 

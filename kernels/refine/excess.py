@@ -16,7 +16,7 @@ The leaves are those at a given depth, or all leaves of the tree.
 import warp as wp
 
 from ..field.codes import bilinear, corners_of, twist_of
-from ..field.domain import Domain
+from ..field.domain import INLINED, Domain
 from ..tree.bitfield import Bitfield, is_leaf
 from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
 from .pixels import CriterionArrays, sizes
@@ -36,6 +36,8 @@ STACK = wp.constant(80)  # triangles: one per level, and both of the last
 NEARLY = wp.constant(wp.float64(1.002))
 NEARLY_ON_SCREEN = wp.constant(wp.float64(1.02))
 UNSEEN = wp.constant(wp.float64(-1.0))
+
+wp.set_module_options(INLINED)
 
 
 @wp.struct

@@ -118,7 +118,7 @@ def to_scaled(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.fl
     sign: 1 for a minimum of heights, -1 for one of negated heights.
     """
     if domain.detailed == 1:
-        min_height -= domain.max_detail
+        min_height -= domain.max_change
     return min_height * domain.error_scale + sign * domain.height_offset
 
 
@@ -264,7 +264,7 @@ def ground_near(
                 low_h, high_h = heights_between(domain, x0, y0, x1, y1)
                 z = wp.max(low_h * domain.height_scale, high_h * domain.height_scale)
                 if domain.detailed == 1:
-                    z += domain.max_detail * domain.error_scale
+                    z += domain.max_change * domain.error_scale
                 high = z + domain.height_offset
             else:
                 # With the sign -1, `min_over` returns the negated maximum.

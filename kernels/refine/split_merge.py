@@ -8,7 +8,7 @@ part in a split and in a merge, and both may be written in one pass.
 
 import warp as wp
 
-from ..field.domain import Domain
+from ..field.domain import INLINED, Domain
 from ..leb.bisection import SquareGrid, can_merge, node_of, split_conforming, triangle_of
 from ..tree.atomic import highest_bit
 from ..tree.bitfield import ONE, Bitfield, decode_leaf, heap_id_of
@@ -17,9 +17,7 @@ from .interval import measure_diamond, too_coarse
 from .pixels import CriterionArrays
 from .stored_errors import error_at
 
-# Warp passes structs by value. LLVM undoes that where it inlines; with Warp's threshold of 9000 it does not inline
-# `is_too_coarse`, and a pass takes 1.45 times as long.
-wp.set_module_options({"cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=30000"})
+wp.set_module_options(INLINED)
 
 MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a node; without it, to split a leaf
 

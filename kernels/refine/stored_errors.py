@@ -8,11 +8,13 @@ import warp as wp
 
 from ..field.codes import corners_of, error_of, twist_of
 from ..field.domain import Domain
+from ..field.finer import STORED_BITS, cell_change, limits_over, stored_change
 from ..field.hierarchy import round_up
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
 
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above the rounding of a sum of two float32
+SATURATED = wp.constant(80)  # finer cells, more than the steps after which a quarter of a quarter .. is 0 in float32
 SURE = wp.constant(wp.float64(0.5))  # an error inside the raster's cells is at least this fraction of the stored one
 RINGS = wp.constant(5)  # rings of cells whose twists are evaluated; beyond them a code counts at most 4^-6
 UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # above the rounding of a sum of a dozen
@@ -212,9 +214,53 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
 
 
 @wp.func
+def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2f:
+    """Return the largest magnitude (metres) and slope of the finer tiles' change in the box of a diamond.
+
+    (x, y): where it is split. The result is nested, as boxes are.
+    """
+    reach = reach_of(domain.unit_bits, depth)
+    shift = domain.unit_bits - domain.levels - domain.finer[0].bits
+    wide = domain.unit_bits - ((depth - 1) >> 1) + 1 + (depth & 1)
+    return limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, wide)
+
+
+@wp.func
+def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Return the saturated error, metres before scaling, of the finer tiles' change at the diamond split at (x, y).
+
+    Of diamonds larger than those with stored errors it is the range of the change in their boxes.
+    """
+    levels = domain.levels + domain.finer[0].bits
+    shift = domain.unit_bits - levels
+    i = x >> shift
+    j = y >> shift
+    finer = depth - 2 * levels - 1
+    error = wp.float32(0.0)
+    if depth <= 2 * (levels - STORED_BITS):
+        # Stored errors of cells reach as far as saturation does. The block is twice as large, so it is nested.
+        reach = reach_of(domain.unit_bits, depth) + (wp.int32(SATURATED) << shift)
+        wide = domain.unit_bits - ((depth - 1) >> 1) + 2 + (depth & 1)
+        limits = limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, wide)
+        error = wp.float32(2.0) * limits[0]
+    elif finer < 0:
+        error = stored_change(domain.finer[0], i, j, group_of(levels, depth))
+    else:
+        error = cell_change(domain.finer[0], i, j)
+        if (depth & 1) == 0:  # the middle of an edge that two finer cells share
+            if (i << shift) == x:
+                error = wp.max(error, cell_change(domain.finer[0], i - 1, j))
+            if (j << shift) == y:
+                error = wp.max(error, cell_change(domain.finer[0], i, j - 1))
+        error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
+    return error
+
+
+@wp.func
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
+    Of finer tiles it is what leaves at the diamond's own depth do not represent, which is not less.
     (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
     border may miss all displacement.
     """
@@ -229,6 +275,8 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
         missed += weight * domain.detail[64 * (k + 1) + table_entry][0]
     if domain.masked > 0:
         missed = missed * UP_MASKS
+    if domain.has_finer == 1:
+        missed = (missed + change_missed(domain, x, y, depth)) * UP
     return missed
 
 

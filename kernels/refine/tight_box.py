@@ -11,6 +11,7 @@ import warp as wp
 
 from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
+from ..field.finer import limits_over
 from .diamond import Diamond, larger, smaller
 from .local_view import CROSSED, OUTSIDE, PERSPECTIVE, LocalView, classify_box, min_over_box
 from .pixels import farthest_pixel2, nearest_pixel2
@@ -65,8 +66,13 @@ def box_between(
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
         min_height, max_height = heights_between(domain, x0, y0, x1, y1)
-        min_height -= domain.max_detail
-        max_height += domain.max_detail
+        more = domain.max_detail
+        if domain.has_finer == 1:
+            shift = domain.unit_bits - domain.levels - domain.finer[0].bits
+            wide = domain.unit_bits - ((depth - 1) >> 1)
+            more += wp.float64(limits_over(domain.finer[0], x0, y0, x1, y1, shift, wide)[0])
+        min_height -= more
+        max_height += more
         z0 = min_height * domain.height_scale + domain.height_offset
         z1 = max_height * domain.height_scale + domain.height_offset
         # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.

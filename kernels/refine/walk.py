@@ -13,7 +13,7 @@ subtrees and the slice's lists.
 
 import warp as wp
 
-from ..field.domain import Domain
+from ..field.domain import INLINED, Domain
 from .block import MAX_BISECTIONS
 from .diamond import fetch_range, leaves_range_tile
 from .emit import can_copy_block, emit
@@ -49,6 +49,8 @@ from .walk_state import STACK, Cursor, Square, Walk, Written
 # Measure a diamond even if it will certainly be split when its interval leaves more than NARROWED levels undecided: a
 # tighter interval often decides them all. Only at even depths, whose boxes are tighter (`reach_of`).
 NARROWED = wp.constant(2)
+
+wp.set_module_options(INLINED)
 
 
 @wp.func

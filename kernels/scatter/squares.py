@@ -45,8 +45,8 @@ def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float
                 index = wp.int64(2) * entry(q.ranges, i, j)
                 low = smaller(low, wp.float64(item_at(domain.ranges, index)))
                 high = larger(high, wp.float64(item_at(domain.ranges, index + wp.int64(1))))
-        low = domain.range_base + low * domain.range_step - domain.max_detail
-        high = domain.range_base + high * domain.range_step + domain.max_detail
+        low = domain.range_base + low * domain.range_step - domain.max_change
+        high = domain.range_base + high * domain.range_step + domain.max_change
     return low, high
 
 

@@ -36,7 +36,7 @@ class AccuracySubject:
 
     Attributes:
         name, heights: start of the names of its files, and its height field.
-        frames: what is measured.
+        frames: those to measure.
         frame_numbers: numbers of these frames, [] for a single view without one.
         seen: the camera, as a phrase after "seen".
         current: the setting that the scene (or an export) uses, None if it has no error.

@@ -55,7 +55,7 @@ def lies_beside(settings) -> bool:
 
 
 def can_write_beside() -> bool:
-    """Return whether the file is saved, and the folder `terrain` beside it can be written or made."""
+    """Return whether the file is saved, and the folder `terrain` next to it can be written or created."""
     if not bpy.data.filepath:
         return False
     folder = Path(bpy.data.filepath).parent

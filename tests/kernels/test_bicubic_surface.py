@@ -10,8 +10,8 @@ from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.kernels.accuracy.cubic import cubic_at, height_bounds
 from adaptive_terrain.kernels.bicubic.surface import in_patch
+from adaptive_terrain.kernels.field.cells import on_sample
 from adaptive_terrain.kernels.field.codes import Samples
-from adaptive_terrain.kernels.mesh.displace import on_sample
 from fields import bezier
 
 SHAPES = [(2, 2), (2, 5), (3, 9), (9, 25)]

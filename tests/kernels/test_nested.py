@@ -20,6 +20,7 @@ from adaptive_terrain.cbt_terrain.view.local_view import localise
 from adaptive_terrain.cbt_terrain.view.spans import PlanUnits, spans_of
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, rough
+from finer_fields import finer_field
 from twins import load
 
 VIEWS = max(300, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")))
@@ -36,7 +37,8 @@ def grounds():
     y, x = np.mgrid[0:60, 0:45]
     cliffs = np.where(x + 0.3 * y > 30, 700.0, 0.0) + np.where(y > 40, 301.0, 0.0)
     fields = [rough(33, 65, 4, relief=300.0), from_array(cliffs.astype(np.float32), 2.0)]
-    return [*fields, *(interpolated(field, "bicubic") for field in fields)]
+    tiled = finer_field(33, 40, 3, ((0, 0), (1, 1)), 3, 60.0), finer_field(40, 40, 6, ((1, 1), (2, 2), (9, 9)), 5)
+    return [*fields, *(interpolated(field, "bicubic") for field in fields), *tiled]
 
 
 def a_placement(rng: np.random.Generator) -> np.ndarray:

@@ -125,7 +125,7 @@ def _read_holder(search: _Search, obj) -> None:
 
 
 class _Waiting(NamedTuple):
-    """A modifier that counts once it uses an object that holds the terrain's geometry; `found`: what it reads then."""
+    """A modifier that counts once it uses an object with the terrain's geometry; `found`: the attributes it reads."""
 
     obj: object
     modifier: object

@@ -144,7 +144,7 @@ def test_meshes_of_random_views_have_no_crack(kind, surface):
 @wp.kernel
 def ranges_in_kernel(domain: Domain, points: wp.array(dtype=wp.vec3i), out: wp.array(dtype=wp.vec2i)):
     p = points[wp.tid()]
-    out[wp.tid()] = range_at(domain, p[0], p[1], p[2])
+    out[wp.tid()] = range_at(domain, p[0], p[1], p[2], domain.levels, wp.bool(False))
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, (2, 4)])

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finer tiles: heights at a fraction of a raster's step where they are known, as a city at 1 m in a country at 32 m.
+
+A tile has SIDE x SIDE finer cells. Inside the tiles the surface is bilinear between the finer heights, elsewhere it is
+that of the raster. Around the tiles with known heights there is a ring of tiles with the raster's own surface, so that
+every diamond that meets a known height has its vertex in a tile.
+
+The *change*, the difference of the two surfaces, is a displacement of the raster's surface, and bounded like one: its
+error is added to that of the raster. For diamonds of cells of 2^STORED_BITS finer cells and smaller it is the saturated
+error of hierarchy.py, computed from the differences at the finer samples. It is 0 where there is no tile, because no
+height changes there. Larger diamonds take twice the largest change in their box. Both are nested, and so is their sum
+with the raster's errors.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field import finer as kernels
+from ..run.buffers import flat, shared
+from . import codes
+from .blocks import level_shapes
+from .lattice import Lattice
+
+TILE_BITS, SIDE, STRIDE = int(kernels.TILE_BITS), int(kernels.SIDE), int(kernels.STRIDE)
+MAX_BITS = TILE_BITS  # a raster cell is not larger than a tile
+REACH = 3 << int(kernels.STORED_BITS) - 1  # finer cells from a diamond's vertex to its box's border, at most
+TILE_BYTES = 4 * STRIDE * STRIDE + int(kernels.ERRORS) + 4 * int(kernels.RANGES)  # of a tile in a store
+ARRAYS = "numbers", "heights", "errors", "ranges", "limits"  # in files of a store
+NUMBERS = "bits", "exponent", "range_base", "range_step"  # in its JSON file
+
+
+@dataclass(frozen=True, eq=False)
+class FinerTiles:
+    """The finer tiles of a raster; kernels/field/finer.py says how they are stored.
+
+    Attributes:
+        bits: a raster cell has 2^bits finer cells a side.
+        numbers: int32 [rows, columns], number of each tile, -1 where there is none.
+        heights: float32 [tiles, STRIDE, STRIDE], metres.
+        errors: uint8 [tiles, ERRORS], codes of the errors of the change.
+        ranges: uint16 [tiles, RANGES, 2], codes of the lowest and highest heights of diamonds.
+        range_base, range_step: metres of code 0, and of a step.
+        exponent: of the table of the error codes (codes.py).
+        limits: float32 [blocks, 2], largest change, metres, and its slope, of each place of `numbers`, of 2 x 2 places,
+            and so on.
+        digest: identifies the content; "" for those of a store.
+    """
+
+    bits: int
+    numbers: np.ndarray
+    heights: np.ndarray
+    errors: np.ndarray
+    ranges: np.ndarray
+    range_base: float
+    range_step: float
+    exponent: int
+    limits: np.ndarray
+    digest: str = ""
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays in the order of ARRAYS."""
+        return self.numbers, self.heights, self.errors, self.ranges, self.limits
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """Return the entry of a store's JSON."""
+        numbers = {name: getattr(self, name) for name in NUMBERS}
+        return {"tiles": len(self.heights)} | numbers
+
+    @property
+    def max_change(self) -> float:
+        """Return the largest change of a height, metres."""
+        return float(self.limits[-1, 0])
+
+    @property
+    def max_slope(self) -> float:
+        """Return the largest slope of the change along an axis."""
+        return float(self.limits[-1, 1])
+
+    @cached_property
+    def packed(self) -> wp.array:
+        """Return the tiles as kernels read them, an array of one struct; memory is shared."""
+        tiles = kernels.PackedTiles()
+        tiles.bits = self.bits
+        tiles.rows, tiles.columns = self.numbers.shape
+        tiles.tiles = flat(self.numbers, wp.int32)
+        tiles.heights = codes.pack_samples(self.heights.reshape(-1, STRIDE), None)
+        tiles.errors = flat(self.errors, wp.uint8)
+        tiles.table = shared(codes.tables([self.exponent])[0], wp.float32)
+        tiles.ranges = flat(self.ranges, wp.uint16)
+        tiles.range_base, tiles.range_step = self.range_base, self.range_step
+        tiles.limits = shared(self.limits, wp.vec2f)
+        tiles.top = (max(self.numbers.shape) - 1).bit_length()
+        packed = wp.array([tiles], dtype=kernels.PackedTiles, device="cpu")
+        packed.parts = tiles  # its arrays live as long
+        return packed
+
+
+def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
+    """Return shape and type of each array of finer tiles, by the name of its file."""
+    rows, columns = tile_shape(lattice, bits)
+    blocks = sum(high * wide for high, wide in level_shapes(rows, columns))
+    return {
+        "finer_numbers": ((rows, columns), np.int32),
+        "finer_heights": ((tiles, STRIDE, STRIDE), np.float32),
+        "finer_errors": ((tiles, int(kernels.ERRORS)), np.uint8),
+        "finer_ranges": ((tiles, int(kernels.RANGES), 2), np.uint16),
+        "finer_limits": ((blocks, 2), np.float32),
+    }
+
+
+def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
+    """Return rows and columns of the table of tiles: also those beyond the border that diamonds inside reach into."""
+    rows, columns = (((cells << bits) + REACH >> TILE_BITS) + 1 for cells in (lattice.cells_y, lattice.cells_x))
+    return rows, columns
+
+
+def from_store(entry: dict[str, Any], arrays: dict[str, np.ndarray]) -> FinerTiles:
+    """Return the finer tiles of a store. entry: `FinerTiles.entry`. arrays: by the names of `array_shapes`."""
+    values: dict[str, Any] = {name: entry[name] for name in NUMBERS}
+    values |= {name: arrays[f"finer_{name}"] for name in ARRAYS}
+    return FinerTiles(**values)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mosaics whose finer files cover little: a grid for the coarser files, and finer tiles where the finer files are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..field.finer_tiles import MAX_BITS, SIDE
+from .target_grid import TargetGrid
+
+FEWEST = 1 << 29  # samples of a grid with the finest step; fewer are imported with one step in some minutes
+SAVING = 4  # at least this many times fewer samples
+
+
+@dataclass(frozen=True, eq=False)
+class FinerPlan:
+    """The division of a mosaic.
+
+    Attributes:
+        grid: of every 2^bits-th column and row of the finest grid.
+        bits: log2 of the finest samples along a cell of that grid.
+        boxes: int64 [files, 4], first column and row and last ones of each finer file in the finest grid.
+        tiles: number of finer tiles, with those around the files.
+    """
+
+    grid: TargetGrid
+    bits: int
+    boxes: np.ndarray
+    tiles: int
+
+
+def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
+    """Return the division of a mosaic; None if one step everywhere takes little more space.
+
+    grid: with the finest step. levels, steps, boxes: of its files, as in `Composite`.
+    """
+    is_finer = levels > 0
+    if not is_finer.any() or grid.width * grid.height < FEWEST:
+        return None
+    bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
+    width, height = ((count - 1 >> bits) + 1 for count in (grid.width, grid.height))
+    low = np.floor(boxes[is_finer, :2]).astype(np.int64) - (grid.column, grid.row)
+    high = np.ceil(boxes[is_finer, 2:]).astype(np.int64) - (grid.column, grid.row)
+    files = np.concatenate([low, high], axis=1)
+    tiles = _count_tiles(grid, files)
+    needed = width * height + tiles * SIDE * SIDE
+    if bits < 1 or SAVING * needed > grid.width * grid.height or min(width, height) < 3:
+        return None
+    x0, y0 = grid.positions(np.array(grid.column), np.array(grid.row))
+    part = grid._replace(x0=float(x0), y0=float(y0), column=0, row=0, width=width, height=height)
+    return FinerPlan(part._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits), bits, files, tiles)
+
+
+def _count_tiles(grid: TargetGrid, files: np.ndarray) -> int:
+    """Return the number of tiles of a grid that files, or tiles beside theirs, meet. files: see `FinerPlan.boxes`."""
+    there = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
+    for west, north, east, south in files // SIDE:
+        there[max(north - 1, 0) : south + 2, max(west - 1, 0) : east + 2] = True
+    return int(there.sum())

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finer tiles: squares of a raster whose heights, at a fraction of its step, replace the raster's surface there.
+
+`cbt_terrain/field/finer_tiles.py` makes them. The *change* is the surface of the tiles less the bilinear one of the
+raster, 0 outside of tiles. It counts as a displacement: its errors and slopes are added to those of the raster.
+"""
+
+import warp as wp
+
+from ..unchecked import item_at
+from .cells import in_cell
+from .codes import Samples, corners_of, sample_at, sample_index
+from .layout import tile_index
+
+TILE_BITS = wp.constant(8)  # a tile has 2^8 finer cells a side
+SIDE = wp.constant(256)
+STRIDE = wp.constant(259)  # samples in a row: also one before the tile's first, and one after its last
+# Errors are stored of diamonds of cells of 2^6 finer cells and smaller: of three groups of depths, and of finer cells.
+STORED_BITS = wp.constant(6)
+ERRORS = wp.constant(136192)  # codes of a tile
+CELLS = wp.constant(70656)  # ... the first of its finer cells
+RANGES = wp.constant(18432)  # height ranges of a tile, of every other sample and three groups, too
+
+
+@wp.struct
+class PackedTiles:
+    """The finer tiles of a raster, which share its memory."""
+
+    bits: wp.int32  # a raster cell has 2^bits finer cells a side
+    columns: wp.int32  # of the table of tiles; one column and row are beyond the raster's border
+    rows: wp.int32
+    tiles: wp.array(dtype=wp.int32)  # ... number of each tile, -1 where there is none
+    heights: Samples  # of all tiles, one above the other: STRIDE rows of STRIDE samples each
+    errors: wp.array(dtype=wp.uint8)  # ERRORS codes a tile, of the change
+    table: wp.array(dtype=wp.float32)  # metres of the codes
+    ranges: wp.array(dtype=wp.uint16)  # two codes of each of the RANGES of a tile; a height is base + code * step
+    range_base: wp.float64
+    range_step: wp.float64
+    # Largest magnitude of the change, metres, and its largest slope along an axis, of each place of the table, of 2 x 2
+    # places, and so on.
+    limits: wp.array(dtype=wp.vec2f)
+    top: wp.int32  # ... last level
+
+
+@wp.func
+def tile_at(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.int32:
+    """Return the number of the tile that holds finer cell (i, j); -1 for none."""
+    x = i >> TILE_BITS
+    y = j >> TILE_BITS
+    found = wp.int32(-1)
+    if x >= 0 and y >= 0 and x < finer.columns and y < finer.rows:
+        found = item_at(finer.tiles, wp.int64(y) * wp.int64(finer.columns) + wp.int64(x))
+    return found
+
+
+@wp.func
+def finer_corners(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32) -> wp.vec4d:
+    """Return the heights at the corners of finer cell (i, j) of a tile, as `corners_of`."""
+    return corners_of(finer.heights, 1 + (i & (SIDE - 1)), tile * STRIDE + 1 + (j & (SIDE - 1)))
+
+
+@wp.func
+def finer_at(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Return the height (metres) and its slopes (metres a raster cell) in finer cell (i, j) of a tile, before scaling.
+
+    s, t: position in the finer cell, 0 .. 1. Slopes are interpolated between samples.
+    """
+    g = in_cell(finer.heights, 1 + (i & (SIDE - 1)), tile * STRIDE + 1 + (j & (SIDE - 1)), s, t)
+    a_cell = wp.float64(wp.int32(1) << finer.bits)
+    return wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+
+
+@wp.func
+def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.float32:
+    """Return the stored error, metres, of the change at the diamond with its vertex at finer sample (i, j).
+
+    group: of depths, 0 for the finest cells of 2 x 2.
+    """
+    tile = tile_at(finer, i, j)
+    error = wp.float32(0.0)
+    if tile >= 0:
+        x = (i & (SIDE - 1)) >> (2 * group)
+        y = (j & (SIDE - 1)) >> (2 * group)
+        first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
+        at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
+        code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + at)
+        error = item_at(finer.table, wp.int32(code))
+    return error
+
+
+@wp.func
+def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Return the stored error, metres, of the change in finer cell (i, j)."""
+    tile = tile_at(finer, i, j)
+    error = wp.float32(0.0)
+    if tile >= 0:
+        at = wp.int64(CELLS) + tile_index(i & (SIDE - 1), j & (SIDE - 1), 8)
+        error = item_at(finer.table, wp.int32(item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + at)))
+    return error
+
+
+@wp.func
+def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
+    """Return the index of the range of heights of the diamond with its vertex at finer sample (i, j); -1 for none.
+
+    group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer cells.
+    """
+    tile = tile_at(finer, i, j)
+    found = wp.int64(-1)
+    if tile >= 0:
+        x = (i & (SIDE - 1)) >> (1 + 2 * group)
+        y = (j & (SIDE - 1)) >> (1 + 2 * group)
+        first = wp.where(group == 0, 0, wp.where(group == 1, 16384, 17408))
+        at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 4, 1))
+        found = wp.int64(2) * (wp.int64(tile) * wp.int64(RANGES) + at)
+    return found
+
+
+@wp.func
+def covers(finer: PackedTiles, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32) -> wp.bool:
+    """Return whether tiles hold all finer samples from (i0, j0) to (i1, j1), which are in 2 x 2 tiles at most."""
+    first = tile_at(finer, i0, j0) >= 0 and tile_at(finer, i1, j1) >= 0
+    return first and tile_at(finer, i1, j0) >= 0 and tile_at(finer, i0, j1) >= 0
+
+
+@wp.func
+def finer_sample(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Return the height of finer sample (i, j), which a tile holds, metres before scaling."""
+    row = tile_at(finer, i, j) * STRIDE + 1 + (j & (SIDE - 1))
+    return sample_at(finer.heights, sample_index(finer.heights, 1 + (i & (SIDE - 1)), row))
+
+
+@wp.func
+def limits_over(
+    finer: PackedTiles, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, shift: wp.int32, wide: wp.int32
+) -> wp.vec2f:
+    """Return the largest magnitude (metres) and slope of the change in a lattice rectangle (x0, y0) .. (x1, y1).
+
+    shift: log2 of the lattice units of a finer cell. wide: log2 of lattice units that are at least the rectangle's
+    sides. The tiles are looked up in blocks at least as wide, so 2 x 2 are read at most; blocks are nested, and so is
+    the result of nested rectangles.
+    """
+    level = wp.clamp(wide - shift - TILE_BITS, 0, finer.top)
+    first = wp.int64(0)
+    for k in range(level):
+        first += wp.int64(((finer.columns - 1) >> k) + 1) * wp.int64(((finer.rows - 1) >> k) + 1)
+    columns = (finer.columns - 1) >> level
+    rows = (finer.rows - 1) >> level
+    shift += TILE_BITS + level
+    found = wp.vec2f()
+    for j in range(wp.max(y0 >> shift, 0), wp.min(y1 >> shift, rows) + 1):
+        for i in range(wp.max(x0 >> shift, 0), wp.min(x1 >> shift, columns) + 1):
+            item = item_at(finer.limits, first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i))
+            found = wp.vec2f(wp.max(found[0], item[0]), wp.max(found[1], item[1]))
+    return found

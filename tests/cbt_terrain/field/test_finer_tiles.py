@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finer tiles beside a dense grid of the same surface: heights, bounds, cracks, rays, and what they cannot do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
+from adaptive_terrain.cbt_terrain.field.heightfield import anchored
+from adaptive_terrain.cbt_terrain.query.box import box_range
+from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.query.rays import pick
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from fields import extent, mesh_heights, random_view, reference_heights, screen_error
+from finer_fields import dense_field, dense_heights, dense_raster, finer_field
+from invariants import assert_invariants
+
+
+@pytest.fixture(scope="module")
+def field():
+    return finer_field()
+
+
+@pytest.fixture(scope="module")
+def dense(field):
+    return dense_field(field)
+
+
+def places_on(field, count, seed):
+    """Return points of the terrain, half of them in or near known tiles, at finer samples and between them."""
+    rng = np.random.default_rng(seed)
+    low = np.array(field.lattice.rectangle()[:2])
+    free = low + rng.random((count, 2)) * extent(field)[:2]
+    tiles, side = field.raster.finer, SIDE * field.lattice.step_x / (1 << field.raster.finer.bits)
+    rows, columns = np.nonzero(tiles.numbers >= 0)
+    some = rng.integers(len(rows), size=count)
+    near = low + (np.stack([columns[some], rows[some]], 1) + rng.random((count, 2))) * side
+    near[::3] = low + np.round((near[::3] - low) * (SIDE / side)) * (side / SIDE)
+    found = np.concatenate([free, near])
+    high = np.array(field.lattice.rectangle()[2:])
+    return found[((found >= low) & (found <= high)).all(axis=1)]
+
+
+def test_heights_are_those_of_a_dense_grid(field, dense):
+    places = places_on(field, 4000, 1)
+    ground, expected = ground_at(field, places), ground_at(dense, places)
+    assert np.abs(ground.heights - expected.heights).max() < 2e-5
+    known = np.abs(reference_heights(field, places) - expected.heights) > 0.1
+    assert known.sum() > 300
+    inner = known & (np.abs(expected.normals[:, 2]) < 2)
+    assert np.degrees(np.arccos(np.clip((ground.normals * expected.normals).sum(axis=1), -1, 1)))[inner].max() < 0.5
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_bounds_hold_in_random_views(field, dense, meshlet):
+    rng = np.random.default_rng(5 + meshlet)
+    places, finest = places_on(field, 6000, 2), 0
+    for number in range(12):
+        view = random_view(rng, field)
+        if number % 2:
+            at = places[rng.integers(len(places))]
+            z = float(reference_heights(dense, at[None])[0])
+            view = View.look((*at, z + 10 ** rng.uniform(0.3, 2.5)), (*(at + rng.normal(size=2) * 300), z))
+        criterion = Criterion(error_px=float(10 ** rng.uniform(-0.5, 1)), meshlet=meshlet, max_triangles=400_000)
+        update = Terrain(field).update(criterion, [view])
+        assert_invariants(update.surface, field.lattice, meshlet)
+        assert screen_error(view, dense, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
+        finest = max(finest, int(update.surface.level.max()))
+    assert finest > field.lattice.cell_depth + 2 * field.raster.finer.bits
+
+
+def test_bound_in_metres_holds_over_the_whole_mesh(field, dense):
+    places = places_on(field, 20_000, 3)
+    for error_m in (3.0, 0.5):
+        update = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
+        off = np.abs(mesh_heights(update.surface, places) - reference_heights(dense, places))
+        assert off.max() <= update.bound_m and update.bound_m <= error_m * (1 + 1e-6)
+        assert off.max() > 0.2 * error_m
+        assert_invariants(update.surface, field.lattice)
+
+
+def test_edges_and_areas_have_no_cracks(field):
+    at = np.array(field.lattice.rectangle()[:2]) + SIDE * 2.0 * np.array([2.6, 3.4])
+    view = View.look((*at, 160.0), (*(at + 400), 60.0))
+    for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
+        update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
+        assert_invariants(update.surface, field.lattice)
+
+
+def test_triangles_are_not_many_more_than_of_a_dense_grid(field, dense):
+    at = np.array(field.lattice.rectangle()[:2]) + SIDE * 2.0 * np.array([2.6, 3.4])
+    view = View.look((*at, 160.0), (*(at + 400), 60.0))
+    counts = [Terrain(f).update(Criterion(error_px=1.0), [view]).triangles for f in (field, dense)]
+    assert counts[1] < counts[0] < 1.2 * counts[1]
+
+
+def test_rays_and_boxes_agree_with_a_dense_grid(field, dense):
+    rng = np.random.default_rng(4)
+    places = places_on(field, 1500, 4)
+    origins = np.c_[places, np.full(len(places), field.max_height + 20.0)]
+    targets = np.c_[places[rng.permutation(len(places))], rng.uniform(-50, 0, len(places))]
+    ways = [pick(f, origins, targets - origins).distance for f in (field, dense)]
+    assert np.array_equal(np.isfinite(ways[0]), np.isfinite(ways[1])) and np.isfinite(ways[0]).mean() > 0.5
+    assert np.nanquantile(np.abs(ways[0] - ways[1]), 0.99) < 1e-3
+    for _ in range(20):
+        low = places[rng.integers(len(places))]
+        box = (*low, *(low + 10 ** rng.uniform(0, 2.5, 2)))
+        assert np.allclose(box_range(field, *box), box_range(dense, *box), atol=2e-5, equal_nan=True)
+
+
+def test_frames_after_each_other_are_those_of_a_new_terrain(field):
+    low = np.array(field.lattice.rectangle()[:2])
+    kept = Terrain(field)
+    for k in range(5):
+        at = low + SIDE * 2.0 * (np.array([2.2, 2.8]) + 0.2 * k)
+        view = View.look((*at, 140.0), (*(at + 300), 60.0))
+        criterion = Criterion(error_px=1.0, morph=1.5 if k > 2 else 1.0)
+        update, fresh = (terrain.update(criterion, [view]) for terrain in (kept, Terrain(field)))
+        assert update.surface.positions.tobytes() == fresh.surface.positions.tobytes()
+        assert np.array_equal(update.surface.corner_verts, fresh.surface.corner_verts)
+
+
+def test_an_anchor_moves_the_surface_alone(field):
+    places = places_on(field, 500, 6)
+    place = replace(field.raster, origin=np.array([5e5, 5e6, 0.0]), place=(1.0, 0.0, 5e5, 0.0, 1.0, 5e6))
+    moved = anchored(replace(field, raster=place), 1024.0, -1024.0)
+    assert np.allclose(
+        ground_at(moved, places - [1024.0, -1024.0]).heights,
+        ground_at(field, places).heights,
+        atol=1e-9,
+        equal_nan=True,
+    )
+
+
+def test_ring_has_the_heights_of_the_raster(field):
+    """A tile without known heights changes nothing but the strip beside a known tile."""
+    change = dense_heights(field) - dense_raster(field, field.raster.finer.bits)
+    tiles = field.raster.finer
+    known = {(2, 3), (3, 3), (3, 2)}
+    for row, column in np.argwhere(tiles.numbers >= 0):
+        if (column, row) not in known:
+            inner = change[SIDE * row + 1 : SIDE * (row + 1), SIDE * column + 1 : SIDE * (column + 1)]
+            assert not inner.size or np.abs(inner).max() < 1e-5
+
+
+def test_the_key_depends_on_the_tiles(field):
+    other = finer_field(relief=6.5)
+    plain = from_array(field.heights(), 32.0)
+    assert len({str(f.key) for f in (field, other, plain)}) == 3
+
+
+def test_what_finer_tiles_cannot_have_is_refused(field):
+    plain = from_array(np.zeros((20, 20), np.float32), 10.0)
+    for base, bits, known in (
+        (interpolated(plain, "bicubic"), 2, [(0, 0)]),
+        (field, 2, [(0, 0)]),
+        (plain, 0, [(0, 0)]),
+        (plain, 9, [(0, 0)]),
+        (plain, 2, [(5, 0)]),
+    ):
+        with pytest.raises(TerrainError):
+            with_finer_tiles(base, bits, known, lambda _box: np.zeros((1, 1), np.float32))
+    with pytest.raises(TerrainError, match="shape"):
+        with_finer_tiles(plain, 2, [(0, 0)], lambda _box: np.zeros((3, 3), np.float32))
+    with pytest.raises(TerrainError, match="finer tiles"):
+        interpolated(field, "bicubic")

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain with finer tiles in Blender: its mesh, and what it says where they are not supported."""
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.store import Draft
+from adaptive_terrain.operators.session import session
+from fields import reference_heights, rough
+from finer_fields import dense_field
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    """Return a store of 64 x 64 cells of 32 m, with waves at 2 m in its middle."""
+    path = tmp_path_factory.mktemp("stores") / "city"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (65, 65), np.float32)
+    samples[:] = rough(65, 65, 3, relief=60.0).heights()
+    plain = build(samples, 32.0, 32.0, missing=0, allocate=draft.allocate)
+
+    def waves(box):
+        x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None]
+        return (30.0 + 5.0 * np.sin(x / 9.0) * np.cos(y / 7.0)).astype(np.float32)
+
+    draft.publish(with_finer_tiles(plain, 4, [(2, 2)], waves, allocate=draft.allocate), "city", {})
+    return str(path)
+
+
+def test_a_mesh_in_blender_has_the_finer_heights(scene, add_terrain, city):
+    obj = add_terrain()
+    obj.adaptive_terrain.store = city
+    obj.location, obj.scale, obj.rotation_euler = (300.0, -50.0, 20.0), (2.0, 2.0, 1.5), (0.0, 0.0, 0.7)
+    scene.camera.location = (500.0, 300.0, 220.0)
+    bpy.context.view_layer.update()
+    session.update_object(obj)
+    record = session.record_of(obj)
+    assert record.field.raster.finer is not None
+    vertices = np.array([vertex.co for vertex in obj.data.vertices])
+    expected = reference_heights(dense_field(record.field), vertices[:, :2])
+    assert np.abs(vertices[:, 2] - expected).max() < 1e-3
+    beneath = np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0  # the known tile, from the raster's middle
+    assert beneath.sum() > 500
+
+
+def test_a_bicubic_terrain_with_finer_tiles_names_the_remedy(scene, add_terrain, city):
+    obj = add_terrain()
+    obj.adaptive_terrain.store, obj.adaptive_terrain.interpolation = city, "bicubic"
+    with pytest.raises(TerrainError, match=r"finer tiles.*--step"):
+        session.update_object(obj)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Height fields with finer tiles, and their surface by other code: bilinear interpolation of one dense grid."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.finer_build import FinerBox, with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from fields import rough
+
+KNOWN = (2, 3), (3, 3), (3, 2)
+
+
+def finer_field(
+    rows: int = 97, columns: int = 130, bits: int = 4, known=KNOWN, seed: int = 7, relief: float = 6.0
+) -> HeightField:
+    """Return rough land 32 m apart, with more relief in some tiles of 2 m or another fraction."""
+    plain = rough(rows, columns, seed, relief=80.0, step=32.0)
+    rng = np.random.default_rng(seed)
+    waves = rng.uniform(0.02, 0.3, (6, 2)), rng.uniform(0, 6, 6)
+    coarse = dense_raster(plain, bits)
+
+    def read(box: FinerBox) -> np.ndarray:
+        x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None]
+        own = sum(np.sin(a * x + b * y + c) for (a, b), c in zip(*waves, strict=True)) * relief / 6
+        found = coarse[box.y0 : box.y1 + 1, box.x0 : box.x1 + 1] + own
+        found[(x % 97 < 3) & (y % 61 < 2)] = np.nan  # only the raster is known there
+        return found.astype(np.float32)
+
+    return with_finer_tiles(plain, bits, known, read)
+
+
+def dense_raster(field: HeightField, bits: int) -> np.ndarray:
+    """Return the bilinear surface of a raster at all finer samples, float64, without the code of the product."""
+    heights = field.heights().astype(np.float64)
+    for axis in (0, 1):
+        cells = heights.shape[axis] - 1
+        at = np.arange((cells << bits) + 1) / (1 << bits)
+        low = np.minimum(at.astype(int), cells - 1)
+        part = (at - low).reshape((-1, 1) if axis == 0 else (1, -1))
+        heights = np.take(heights, low, axis) * (1 - part) + np.take(heights, low + 1, axis) * part
+    return heights
+
+
+def dense_heights(field: HeightField) -> np.ndarray:
+    """Return the heights of all finer samples of a field with finer tiles, float64."""
+    tiles = field.raster.finer
+    found = dense_raster(field, tiles.bits)
+    for row, column in np.argwhere(tiles.numbers >= 0):
+        part = found[SIDE * row : SIDE * row + SIDE + 1, SIDE * column : SIDE * column + SIDE + 1]
+        part[:] = tiles.heights[tiles.numbers[row, column], 1:-1, 1:-1][: part.shape[0], : part.shape[1]]
+    return found
+
+
+def dense_field(field: HeightField) -> HeightField:
+    """Return a field of all finer samples: the same surface without tiles."""
+    step = 1 << field.raster.finer.bits
+    heights = dense_heights(field).astype(np.float32)
+    return from_array(heights, field.lattice.step_x / step, field.lattice.step_y / step)

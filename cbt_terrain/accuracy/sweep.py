@@ -175,7 +175,7 @@ def _report_part(report: Progress, done: int, count: int, fraction: float) -> No
 def _measure_fit(
     heights: HeightField, setting: Setting, frame: TimedFrame, threads: int | None, on_part: Progress
 ) -> Row:
-    """Return the row of a fit.
+    """Return the row of a fit. frame: gives the placement, vertical scale and offset.
 
     It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
     """

@@ -184,8 +184,8 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
 
     deep: depth, metres, negative on dry samples; wet: samples with water; missing: holes or None; all [rows, columns].
-    A side goes from a corner to the next and is 4 * sample + direction. Of both diagonals the one is taken whose
-    shallower end is deeper, so that a river across cells is not cut in two.
+    A side's number is 4 * its first sample + direction (EAST to NORTH_WEST), the same for both triangles that share it.
+    Of both diagonals the one is taken whose shallower end is deeper, so that a river across cells is not cut in two.
     """
     columns = deep.shape[1]
     cells = wet[:-1, :-1] | wet[:-1, 1:] | wet[1:, :-1] | wet[1:, 1:]

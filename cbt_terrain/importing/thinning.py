@@ -70,7 +70,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
             wanted = wanted_rows[first : first + count]
             return np.concatenate([source.read(int(row), 1)[:, wanted_columns] for row in wanted])
         values = raster.pick(rows[first : first + count], columns)
-        coarse.shifted = raster.shifted
+        coarse.shifted = raster.shifted  # the error of datums, which `pick` has set
         return values
 
     def close() -> None:

@@ -270,7 +270,7 @@ def _read_units(
     if not crew.run(work, source, tasks, on_progress):
         return False
     if tasks and not work.records(READ).keys() >= set(chosen):
-        raise _given_up(work)
+        raise _give_up(work)
     return True
 
 
@@ -303,18 +303,21 @@ def _measure_tiles(
     on_progress: Callable[[float], None],
     numbers: Collection[int] | None = None,
 ) -> None:
-    """Measure the tiles that have changed. numbers: those of the tiles to measure, None for all."""
+    """Measure the tiles that have changed. numbers: those of the tiles to measure, None for all.
+
+    Raises TerrainError, and gives the work up, if a tile then has no complete record.
+    """
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
     tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
     crew.run(work, source, tasks, on_progress)
     measured = work.records(MEASURED)
-    if not all("errors" in measured.get(number, ()) for number in chosen):  # a sample that no source has
-        raise _given_up(work)
+    if not all("errors" in measured.get(number, ()) for number in chosen):
+        raise _give_up(work)
 
 
-def _given_up(work: TileWork) -> TerrainError:
-    """Return the error for a work with damaged arrays or records, which is not continued any more."""
+def _give_up(work: TileWork) -> TerrainError:
+    """Mark a work with damaged arrays or records, so that it is not continued, and return the error about it."""
     owned_files.remove_file(work.folder / store_folder.WORK_NAME)
     what = f"What an earlier import has left in {work.folder} is damaged, and is removed"
     return TerrainError(what, fix="check the disk, and import again")

@@ -83,7 +83,8 @@ def reuse_points(history: FrameHistory) -> list[int]:
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
     """Bind the runs of the `points` inside each leaf that both frames have to the arguments of the next `displace`.
 
-    now: the vertices of the next frame. Return the numbers of the list of all other points and of the list of these.
+    now: the vertices of the next frame. Return the `slots` of `displace`: for all other points 1, a list that does not
+    exist, so that they are not copied, and for these points 0.
     """
     scratch, before = history.scratch, history.last.vertices
     assert before is not None, "points are reused from the last frame"
@@ -94,8 +95,8 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
     firsts = before.first_inner, now.first_inner
     inputs = [before.leaves, now.leaves, *levels, *firsts, points, runs.runs, runs.counts]
     launch.once(meshlet_kernels.find_common_points, inputs, step="meshlets", recorded=history.next.arrays.launches)
-    nothing = np.zeros(1, np.int64)
-    _copy(history, runs, nothing, nothing)
+    zero = np.zeros(1, np.int64)
+    _copy(history, runs, zero, zero)
     return [1, 0]
 
 

@@ -20,7 +20,10 @@ def fade(t: wp.float64) -> wp.float64:
 
 @wp.func
 def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return value noise at (x, y), -1 .. 1: the mean of the four lattice values around, weighted by the fade."""
+    """Return value noise at (x, y), -1 .. 1: the mean of the four lattice values around, weighted by the fade.
+
+    x, y: cells of the noise's lattice.
+    """
     column = wp.int64(wp.floor(x))
     row = wp.int64(wp.floor(y))
     east = fade(x - wp.float64(column))

@@ -188,8 +188,8 @@ def point_errors(
 ):
     """Write the distance in pixels between the projections of two displaced copies of point offset + tid.
 
-    x, y: the reference point, units of 2^-(bits + 7) cells. before, after: heights of the copies above the reference
-    surface, metres.
+    It is 0 where the reference point is nearer than `eye.near`. x, y: the reference point, units of 2^-(bits + 7)
+    cells. before, after: heights of the copies above the reference surface, metres.
     """
     p = offset + wp.tid()
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))

@@ -95,9 +95,9 @@ def match_anywhere(
 ):
     """Append runs of points that both surfaces have in any order, if the last one has about five eighths of the rest.
 
-    One thread. runs, found: continued from `match_in_order`. table [2**bits]: scratch, -1 before. It has one point for
-    each hash of x and y, so that a run may begin late, but none is wrong. Points of one hash in 64 estimate the
-    fraction; after a cut it is too small to search.
+    One thread. runs [count], found (number of runs, first point to find): continued from `match_in_order`. table
+    [2**bits]: scratch, -1 before. It has one point for each hash of x and y, so that a run may begin late, but none is
+    wrong. Points of one hash in 64 estimate the fraction; after a cut it is too small to search.
     """
     for i in range(last_count):
         slot = hash_slot(last[i], bits)

@@ -39,6 +39,7 @@ def run(
     """Bake the maps of every subject and print a line for each.
 
     `budget_mb`: megabytes, shared evenly by the subjects; `form`: png or exr; None keeps the values of the requests.
+    `show_progress`: whether to draw a bar; None: in a terminal only.
     """
     bar = Progress(len(subjects), "maps", show_progress)
     try:

@@ -57,6 +57,8 @@ def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
 
 
 class LandPresets(PresetPanel, bpy.types.Panel):
+    """The presets of a land; the buttons act on the terrain that the panel shows."""
+
     bl_label = "Land Presets"
     preset_subdir = PRESETS
 

@@ -113,7 +113,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
         TerrainError: the update failed. The panel shows the error, and the mesh stays.
     """
     record = record_of(obj)
-    record.generation += 1
+    record.generation += 1  # an update that is running now is out of date
     try:
         try:
             return _update(obj, record, depsgraph, mode, options)

@@ -248,10 +248,12 @@ def test_missing_samples_behind_2_to_the_31_are_filled(tmp_path):
 
 
 def test_deeper_trees_are_for_rasters_that_had_no_meshes_before():
-    """One square's plane coordinates allow 46 bisections, and of a row of five 40."""
+    """One square's plane coordinates allow 46 bisections, and of a row of five 40. Finer tiles need more than 34."""
     sizes = (2, 2), (28_673, 28_673), (SIDE, SIDE), (5 * 65_536, SIDE)
-    fields = [SimpleNamespace(lattice=fit(*size), detail=None) for size in sizes]
-    assert [depth_limit(field) for field in fields] == [34, 34, 46, 40]
+    for finer, expected in ((None, [34, 34, 46, 40]), (object(), [40, 40, 46, 40])):
+        raster = SimpleNamespace(finer=finer)
+        fields = [SimpleNamespace(lattice=fit(*size), detail=None, raster=raster) for size in sizes]
+        assert [depth_limit(field) for field in fields] == expected
 
 
 def test_coordinates_number_2_to_the_29_samples_a_side():

@@ -19,7 +19,8 @@ def rectangle_ranges(
     """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2].
 
     In metres before vertical scaling. A range encloses the ground of its rectangle, without the detail, and no more
-    than that within a sixteenth of the smallest rectangle's side around it, apart from rounding.
+    than that within a sixteenth of the smallest rectangle's side around it, apart from rounding and from the largest
+    change of finer tiles.
 
     Args:
         columns: west and east side of each column, in samples from the raster's western border.
@@ -40,7 +41,8 @@ def rectangle_ranges(
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         found = np.stack([low, high], axis=-1)
-    return field.range_base + found * field.range_step
+    change = field.raster.finer.max_change if field.raster.finer is not None else 0.0
+    return field.range_base + found * field.range_step + (-change, change)
 
 
 def _cells(field: HeightField, bits: int) -> np.ndarray:

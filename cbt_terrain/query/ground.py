@@ -80,8 +80,8 @@ def profile(
 ) -> Profile:
     """Return heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
 
-    Without a spacing, at its points and wherever it crosses a line of samples; between two of these a bilinear surface
-    is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end.
+    Without a spacing, at its points and wherever it crosses a line of samples, finer tiles' too; between two of these
+    a bilinear surface is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end.
     """
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
@@ -123,8 +123,9 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     line: float64 [n, 2], metres. ends: metres along the line at its n points.
     """
     lattice = field.lattice
-    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
-    cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))
+    count = 1 << field.raster.finer.bits if field.raster.finer is not None else 1  # finer cells along a raster cell
+    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y]) / count
+    cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x * count, lattice.cells_y * count))
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []
     for segment, (a, b) in enumerate(pairwise(line)):

@@ -8,11 +8,12 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.cell_ranges import rectangle_ranges
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.query.box import box_range
-from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.query.ground import ground_at, profile
 from adaptive_terrain.cbt_terrain.query.rays import pick
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -112,6 +113,23 @@ def test_rays_and_boxes_agree_with_a_dense_grid(field, dense):
         low = places[rng.integers(len(places))]
         box = (*low, *(low + 10 ** rng.uniform(0, 2.5, 2)))
         assert np.allclose(box_range(field, *box), box_range(dense, *box), atol=2e-5, equal_nan=True)
+
+
+def test_profiles_follow_the_finer_heights(field, dense):
+    low = np.array(field.lattice.rectangle()[:2])
+    line = low + SIDE * 2.0 * np.array([[1.3, 2.1], [3.9, 3.7]])
+    found, expected = (profile(f, line) for f in (field, dense))
+    assert len(found.along) == len(expected.along) > 500
+    assert np.abs(found.heights - expected.heights).max() < 2e-5
+
+
+def test_ranges_of_rectangles_enclose_the_finer_heights(field):
+    heights, part = dense_heights(field), 16 << field.raster.finer.bits
+    sides = [(16 * n, 16 * n + 16) for n in range(8)]
+    ranges = rectangle_ranges(field, sides, sides[:6])
+    for row, column in np.ndindex(6, 8):
+        inside = heights[part * row : part * (row + 1) + 1, part * column : part * (column + 1) + 1]
+        assert ranges[row, column, 0] <= inside.min() and inside.max() <= ranges[row, column, 1]
 
 
 def test_frames_after_each_other_are_those_of_a_new_terrain(field):

@@ -104,7 +104,7 @@ class FinerTiles:
 def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
     """Return shape and type of each array of finer tiles, by the name of its file."""
     rows, columns = tile_shape(lattice, bits)
-    blocks = sum(high * wide for high, wide in level_shapes(rows, columns))
+    blocks = sum(int(high * wide) for high, wide in level_shapes(rows, columns))
     return {
         "finer_numbers": ((rows, columns), np.int32),
         "finer_heights": ((tiles, STRIDE, STRIDE), np.float32),

@@ -5,7 +5,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v p
 VENV ?= .venv
 TESTS ?= tests
 SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_importing.py mesh/test_surface.py) \
-	$(addprefix tests/cbt_terrain/,refine/test_refinement.py test_terrain.py tree/test_tree.py) \
+	$(addprefix tests/cbt_terrain/,mosaic/test_finer_import.py refine/test_refinement.py test_terrain.py tree/test_tree.py) \
 	$(addprefix tests/operators/,bridge/test_mesh_writer.py export/test_exporting.py session/test_session.py) \
 	$(addprefix tests/operators/,test_handlers.py test_registration.py ui/test_panel.py) \
 	$(addprefix tests/hard_cases/test_,camera_in_blender.py exports_in_blender.py life_in_blender.py)

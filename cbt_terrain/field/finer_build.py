@@ -65,7 +65,7 @@ def with_finer_tiles(
             raise TerrainError(what, expected=f"columns 0 to {shape[1] - 1} and rows 0 to {shape[0] - 1}")
     threads = threads or launch.default_threads()
     numbers = _numbered(known, shape)
-    heights = allocate("finer_heights", (numbers.max(initial=-1) + 1, STRIDE, STRIDE), np.dtype(np.float32))
+    heights = allocate("finer_heights", (int(numbers.max()) + 1, STRIDE, STRIDE), np.dtype(np.float32))
     for done in _fill_heights(plain, bits, known, numbers, heights, read):
         on_progress(0.5 * done)
     ends = _ends(heights)

@@ -37,7 +37,8 @@ AGAIN = "import or shape the terrain again"
 
 def header(shape: tuple[int, ...], dtype: DTypeLike) -> bytes:
     """Return the header of a .npy file, a page of memory long, so that pages of a hierarchy are aligned (layout.py)."""
-    plain = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": tuple(shape)}
+    descr, sizes = np.lib.format.dtype_to_descr(np.dtype(dtype)), tuple(map(int, shape))
+    plain = {"descr": descr, "fortran_order": False, "shape": sizes}
     magic = np.lib.format.magic(1, 0)
     text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"
     return magic + struct.pack("<H", len(text)) + text

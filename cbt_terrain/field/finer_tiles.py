@@ -14,16 +14,19 @@ with the raster's errors.
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ...kernels.field import finer as kernels
+from ..errors import TerrainError
 from ..run.buffers import flat, shared
 from . import codes
 from .blocks import level_shapes
 from .lattice import Lattice
+from .store_arrays import map_array
 
 TILE_BITS, SIDE, STRIDE = int(kernels.TILE_BITS), int(kernels.SIDE), int(kernels.STRIDE)
 MAX_BITS = TILE_BITS  # a raster cell is not larger than a tile
@@ -120,8 +123,16 @@ def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
     return rows, columns
 
 
-def from_store(entry: dict[str, Any], arrays: dict[str, np.ndarray]) -> FinerTiles:
-    """Return the finer tiles of a store. entry: `FinerTiles.entry`. arrays: by the names of `array_shapes`."""
+def open_tiles(folder: Path, lattice: Lattice, entry: dict[str, Any]) -> FinerTiles:
+    """Map the finer tiles in a store's folder of arrays. entry: `FinerTiles.entry`.
+
+    Raises FileNotFoundError if an array is missing, and TerrainError if one is damaged.
+    """
+    shapes = array_shapes(lattice, entry["bits"], entry["tiles"])
     values: dict[str, Any] = {name: entry[name] for name in NUMBERS}
-    values |= {name: arrays[f"finer_{name}"] for name in ARRAYS}
+    values |= {name: map_array(folder / f"finer_{name}.npy", *shapes[f"finer_{name}"]) for name in ARRAYS}
+    numbers = values["numbers"]
+    if numbers.min() < -1 or numbers.max() >= entry["tiles"]:
+        what = f"The store {folder.parent} is damaged (a finer tile has no heights)"
+        raise TerrainError(what, fix="import it again")
     return FinerTiles(**values)

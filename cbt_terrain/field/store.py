@@ -43,7 +43,6 @@ from ..run.owned_files import NotOursError, open_folder
 from . import codes, finer_tiles
 from .blocks import level_shapes
 from .displacement_layers import layers_below, mask_levels
-from .finer_tiles import FinerTiles
 from .heightfield import HeightField, HeightRaster
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
@@ -181,7 +180,7 @@ def _open(path: Path, content: dict) -> HeightField:
         place=tuple(content["place"]) if "place" in content else None,
         provenance=content["provenance"],
         path=path,
-        finer=_open_finer(folder, lattice, content["finer"]) if "finer" in content else None,
+        finer=finer_tiles.open_tiles(folder, lattice, content["finer"]) if "finer" in content else None,
     )
     return HeightField(
         raster,
@@ -189,16 +188,6 @@ def _open(path: Path, content: dict) -> HeightField:
         ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
         **numbers,
     )
-
-
-def _open_finer(folder: Path, lattice: Lattice, entry: dict) -> FinerTiles:
-    """Map the finer tiles of a store. entry: that of its JSON. Raises as `_open`."""
-    shapes = finer_tiles.array_shapes(lattice, entry["bits"], entry["tiles"])
-    arrays = {name: map_array(folder / f"{name}.npy", *of) for name, of in shapes.items()}
-    numbers = arrays["finer_numbers"]
-    if numbers.min() < -1 or numbers.max() >= entry["tiles"]:
-        raise TerrainError(f"The store {folder.parent} is damaged (a finer tile has no heights)", fix=REMEDY)
-    return finer_tiles.from_store(entry, arrays)
 
 
 def is_intact(field: HeightField) -> bool:

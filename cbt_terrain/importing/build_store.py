@@ -153,16 +153,7 @@ def import_raster(
                 provenance=_provenance(given, raster, place, land),
             )
             if raster.finer is not None:
-                finer_reader = HeightReader(raster, settings)
-                field = add_finer_tiles(
-                    field,
-                    raster.finer,
-                    finer_reader,
-                    draft.allocate,
-                    lambda done: on_progress(end + (0.99 - end) * done, FINER),
-                )
-                finer_max = _source_max(finer_reader)
-                field = dataclasses.replace(field, source_max=max(field.source_max, finer_max))
+                field = _add_finer_tiles(field, HeightReader(raster, settings), draft, on_progress)
             report = _import_report(field, raster, place)
             if settings.source not in LANDS:
                 report["warnings"] += _value_warnings(raster, settings, place, report, reader.check)
@@ -175,6 +166,17 @@ def import_raster(
         return report
     finally:
         raster.close()
+
+
+def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draft, on_progress: Tell) -> HeightField:
+    """Return a field with the finer files of a mosaic in the arrays of a draft. on_progress: as that of `_build`."""
+    source = reader.raster.finer
+    assert source is not None, "the raster has finer files"
+    share = COARSE_SHARE, 0.99 - COARSE_SHARE
+    field = add_finer_tiles(
+        field, source, reader, draft.allocate, lambda done: on_progress(share[0] + share[1] * done, FINER)
+    )
+    return dataclasses.replace(field, source_max=max(field.source_max, _source_max(reader)))
 
 
 def _build(

@@ -42,8 +42,8 @@ def test_a_mesh_in_blender_has_the_finer_heights(scene, add_terrain, city):
     vertices = np.array([vertex.co for vertex in obj.data.vertices])
     expected = reference_heights(dense_field(record.field), vertices[:, :2])
     assert np.abs(vertices[:, 2] - expected).max() < 1e-3
-    beneath = np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0  # the known tile, from the raster's middle
-    assert beneath.sum() > 500
+    in_tile = np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0  # the known tile, from the raster's middle
+    assert in_tile.sum() > 500
 
 
 def test_a_bicubic_terrain_with_finer_tiles_names_the_remedy(scene, add_terrain, city):

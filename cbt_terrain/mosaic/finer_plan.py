@@ -10,6 +10,7 @@ from .target_grid import TargetGrid
 
 FEWEST = 1 << 29  # samples of a grid with the finest step; fewer are imported with one step in some minutes
 SAVING = 4  # at least this many times fewer samples
+FINER_COST = 4  # time of a finer sample, as a multiple of that of another: 1.6 us of the processor beside 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,11 @@ class FinerPlan:
     bits: int
     boxes: np.ndarray
     tiles: int
+
+    @property
+    def work(self) -> int:
+        """Return the number of samples of a raster without finer tiles whose import takes as long."""
+        return self.grid.width * self.grid.height + FINER_COST * self.tiles * SIDE * SIDE
 
 
 def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:

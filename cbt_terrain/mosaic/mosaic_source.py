@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..formats.archives import UnpackedFiles
-from ..importing.thinning import FROM_OVERVIEWS
+from ..importing.thinning import FROM_OVERVIEWS, WORTHWHILE
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
 from ..rasters.raster import FinerSource, ImportSettings, Raster
@@ -34,6 +34,7 @@ def open_composite(
 ) -> Composite:
     """Open the mosaic of the settings' sources. Raises TerrainError.
 
+    A quick import gets finer tiles only where its complete one is so short that it is made at once.
     store: folder whose kept catalogue is used, None to read all headers. unpacked: height maps of archives.
     """
     check_settings(settings)
@@ -42,10 +43,8 @@ def open_composite(
     grid = choose_grid(tiles, settings)
     found = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, found, settings, unpacked)
-    if settings.step is not None or settings.quick:
-        return whole
-    plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes)
-    if plan is None:
+    plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes) if settings.step is None else None
+    if plan is None or (settings.quick and plan.work > WORTHWHILE * settings.quick):
         return whole
     coarse = Composite(tiles, plan.grid, found, settings, unpacked)
     coarse.finer = plan, whole

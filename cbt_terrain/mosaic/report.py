@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import shown
 from ..field.build import from_array
 from ..field.codes import steps_of
-from ..field.finer_tiles import SIDE, TILE_BYTES
+from ..field.finer_tiles import TILE_BYTES
 from ..field.lattice import fit
 from ..formats.archives import MAX_UNPACKED_BYTES, is_archive
 from ..importing.drafts import store_bytes, work_bytes
@@ -25,7 +25,6 @@ from .systems import crs_of, period_of, projected
 COVERAGE_POINTS = 256  # along each axis
 MEASURED_SIDE = 513  # samples whose reading and building is timed
 MAX_KINDS = 12
-FINER_COST = 4  # time of a finer sample, as a multiple of that of another: 1.6 us of the processor beside 0.4
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
 IMPORT_ENTRIES = (
@@ -169,8 +168,6 @@ def _expected_seconds(composite: Composite) -> float:
         started = time.perf_counter()
         heights, _ = composite.read(*window)
         from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
-    samples = grid.width * grid.height
-    if composite.finer is not None:
-        samples += FINER_COST * composite.finer[0].tiles * SIDE * SIDE
+    samples = grid.width * grid.height if composite.finer is None else composite.finer[0].work
     seconds = (time.perf_counter() - started) * samples / (width * height)
     return float(f"{seconds:.2g}")

@@ -56,6 +56,18 @@ def points_of(field, corner, size, count, seed):
     return np.stack([(x - c) / a, (y - f) / e], 1)
 
 
+def test_a_quick_import_with_few_finer_tiles_is_complete(country, tmp_path, monkeypatch):
+    """The finest grid has 120 million samples here; the raster and the tiles are imported in the time of eight."""
+    _, _, store, report = country
+    monkeypatch.setattr(finer_plan, "FEWEST", 1 << 20)
+    files = str(store.parent / "files")
+    quick = run_mosaic_import(ImportSettings(source=files, quick=1_000_000), tmp_path / "complete")
+    assert "loaded" not in quick and quick["finer_tiles"] == report["finer_tiles"]
+    assert store_module.read_json(tmp_path / "complete")["key"] == store_module.read_json(store)["key"]
+    quick = run_mosaic_import(ImportSettings(source=files, quick=100_000), tmp_path / "thin")
+    assert quick["loaded"] == "to 63.8 m of 1 m" and "finer_tiles" not in quick
+
+
 def test_the_store_holds_the_coarse_raster_and_the_city(country):
     _, _, store, report = country
     field = open_store(store)

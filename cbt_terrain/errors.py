@@ -54,7 +54,7 @@ def to_sentence(error: TerrainError) -> str:
 
 
 def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
-    """Return the error for a path that no file can have, None if a file can have it.
+    """Return the error for a path that no file can have, None if a file can have it. A relative path is made absolute.
 
     Args:
         subject: start of the error's clause: "The store a/b".
@@ -85,7 +85,7 @@ def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
 def check_path(what: str, path: str | os.PathLike) -> None:
     """Raise TerrainError for a path that no file can have, as one with a null character.
 
-    what: subject of the error, as "The store".
+    what: words before the path in the error, as "The store".
     """
     error = path_fault(f"{what} {shown(path)}", path)
     if error is not None:
@@ -93,7 +93,7 @@ def check_path(what: str, path: str | os.PathLike) -> None:
 
 
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raise TerrainError unless `value` is a number from `low` to `high`.
+    """Raise TerrainError unless `value` is an int or a float from `low` to `high`, which excludes NaN.
 
     name: subject of the error, as "The detail's wavelength". unit: the range's unit, for the error's text only.
     """
@@ -102,7 +102,7 @@ def check_number(name: str, value: float, low: float, high: float, unit: str) ->
 
 
 def check_seed(name: str, seed: int) -> None:
-    """Raise TerrainError unless `seed` is a whole number of 0 to 2^32 - 1. name: subject of the error."""
+    """Raise TerrainError unless `seed` is an int of 0 to 2^32 - 1. name: subject of the error."""
     if not (isinstance(seed, int) and 0 <= seed < 2**32):
         raise TerrainError(f"{name} is {seed!r}", expected=f"a whole number, 0 .. {2**32 - 1}")
 
@@ -121,13 +121,19 @@ def check_free_name(kind: str, name: str, known: Container[str]) -> None:
 
 
 def unwritable(what: str, reason: Exception, elsewhere: str = "choose another folder") -> TerrainError:
-    """Return the error for output that the system does not write. what: the file, with a noun before its name."""
+    """Return the error for output that the system does not write.
+
+    what: the file, with a noun before its name. elsewhere: instruction that the fix offers beside making room.
+    """
     why = getattr(reason, "strerror", None) or reason
     return TerrainError(f"{what} cannot be written ({why})", fix=f"make room or {elsewhere}")
 
 
 def named_once(pairs: list[tuple[str, object]]) -> dict:
-    """Return a JSON object as a dict. Raise ValueError for a repeated name, of which Python would keep the last."""
+    """Return a JSON object as a dict, as `object_pairs_hook` of json.loads.
+
+    Raises ValueError for a repeated name, of which Python would keep the last.
+    """
     content = {}
     for name, value in pairs:
         if name in content:
@@ -137,6 +143,9 @@ def named_once(pairs: list[tuple[str, object]]) -> dict:
 
 
 def shown(text: object, max_length: int = 200) -> str:
-    """Return a text from outside as one line of at most `max_length` printable characters, safe for a terminal."""
+    """Return a text from outside as one line of printable characters, safe for a terminal.
+
+    A text of more than `max_length` characters is cut there and gets "..." at its end.
+    """
     line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
     return line if len(line) <= max_length else f"{line[:max_length]}..."

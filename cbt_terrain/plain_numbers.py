@@ -21,9 +21,12 @@ EXPECTED = {bool: "True or False", int: "a whole number", float: "a number"}
 def plain_number(value: Any, kind: Any, name: str) -> Any:
     """Return a value of an annotated `kind` with Python's numbers: bool, int, float, tuples of them, or None.
 
-    Whole floats are ints, scalar arrays are numbers, bools are not. Values of any other kind are returned as they are.
+    A bool may also come as 0 or 1, an int as a whole float, and each of them as a numpy scalar; no bool is a number. A
+    float may be infinite or NaN. Values of any other kind are returned as they are. Raises TerrainError for a value
+    that does not fit its kind.
 
     Args:
+        kind: the annotation, as int, float | None or tuple[int, int].
         name: subject of the error: "The criterion's max_depth".
     """
     if kind not in EXPECTED:
@@ -46,7 +49,8 @@ def plain_number(value: Any, kind: Any, name: str) -> Any:
 def _plain_parts(value: Any, kind: Any, name: str) -> Any:
     """Return a value with Python's numbers, where `kind` is a tuple of kinds (tuple[float, float]) or an optional kind.
 
-    Values of other kinds are returned as they are. name: the value's name, in the TerrainError for a wrong number.
+    Values of other kinds are returned as they are. Raises TerrainError, with `name` as its subject, for a wrong number
+    and for a wrong count of them.
     """
     kinds = get_args(kind)
     if get_origin(kind) is not tuple:
@@ -61,22 +65,25 @@ def _plain_parts(value: Any, kind: Any, name: str) -> Any:
 
 
 def keep_plain_numbers(settings: Any, owner: str) -> None:
-    """Replace the numbers of a dataclass by Python's own, as its fields are annotated. `owner`: "The criterion's"."""
+    """Replace the numbers of a dataclass, even a frozen one, by Python's own, as its fields are annotated.
+
+    Raises TerrainError for a value that `plain_number` refuses. owner: start of the error's subject, as "The
+    criterion's".
+    """
     for field in dataclasses.fields(settings):
         value = plain_number(getattr(settings, field.name), field.type, f"{owner} {field.name}")
         object.__setattr__(settings, field.name, value)
 
 
 def vertical(scale: float, offset: float) -> tuple[float, float]:
-    """Return a vertical scale and an offset in metres. Raises TerrainError unless both are numbers."""
+    """Return a vertical scale and an offset in metres as floats. Raises TerrainError unless both are numbers."""
     return plain_number(scale, float, "The vertical scale"), plain_number(offset, float, "The vertical offset")
 
 
 def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
-    """Return the vectors as float64 [n, width], contiguous.
+    """Return the vectors as float64 [n, width], contiguous. Raises TerrainError unless they are finite and fit `rows`.
 
-    Raises TerrainError for another shape or infinite numbers. name: the vectors' name in the error, as
-    "origins of rays".
+    name: the vectors' name in the error, as "origins of rays".
     """
     found = rows(values, width, name)
     finite = np.isfinite(found)
@@ -90,7 +97,11 @@ def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
 
 
 def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
-    """Return float64 [n, width], contiguous; numbers need not be finite. Raises TerrainError for another shape."""
+    """Return vectors as float64 [n, width], contiguous; numbers need not be finite.
+
+    values: [n, width], an iterator of vectors, a single vector [width], or nothing. Raises TerrainError for another
+    shape and for values that are no numbers. name: the vectors' name in the error.
+    """
     try:
         values = list(values) if isinstance(values, Iterator) else values
         found = np.ascontiguousarray(values, np.float64)

@@ -43,7 +43,8 @@ class Update(ReportedBounds):
     The arrays of `surface` are read-only, and later updates do not change them: memory is reused once they are no
     longer in use. `copy()` has arrays that can be written.
 
-    `changed`: False if the mesh is the one of the last update.
+    `leaves`: their number. `changed`: False if the mesh is the one of the last update. `ms`: milliseconds of each step
+    by name, {} if the arguments were those of the last update.
     """
 
     surface: Surface
@@ -69,9 +70,9 @@ class Update(ReportedBounds):
 class _Result:
     """The last mesh and its parameters.
 
-    `shape`: the arguments that place its leaves' vertices: meshlet, depth of the deepest leaf, vertical scale, vertical
-    offset and end of the morph. `horizon`: arguments of `horizon_of`, None if occlusion is unknown. `pieces`: pieces of
-    cut triangles, once triangles at points are requested.
+    `shape`: the arguments that place its leaves' vertices: meshlet, depth limit of leaves (of a restored mesh the depth
+    of the deepest leaf), vertical scale, vertical offset and end of the morph. `horizon`: arguments of `horizon_of`,
+    None if occlusion is unknown. `pieces`: pieces of cut triangles, once triangles at points are requested.
     """
 
     update: Update
@@ -126,10 +127,11 @@ class Terrain:
     ) -> Update:
         """Refine, weld and displace for the views (their union), the terrain standing at `placement` (4 x 4, to world).
 
-        `views`: a list, any other iterable, or one view. Heights become `height * vertical_scale + vertical_offset`
-        metres. The arrays of the surface are read-only. They stay as they are however many updates follow; `copy()`
-        has arrays that can be written. Other threads that update the same terrain wait. Raises TerrainError and leaves
-        the last mesh as it is if a number cannot be used.
+        `views`: a list, any other iterable, or one view. `placement`: the identity by default. Heights become `height *
+        vertical_scale + vertical_offset` metres. The arrays of the surface are read-only. They stay as they are however
+        many updates follow; `copy()` has arrays that can be written. Other threads that update the same terrain wait.
+        Raises TerrainError and leaves the last mesh as it is if a number cannot be used. If a mesh cannot be built, for
+        example of a damaged field, the error leaves the terrain without a mesh.
         """
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         heights = vertical(vertical_scale, vertical_offset)
@@ -139,7 +141,8 @@ class Terrain:
     def saved(self) -> tuple[bytes, dict]:
         """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
 
-        If points were morphing, `morph` is the ratio at which the ramp ends: the tree has no heights of points.
+        If points were morphing, `morph` is the ratio at which the ramp ends: the tree has no heights of points. Raises
+        TerrainError before the first update.
         """
         with self.history.alone():
             meshlet, _, scale, offset, morph = self._need_result().shape
@@ -157,8 +160,9 @@ class Terrain:
     ) -> Update:
         """Rebuild the mesh of a saved tree without a criterion and a camera: the same bytes as when `saved` was called.
 
-        Points that were morphing (`morph` above 1) are on the surface now. Only the bound in metres is known. Raises
-        TerrainError for bytes that are no tree of this height field.
+        Of points that were morphing the heights differ: they are on the surface now. `morph` is accepted, as `saved`
+        returns it, and has no effect. Only the bound in metres is known. Raises TerrainError for bytes that are no tree
+        of this height field.
         """
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
         heights = vertical(vertical_scale, vertical_offset)
@@ -168,8 +172,8 @@ class Terrain:
     def _make_once(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
         """Return the update that `make` builds, or the last one if its key is the same.
 
-        make: gets the dict that step times are written to, by name in milliseconds. key: everything that the
-        result depends on.
+        make: commits its result with the key. Its argument is the dict that collects milliseconds by step. key: all
+        that the result depends on.
         """
         with self.history.alone():
             if self.history.begin(key):
@@ -195,7 +199,7 @@ class Terrain:
         """Rebuild the mesh of a saved tree and commit it as the last frame; its bound in metres is that of its errors.
 
         Raises TerrainError if the tree does not fit the height field. key: arguments that identify the frame. meshlet:
-        leaves are drawn as 4**meshlet triangles. ms: dict that collects the milliseconds of each step.
+        leaves are drawn as 4**meshlet triangles. ms: dict that collects milliseconds by step.
         """
         box_of(self.field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
@@ -236,7 +240,8 @@ class Terrain:
         """Return the triangle of the last update's surface at each point: int64 [n]; -1 in holes and beyond the raster.
 
         places: float64 [n, 2], x and y in metres in the terrain's space. The tree gives the whole triangle. Where
-        triangles were cut, their pieces are searched; the list of pieces is built once per surface.
+        triangles were cut, their pieces are searched; the list of pieces is built once per surface. Raises TerrainError
+        for another shape, and before the first update.
         """
         places = rows(places, 2, "places")
         with self.history.alone():
@@ -252,7 +257,8 @@ class Terrain:
     def horizon(self) -> "CriterionArrays | None":
         """Return the horizon maps of the last update's mesh for its views.
 
-        Return None without views or an error criterion, for a restored tree, and with holes, which do not occlude.
+        Return None without a view that the criterion uses or without an error criterion, for a restored tree, and with
+        holes, which do not occlude. Raises TerrainError before the first update.
         """
         with self.history.alone():
             last = self._need_result()
@@ -282,7 +288,7 @@ class Terrain:
         """Refine for the views, build the surface and its bounds, and commit them as the last frame.
 
         The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. placement:
-        float64 [4, 4], terrain to world. ms: dict that collects the milliseconds of each step.
+        float64 [4, 4], terrain to world. ms: dict that collects milliseconds by step.
         """
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check_update(criterion, views, placement)
@@ -306,7 +312,7 @@ class Terrain:
             place_rings(domain, local, criterion.hidden_factor, RAMP if morph_until > 1 else 0.0)
         packed = pack(criterion, local, spans, domain.source)
         with self.history.writing():
-            changed = self._has_other_shape(shape) or morph_until > 1
+            changed = self._has_other_shape(shape) or morph_until > 1  # points that morph move with the view
             max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
             while True:
                 request = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
@@ -316,7 +322,7 @@ class Terrain:
                 geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
                 surface = None  # or its memory would be in use
                 surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
-                # The cut at the border makes two of some triangles.
+                # The cut at the border makes two of some triangles. The root triangles remain, whatever the limit.
                 excess = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
                 if excess <= 0 or leaves.total > max_leaves:
                     break
@@ -354,7 +360,7 @@ class Terrain:
         return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:
-        """Return the maximum number of bisections of a leaf, without those of its meshlet."""
+        """Return the maximum number of bisections of a leaf, 1 or more, without those of its meshlet."""
         depth = usual_depth(self.field)
         if criterion.max_depth is not None:
             depth = min(depth_limit(self.field), criterion.max_depth)

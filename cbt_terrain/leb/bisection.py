@@ -27,10 +27,10 @@ def grid_of(lattice: Lattice) -> kernels.SquareGrid:
 
 
 def triangles(lattice: Lattice, ids: np.ndarray, unit_bits: int) -> np.ndarray:
-    """Return the corners (left, apex, right) of triangles: int32 [n, 3, 2].
+    """Return the corners (left, apex, right) of triangles: int32 [n, 3, 2], x and y in units.
 
-    2**unit_bits units are the side of a square. A triangle of d bisections of a square needs unit_bits of d // 2 or
-    more.
+    Units are counted from the lattice's south-west corner; 2**unit_bits units are the side of a square. A triangle of d
+    bisections of a square needs unit_bits of d // 2 or more.
     """
     corners = np.empty((len(ids), 3, 2), np.int32)
     _launch(nodes.write_triangles, lattice, ids, [unit_bits, shared(corners.reshape(-1, 2), wp.vec2i)])
@@ -48,7 +48,11 @@ def neighbours(lattice: Lattice, ids: np.ndarray) -> np.ndarray:
 
 
 def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
-    """Make the tree's leaves the two roots of each square, and one leaf for each number after the last square."""
+    """Replace the tree's leaves by the two roots of each square, and one leaf for each number after the last square.
+
+    Squares are numbered up to a power of two, 2^square_bits. Raises TerrainError for a tree that is too shallow for
+    them.
+    """
     if tree.max_depth <= lattice.square_bits:
         raise TerrainError(
             f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares",
@@ -59,7 +63,10 @@ def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
 
 
 def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarray) -> None:
-    """Split leaves above the deepest level, each with the other half of its diamond, coarser neighbours first."""
+    """Split leaves above the deepest level with the other halves of their diamonds, and with coarser neighbours.
+
+    Only neighbours are split that would leave a crack.
+    """
     ids = np.ascontiguousarray(ids, np.uint64)
     tree.edit(nodes.split_diamonds, len(ids), [grid_of(lattice), shared(ids, wp.uint64)])
 
@@ -67,7 +74,7 @@ def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
 def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarray) -> np.ndarray:
     """Merge the halves of nodes and of the other triangles of their diamonds, if all of them are leaves.
 
-    Return which nodes were merged: bool.
+    Return which nodes were merged, bool [n]: a node is left as it is if any of the four halves is no leaf.
     """
     ids = np.ascontiguousarray(ids, np.uint64)
     pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)  # 0 beyond the lattice

@@ -18,8 +18,8 @@ AT_ONCE = 1 << 14  # points whose data fits the processor's cache during the des
 def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
     """Return the numbers of the triangles at points: int64 [n] in curve order, 4**meshlet a leaf; -1 beyond the raster.
 
-    places: float64 [n, 2], x and y in metres in the terrain's space. A point on an edge is in one of its two triangles.
-    Without meshlets the numbers are those of the tree's leaves. O(depth) a point.
+    places: float64 [n, 2], x and y in metres in the terrain's space; a NaN is beyond the raster. A point on an edge is
+    in one of its two triangles. Without meshlets the numbers are those of the tree's leaves. O(depth) a point.
     """
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain surface as one .npz file. Its bytes depend on the surface alone, not on machine or time."""
+"""A terrain surface as one .npz file. Its bytes depend on the arguments alone, not on machine or time."""
 
 import io
 import json
@@ -36,7 +36,7 @@ def write_npz(
     seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree (see
     `Terrain.restore`), if one is given; and `info`, JSON text (no times, so that it is a function of the frame alone),
     with the domains and units of the attributes under "attributes". Raises TerrainError for an attribute with the name
-    of another entry, and for a number that is not finite.
+    of another entry, for a number that is not finite, and for a value of `info` that JSON cannot hold.
     """
     about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {
@@ -70,7 +70,10 @@ def write_npz(
 
 
 def finite_json(content: Mapping, where: str, **options: Any) -> str:
-    """Return JSON text. Raises TerrainError for a number that is not finite, which JSON cannot hold."""
+    """Return JSON text. Raises TerrainError for a number that is not finite, which JSON cannot hold.
+
+    where: the file, in the error. options: of json.dumps.
+    """
     try:
         return json.dumps(content, allow_nan=False, **options)
     except ValueError:

@@ -23,9 +23,10 @@ from .surface import Surface
 def cut_ends(
     surface: Surface, field: HeightField, domain: Domain, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, list[np.ndarray]]:
-    """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
+    """Cut the whole surface of the leaves at the raster's border and at its holes. Other arguments are those of `cut`.
 
-    Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order.
+    Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order: one cut, or two with
+    holes. domain: the placed field.
     """
     surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:
@@ -49,7 +50,10 @@ def border_sides(domain: Domain) -> list[Side]:
 
 
 def in_holes(surface: Surface, field: HeightField, domain: Domain, threads: int) -> np.ndarray:
-    """Return whether the centroid of each triangle is in a hole, bool [T]. domain: the placed field."""
+    """Return whether the centroid of each triangle is in a hole, bool [T].
+
+    field: one with holes, so that `valid` is not None. domain: the placed field.
+    """
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)
     lattice, valid = field.lattice, np.ascontiguousarray(field.valid).reshape(-1)

@@ -70,7 +70,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
         prefix, parts = "mesh_", [(0, built.first_inner), (built.first_inner, vertices - built.first_inner)]
     elif reuses:
         slots = reuse_points(history)
-    pieces = _pieces(vertices, threads) if t or len(parts) == 1 else 1
+    pieces = _pieces(vertices, threads) if t or len(parts) == 1 else 1  # several slices are parallel already
     displace(field, domain, history, point, parts, pieces, slots, geomorph, meshlet)
     surface = Surface(
         arrays.numpy("positions")[:vertices],
@@ -118,8 +118,8 @@ def _expand(
 ) -> tuple[wp.array, int, int, int]:
     """Divide every leaf into the triangles of its meshlet, in the arrays of the next frame.
 
-    Return the points, and the numbers of triangles, vertices and edges. parts: first entry and number of each
-    slice's points. leaves, vertices, edges: numbers before.
+    Return the points, and the numbers of triangles, vertices and edges. parts: first entry and number of each slice's
+    points. leaves, vertices, edges: numbers before. t: the tables of a meshlet.
     """
     scratch, arrays, segments = history.scratch, history.next.arrays, t.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))
@@ -153,7 +153,10 @@ def _pieces(items: int, threads: int) -> int:
 
 
 def _check_memory(triangles: int) -> None:
-    """Raise TerrainError for a mesh so large that the system would end the process, which is Blender."""
+    """Raise TerrainError for a mesh so large that the system might end the process, which is Blender.
+
+    Three quarters of the physical memory may be used.
+    """
     max_triangles = physical_memory() * 3 // 4 // TRIANGLE_BYTES
     if triangles > max_triangles:
         raise TerrainError(

@@ -63,7 +63,7 @@ def above_line(axis: int, at: float) -> Side:
 
 
 def border_side(axis: int, at: float, rounding: float) -> Side:
-    """Keep positions whose coordinate `axis` is at most `at` metres, the raster's border, where uv is 1.
+    """Return the side that keeps positions whose coordinate `axis` is at most `at` metres: the border, where uv is 1.
 
     Vertices are on the border or cells away from it, so none needs the tolerance. Only new vertices of the other border
     may be within `rounding` of this one: an edge halfway between both may meet both in the raster's corner.
@@ -85,11 +85,11 @@ def cut(
 ) -> tuple[Surface, np.ndarray]:
     """Remove everything outside of `sides`; return the remaining surface and int64 [2, n]: pairs of swapped vertices.
 
-    Each edge that changes sign gets one new vertex, so the mesh stays welded; its attributes are interpolated between
-    the edge's ends. Elements keep their numbers, except that the last ones fill the gaps of removed ones. `room`
-    allocates the larger arrays for new elements. With another `room` than `copy_with_room` the given arrays are
-    overwritten; swapping back restores the earlier vertices. The bytes do not depend on the number of threads. `sides`
-    should be few: each may double the number of listed triangles.
+    If nothing is outside, the surface itself is returned. Each edge that changes sign gets one new vertex, so the mesh
+    stays welded; its attributes are interpolated between the edge's ends. Elements keep their numbers, except that the
+    last ones fill the gaps of removed ones. `room` allocates the larger arrays for new elements. With another `room`
+    than `copy_with_room` the given arrays are overwritten; swapping back restores the earlier vertices. The bytes do
+    not depend on the number of threads. `sides` should be few: each may double the number of listed triangles.
     """
     if not sides:
         return surface, NONE_SWAPPED
@@ -209,7 +209,7 @@ class _Work:
             self._merge(np.arange(first_edge, end_edge))
 
     def _merge(self, new: np.ndarray) -> None:
-        """Merge the two ends of new edges that are too short for float32, as where a sliver is cut."""
+        """Merge the two ends of new edges (numbers `new`) that are too short for float32, as where a sliver is cut."""
         edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
         ends_in_plan = self.arrays["positions"][edges[new], :2].astype(np.float64)
         lengths_in_plan = lengths((ends_in_plan[:, 0] - ends_in_plan[:, 1]).T)
@@ -252,8 +252,8 @@ class _Work:
     def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
         """Return how the last elements of a kind fill the gaps of removed ones: (number that remain, moves, new).
 
-        Moves: int64 [2, n], old and new numbers of the elements that move. New: int32, the new numbers of all elements
-        from that number on, -1 for removed ones. kind: VERTEX, EDGE or TRIANGLE.
+        Moves: int64 [2, n], old and new numbers of the elements that move. New: int32, the new numbers of the elements
+        whose old numbers are not below the number that remain, -1 for removed ones. kind: VERTEX, EDGE or TRIANGLE.
         """
         total = int(self.counts[kind])
         removed = np.flatnonzero(self.removed[kind, :total])

@@ -33,8 +33,9 @@ def displace(
 ) -> None:
     """Displace the points in parts (first entry, number) of the array `point`, each part in `pieces` pieces.
 
-    `slots`: number of each part's list of runs, which `reuse_points` or `reuse_inner_points` has bound; None if nothing
-    is copied. geomorph: weights by which points move, None without. meshlet: leaves are drawn as 4**meshlet triangles.
+    The results are the next frame's arrays "positions", "normals" and "uv", part after part without gaps. `slots`:
+    number of each part's list of runs, which `reuse_points` or `reuse_inner_points` has bound; None if nothing is
+    copied. geomorph: parameters of points that morph, None without. meshlet: leaves are drawn as 4**meshlet triangles.
     Raises TerrainError if a damaged field gives positions that are not finite.
     """
     arrays, scratch, vertices = history.next.arrays, history.scratch, sum(int(n) for _, n in parts)
@@ -83,8 +84,8 @@ def reuse_points(history: FrameHistory) -> list[int]:
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
     """Bind the runs of the `points` inside each leaf that both frames have to the arguments of the next `displace`.
 
-    now: the vertices of the next frame. Return the `slots` of `displace`: for all other points 1, a list that does not
-    exist, so that they are not copied, and for these points 0.
+    now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace`: for all
+    other points 1, a list that does not exist, so that they are not copied, and for these points 0.
     """
     scratch, before = history.scratch, history.last.vertices
     assert before is not None, "points are reused from the last frame"

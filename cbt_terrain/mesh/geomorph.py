@@ -30,12 +30,13 @@ class Geomorph:
     ) -> kernels.Morphing:
         """Return the arguments of the geomorph kernels.
 
-        layers: packed displacement, None without one. meshlet: exponent of a leaf's triangles. vertices: number
-        of points for which room is needed.
+        They have the last frame's records of points, and room for those of the next frame. layers: packed displacement,
+        None without one. meshlet: leaves are drawn as 4**meshlet triangles. vertices: number of points for which room
+        is needed.
         """
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp
-        ramp.limit, ramp.end2 = self.relaxed * self.relaxed, self.end * self.end
+        ramp.limit, ramp.end2 = self.relaxed * self.relaxed, self.end * self.end  # the kernels compare squares
         ramp.steep = 1.0 / (1.0 - 1.0 / self.end)
         ramp.bisections = 2 * meshlet
         if layers:
@@ -47,7 +48,7 @@ class Geomorph:
 
 
 def thread_memories(buffers: Buffers, threads: int) -> list[Memory]:
-    """Return the scratch memory that each of `threads` threads needs to move points."""
+    """Return the scratch memory that each of `threads` slices needs to move points, with its number as `slot`."""
     arrays = {
         "points": buffers.get("morph_points", threads * int(REMEMBERED), MorphedPoint),
         "pending": buffers.get("morph_pending", threads * int(PENDING), Pending),

@@ -21,7 +21,11 @@ BLOCK = 1 << 20  # distances at a time
 
 
 def inside(triangles: np.ndarray, surface: Surface) -> list[Side]:
-    """Return sides that keep the part of `surface` inside `triangles` in plan, float64 [n, 3, 2] metres."""
+    """Return sides that keep the part of `surface` inside `triangles` in plan, float64 [n, 3, 2] metres.
+
+    Without a triangle that has an area, nothing is kept. The sides of a convex outline of few lines serve for any
+    surface. Otherwise there is one, whose values are those of the vertices of `surface`, so it can cut only that.
+    """
     triangles = counter_clockwise(triangles)
     border = outline(triangles) if len(triangles) else triangles
     if not len(border):
@@ -41,7 +45,10 @@ def counter_clockwise(triangles: np.ndarray) -> np.ndarray:
 
 
 def outline(triangles: np.ndarray) -> np.ndarray:
-    """Return float64 [m, 2, 2]: the edges with a counter-clockwise triangle on their left side only, each once."""
+    """Return float64 [m, 2, 2]: the edges with a counter-clockwise triangle on their left side only, each once.
+
+    triangles: float64 [n, 3, 2], counter-clockwise, at least one. Ends within SAME of the extent are one point.
+    """
     edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     grid = np.rint((edges - edges.min(axis=(0, 1))) / (SAME * np.ptp(edges, axis=(0, 1)).max())).astype(np.int64)
     _, number = np.unique(grid.reshape(-1, 2), axis=0, return_inverse=True)
@@ -72,7 +79,7 @@ def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
-    """Return whether no point is to the right of a line, so that the outline is convex."""
+    """Return whether no point is to the right of a line by more than rounding, so that the outline is convex."""
     min_distance = -1e3 * SAME * np.abs(points).max()
     return all((_from_line(line, points) >= min_distance).all() for line in lines)
 
@@ -80,7 +87,8 @@ def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
 def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> np.ndarray:
     """Return float64 [V]: distance of each vertex to the border in metres, positive inside.
 
-    The magnitude is exact only for vertices of triangles that cross the border; others have the right sign.
+    Exact for vertices of triangles with corners inside and outside; all others have the right sign and a magnitude of
+    1.
     """
     points = surface.positions[:, :2].astype(np.float64)
     is_inside = covered(triangles, points)
@@ -97,7 +105,7 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
 
 
 def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return whether points, float64 [n, 2], are on any of the triangles, bool [n].
+    """Return whether points, float64 [n, 2], are inside or on the border of any of the triangles, bool [n].
 
     triangles: float64 [m, 3, 2], counter-clockwise.
     """

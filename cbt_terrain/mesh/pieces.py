@@ -31,10 +31,12 @@ class Pieces:
         return cls(surface, order, whole[order])
 
     def at(self, whole: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Find pieces at points; return int64 [n], -1 where no piece is, even if its corners are off by rounding.
+        """Return the piece at each point: int64 [n], triangles of `surface`; -1 where there is none.
+
+        A point is in the piece that it is deepest inside; it may be outside by the rounding error of corners.
 
         Args:
-            whole: int64 [n], the whole triangle at each point.
+            whole: int64 [n], the whole triangle at each point, -1 beyond the raster.
             places: float64 [n, 2], metres.
         """
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
@@ -57,7 +59,8 @@ def middles(surface: Surface) -> np.ndarray:
 def _depth(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return how deep points are inside counter-clockwise triangles, metres; negative outside.
 
-    corners: float32 [n, 3, 2], metres. places: float64 [n, 2]. The depth is the distance to the nearest side.
+    corners: float32 [n, 3, 2], metres. places: float64 [n, 2]. The depth is the smallest signed distance to a side's
+    line.
     """
     corners = corners.astype(np.float64)
     sides, there = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The concurrent binary tree and the bisection that its nodes stand for."""
+"""The concurrent binary tree, and the bytes of a saved one."""

@@ -29,13 +29,13 @@ DECODE_COST = 5.0  # of a leaf, in lookups: see `launch.spread`
 class LeafPart(NamedTuple):
     """Consecutive leaves by the codes that hold their depths, up to a deepest cell where the next part begins."""
 
-    codes: wp.array  # uint16
+    codes: wp.array  # uint16, an entry for each leaf; see `set_leaves`
     first: int  # entry of the first leaf
     count: int  # type: ignore[assignment]  # hides tuple.count
     end: int  # the deepest cell behind the last one
     same: wp.array | None = None  # SameLeaves: nodes whose leaves are those that the tree has already, ascending
-    first_same: int = 0
-    num_same: int = 0
+    first_same: int = 0  # those of this part begin at this entry of `same`
+    num_same: int = 0  # their number; 0: all leaves are written
 
 
 class ConcurrentBinaryTree:
@@ -88,7 +88,10 @@ class ConcurrentBinaryTree:
     # Query: O(depth) a leaf
 
     def decode(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the heap ids of leaves by their numbers, 0 .. leaf_count - 1: uint64."""
+        """Return the heap ids of leaves by their numbers: uint64.
+
+        Raises TerrainError for numbers that are not in 0 .. leaf_count - 1.
+        """
         numbers = np.ascontiguousarray(numbers, np.int32)
         low, high = numbers.min(initial=0), numbers.max(initial=0)
         if low < 0 or high >= self.leaf_count:
@@ -100,7 +103,7 @@ class ConcurrentBinaryTree:
     def find(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the number (int32) and heap id (uint64) of the leaf that covers each deepest cell.
 
-        cells: numbers of deepest cells, 0 .. cell_count - 1.
+        cells: numbers of deepest cells, 0 .. cell_count - 1, which are not checked.
         """
         cells = np.ascontiguousarray(cells, np.uint64)
         numbers, ids = np.empty(len(cells), np.int32), np.empty(len(cells), np.uint64)
@@ -132,7 +135,8 @@ class ConcurrentBinaryTree:
     def edit(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
         """Run a kernel over `count` items that splits and merges nodes of `bits`, then sum above the changed words.
 
-        The kernel runs again after the pool of pages was full, so a repeated run must give the same result.
+        inputs: its arguments after the tree's arrays. The kernel runs again after the pool of pages was full, so a
+        repeated run must give the same result.
         """
         if 2 * self._pages_used > self.bits.num_pages:  # pages of words that are no longer stored were lost
             depths = self.depths()
@@ -149,10 +153,12 @@ class ConcurrentBinaryTree:
     # Write all leaves: O(leaves)
 
     def set_leaves(self, parts: list[LeafPart], shift: int = 0, levels: int | None = None) -> bool:
-        """Replace the leaves by those of the parts, and return whether the tree has changed; a thread writes each part.
+        """Replace the leaves by those of the parts; a thread writes each part.
+
+        Return whether the tree has changed; also True if the pool of pages was full, because then nothing is compared.
 
         shift, levels: a leaf has 2^(levels - depth) deepest cells, and its depth is in the bits `shift` .. `shift` + 5
-        of its code. Nodes whose leaves are the same, as the parts state, are skipped.
+        of its code. levels: `max_depth` by default. Nodes whose leaves are the same, as the parts state, are skipped.
         """
         parts, start = [part for part in parts if part.count], 0
         while len(self._runs) < len(parts):
@@ -186,7 +192,7 @@ class ConcurrentBinaryTree:
         return bool(self._state[bitfield.DIFFERS])
 
     def set_depths(self, depths: np.ndarray) -> bool:
-        """Replace the leaves by those of these depths, which leave no gap; return whether they are others."""
+        """Replace the leaves by those of these depths, which leave no gap; return the result of `set_leaves`."""
         codes = shared(np.ascontiguousarray(depths, np.uint16), wp.uint16)
         return self.set_leaves([LeafPart(codes, 0, len(depths), self.cell_count)])
 
@@ -232,7 +238,7 @@ class ConcurrentBinaryTree:
         launch.spread(kernel, count, [self.bits, *inputs], step="tree", threads=self.threads, cost=DECODE_COST)
 
     def _reduce(self) -> None:
-        """Sum the changed words again, level by level."""
+        """Sum the changed words again, level by level, and empty their list."""
         changed = int(self._state[bitfield.NUM_CHANGED])
         if changed > FEW_CHANGED:
             for level in range(self.bits.top + 1):
@@ -252,8 +258,8 @@ class ConcurrentBinaryTree:
         self._state[bitfield.PAGES_USED] = FIRST_PAGES
 
     def _resize(self, num_pages: int) -> None:
-        """Make room for `num_pages` pages; they keep their content."""
-        self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)
+        """Give the pool room for `num_pages` pages, at least as many as it has; they keep their content."""
+        self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)  # counted on when it was full
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:
             for name, dtype in ARRAYS.items():

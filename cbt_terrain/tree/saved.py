@@ -22,7 +22,10 @@ def depths_to_bytes(max_depth: int, depths: np.ndarray) -> bytes:
 
 
 def depths_from_bytes(data: bytes) -> tuple[int, np.ndarray]:
-    """Return the arguments of `depths_to_bytes`. Raises TerrainError for other bytes, before any large allocation."""
+    """Return the arguments of `depths_to_bytes`, the depths as a read-only view of the bytes.
+
+    Raises TerrainError for other bytes, before any large allocation.
+    """
     what, fix = f"The saved tree of {len(data)} bytes", "save it again"
     if len(data) < _HEADER.size + 4 or data[:4] != _MAGIC:
         raise TerrainError(f"{what} was not written by this add-on", fix=fix)

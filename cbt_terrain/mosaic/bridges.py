@@ -24,7 +24,8 @@ def bridge(
     """Fill samples of a piece that no tile covers from the borders of tiles within one cell, in order of their ranks.
 
     lattices: nodes and samples of each lattice that the piece meets. out, ranks, moved: fields of the piece's
-    PieceValues, [rows, columns]; `out` and `moved` are changed in place.
+    PieceValues, [rows, columns]; `out` and `moved` are changed in place. Samples of less weight than MIN_WEIGHT stay
+    NaN.
     """
     rows, columns = np.nonzero(ranks == UNCOVERED)
     weights, sums = np.zeros(len(rows)), np.zeros(len(rows))  # of all tiles so far, at each uncovered sample
@@ -64,7 +65,10 @@ def bridge(
 def _interpolate_nodes(
     nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
-    """Return values between a block's nodes, `spacing` samples apart, at rows and columns of a piece, bilinear."""
+    """Return values between a block's nodes, `spacing` samples apart, at samples of a piece, bilinear: float64 [n].
+
+    rows, columns: those of the samples, from the first one of the piece.
+    """
     x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
     i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing
     low = nodes[j, i] * (1 - s) + nodes[j, i + 1] * s
@@ -75,7 +79,8 @@ def _interpolate_nodes(
 def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return heights at columns u and rows v of a lattice, NaN where a needed sample is missing, and their change.
 
-    The change, metres for an error of one sample in u or v, is at most twice the largest step between samples there.
+    The change bounds that of a height, metres, for an error of one sample in u or v: twice the largest difference
+    between the first corner of its cell and another.
     """
     height, width = window.values.shape
     p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)

@@ -123,8 +123,9 @@ def build_catalogue(
 ) -> list[SourceTile]:
     """Return the tiles of all files that the settings' sources name, in their order.
 
-    store: a store or a folder of arrays, whose catalogue is used where files have not changed; None for none. unpacked:
-    height maps of archives. Raises TerrainError for a file that cannot be a part of a mosaic.
+    store: a store or a folder of arrays, whose catalogue is used where files have not changed; None for none.
+    on_progress: gets the fraction of headers that are known. unpacked: height maps of archives. Raises TerrainError for
+    a file that cannot be a part of a mosaic.
     """
     unpacked = unpacked or UnpackedFiles()
     paths: dict[Path, None] = {}  # a file that is named twice has its last place
@@ -145,7 +146,10 @@ def build_catalogue(
 
 
 def open_tile(path: Path, settings: ImportSettings) -> Raster:
-    """Open one file of a mosaic, unpacked. Its samples are as the file stores them. Raises TerrainError."""
+    """Open one file of a mosaic; the caller closes it. Its samples are as the file stores them. Raises TerrainError.
+
+    path: the file, or the unpacked copy of one in an archive. From now on GDAL reads no .aux.xml and lists no folder.
+    """
     from rasterio.env import setenv
 
     # Without the settings of the mosaic as a whole.
@@ -234,7 +238,10 @@ def _sum(text: str) -> str:
 
 
 def _stored_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile]:
-    """Return the tiles of a store's catalogue by path, {} without one that can be used."""
+    """Return the tiles of a store's catalogue by path, {} without one that can be used with these settings.
+
+    store: a store, or the folder of arrays in it.
+    """
     folder = store if (store / FILE_NAME).exists() else named_folder(store)
     if folder is None:
         return {}
@@ -252,7 +259,10 @@ def _stored_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile
 
 
 def _tile_of(entry: dict) -> SourceTile:
-    """Return the tile of a catalogue's entry. Raises ValueError, TypeError or KeyError for an invalid one."""
+    """Return the tile of a catalogue's entry.
+
+    Raises ValueError, TypeError, KeyError or TerrainError for an invalid one.
+    """
     values = {field.name: entry[field.name] for field in dataclasses.fields(SourceTile)}
     values["files"] = tuple((str(path), int(size), int(changed)) for path, size, changed in entry["files"])
     values["transform"] = _transform_of(entry["transform"])
@@ -276,7 +286,7 @@ def _tile_of(entry: dict) -> SourceTile:
 
 
 def _rounding_of(entry: dict) -> SourceRounding:
-    """Return a rounding of a catalogue's entry."""
+    """Return a rounding of a catalogue's entry. Raises ValueError, TypeError or KeyError for an invalid one."""
     before = _rounding_of(entry["before"]) if entry["before"] is not None else None
     rounding = SourceRounding(**{**entry, "before": before})
     _check_kind(rounding.stored)
@@ -302,7 +312,7 @@ def _check_numbers(*numbers: float) -> None:
 
 
 def _check_kind(stored: str) -> None:
-    """Raise ValueError unless a text names a type of real numbers."""
+    """Raise ValueError or TypeError unless a text names a type of real numbers."""
     _check_types([stored], str)
     if np.dtype(stored).kind not in "iuf":
         raise ValueError("samples are no real numbers")

@@ -237,9 +237,9 @@ class Composite:
         return moved
 
     def _copy(self, piece: GridPiece, values: np.ndarray) -> bool:
-        """Fill the values of a piece from one lattice whose samples are the grid's, and return whether that is enough.
+        """Fill a piece from one lattice whose samples are the grid's, and return whether its tiles cover the piece.
 
-        The result has the bits of an interpolation.
+        If not, `values` are unchanged. The result has the bits of an interpolation.
         """
         meets = self._meets(piece)
         numbers = [number for number, lattice in enumerate(self.lattices) if meets[lattice.tiles].any()]
@@ -272,7 +272,10 @@ class Composite:
         return True
 
     def _scan(self, row: int, column: int) -> Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]:
-        """Yield the parts of a block with each level above the coarsest, the values below it and with it."""
+        """Yield the parts of a block with each level above the coarsest, the values below it and with it.
+
+        row, column: numbers of the block. The next step changes the values with the level in place.
+        """
         block = GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK)
         if self.levels[self._meets(block)].any():
             for part, levels, found in self._parts(block):
@@ -324,7 +327,7 @@ class Composite:
         return self.values_of(self.tiles[rank], self._raster(rank), row, rows, column, columns)
 
     def values_of(self, tile: SourceTile, raster: Raster, row: int, rows: int, column: int, columns: int) -> np.ndarray:
-        """Return a window of a tile's raster, or of an overview of it, as float64 heights, NaN where missing."""
+        """Return a window of a tile's raster, or of an overview of it, as `tile_window`."""
         assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
@@ -334,8 +337,9 @@ class Composite:
         return heights * tile.scale + tile.offset + shift
 
     def overview_of(self, rank: int, max_factor: int) -> Raster | None:
-        """Return an overview of a tile at most `max_factor` times coarser, None if it has none.
+        """Return a tile's overview with samples over 2, 4, 8 ... of its samples a side, the most up to `max_factor`.
 
+        None without such an overview. The caller closes it. Files in archives are read from their unpacked copies.
         Raises TerrainError if its file has changed.
         """
         tile = self.tiles[rank]
@@ -346,7 +350,7 @@ class Composite:
         return open_overview(file, self._settings, tile.width, tile.stored, max_factor)
 
     def _raster(self, rank: int) -> Raster:
-        """Return the raster of a tile, opened. Raises TerrainError if its file has changed."""
+        """Return the raster of a tile, opened and kept open. Raises TerrainError if its file or header has changed."""
         if rank not in self._open:
             tile = self.tiles[rank]
             tile.check_unchanged()

@@ -92,15 +92,15 @@ class DatumShifts:
     def window(
         self, tile: SourceTile, counts: tuple[int, int], row: int, rows: int, column: int, columns: int
     ) -> np.ndarray | float:
-        """Return metres to add to a window of a tile's heights. Raises TerrainError where a grid ends.
+        """Return metres to add to a window of a tile's heights: float64 [rows, columns]; 0.0 if it needs no shift.
 
-        counts: rows and columns of the tile or of its overview.
+        counts: rows and columns of the tile or of its overview. Raises TerrainError where a grid ends.
         """
         nodes = self._nodes_of(tile)
         return 0.0 if nodes is None else nodes.window(row, rows, column, columns, counts)
 
     def error_of(self, tile: SourceTile) -> float:
-        """Return the largest error of a tile's shifts, metres. Raises TerrainError where a grid ends."""
+        """Return the largest error of a tile's shifts, metres; 0 without any. Raises TerrainError where a grid ends."""
         nodes = self._nodes_of(tile)
         return 0.0 if nodes is None else nodes.error_m
 
@@ -113,7 +113,10 @@ class DatumShifts:
         return self._nodes[tile.path]
 
     def _find_nodes(self, tile: SourceTile) -> ShiftNodes:
-        """Return the nodes of a tile from PROJ's grids."""
+        """Return the nodes of a tile from PROJ's grids, with the widest of SPACINGS whose error is at most MAX_ERROR_M.
+
+        If there is none, those of the last spacing, whose error is larger. Raises TerrainError where a grid ends.
+        """
         for spacing in SPACINGS:
             down, across = (  # every second one is a node, the others measure the error between nodes
                 np.linspace(0.0, count - 1, 2 * max(math.ceil((count - 1) / spacing), 1) + 1)
@@ -133,7 +136,7 @@ class DatumShifts:
         return ShiftNodes(np.ascontiguousarray(exact[::2, ::2]), (tile.height, tile.width), error)
 
     def grids(self, tiles: Sequence[SourceTile]) -> list[Path]:
-        """Return the files of the grids that convert tiles."""
+        """Return the files of the grids of these tiles' datums, once each; the ellipsoid has none."""
         datums = dict.fromkeys(tile.datum for tile in tiles if tile.datum)
         return [Path(grid) for grid in map(_grid_of, datums) if grid is not None]
 
@@ -144,7 +147,10 @@ class DatumShifts:
 
 
 def find_shifts(tiles: Sequence[SourceTile]) -> DatumShifts | None:
-    """Return the shifts to the datum of the first tile that names one; None for one datum, or if a grid is missing."""
+    """Return the shifts to the datum of the first tile that names one.
+
+    None if fewer than two datums are named, or if a grid is missing or does not reach the corners of a tile.
+    """
     named = [tile for tile in tiles if tile.datum]
     if len({tile.datum for tile in named}) < 2:
         return None
@@ -185,6 +191,6 @@ def _grid_of(datum: str) -> str | None:
     for folder in filter(None, (*folders, *SYSTEM_FOLDERS)):
         for name in GRIDS.get(datum, ()):
             file = os.path.join(os.path.expanduser(folder), name)
-            if os.path.isfile(file) and '"' not in file:
+            if os.path.isfile(file) and '"' not in file:  # a quote would end the name in GEOID
                 return file
     return None

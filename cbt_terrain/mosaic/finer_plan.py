@@ -38,7 +38,8 @@ class FinerPlan:
 def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
     """Return the division of a mosaic; None if one step everywhere takes little more space.
 
-    grid: with the finest step. levels, steps, boxes: of its files, as in `Composite`.
+    None also without a finer file, and if the grid has fewer samples than FEWEST. grid: with the finest step. levels,
+    steps, boxes: of its files, as in `Composite`.
     """
     is_finer = levels > 0
     if not is_finer.any() or grid.width * grid.height < FEWEST:

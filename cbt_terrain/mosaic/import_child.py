@@ -92,7 +92,10 @@ def run_mosaic_import(
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
-    """Import in the child process, and return the report."""
+    """Import in the child process, and return the report.
+
+    on_progress: raises to cancel the import. begin: starts the thread that waits for the end of the parent (`serve`).
+    """
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
     # Before the guard, because a sandboxed process starts none. Archives are unpacked once, for this process alone.
     crew = Crew() if has_archives(settings) else start_crew(settings, "cbt_terrain.mosaic.import_child")

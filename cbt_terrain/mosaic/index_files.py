@@ -40,7 +40,8 @@ def paths_in(path: Path) -> list[Path]:
 def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
     """Return the paths in an index as texts, the file that they are relative to, and the name of their column.
 
-    column: the name of the column of paths, "" for one of the usual names.
+    column: the name of the column of paths, "" for one of the usual names. Raises OSError, ValueError, and the errors
+    of the modules that parse the index.
     """
     with open_regular(path, links=True) as file:
         start = file.read(len(SQLITE))
@@ -67,7 +68,11 @@ def _plain_xml(path: Path) -> bytes:
 
 
 def _names_in_database(path: Path, column: str) -> list[str]:
-    """Return the paths in the first table of a database that has a column of them."""
+    """Return the paths in the first table of a database that has a column of them.
+
+    Values that are no texts are left out. Raises ValueError if no table has one or there are too many paths, and
+    sqlite3.Error.
+    """
     uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     base = sqlite3.connect(uri, uri=True)
     try:
@@ -99,7 +104,10 @@ def _find_column(names: list[str], column: str) -> int | None:
 
 
 def _names_in_table(path: Path, column: str) -> list[str]:
-    """Return the paths in a dBASE table, the attributes of a shapefile."""
+    """Return the paths in a dBASE table, the attributes of a shapefile; deleted rows are left out.
+
+    Raises ValueError without such a column and for too many paths, and OSError.
+    """
     with open_regular(path, links=True) as file:
         head = file.read(FIELD_BYTES)
         if len(head) < FIELD_BYTES:

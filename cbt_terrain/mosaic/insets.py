@@ -50,9 +50,9 @@ class BlendRing(NamedTuple):
 
 
 def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
-    """Return the ranks of tiles whose boxes overlap, the lower one first.
+    """Return the pairs of ranks of tiles whose boxes overlap or touch, each with the lower one first, sorted.
 
-    boxes: west, south, east and north of each tile by rank, float64 [n, 4].
+    boxes: lowest x and y, highest x and y of each tile by rank, float64 [n, 4], in samples of the grid.
     """
     order = np.argsort(boxes[:, 0], kind="stable")
     starts, pairs = boxes[order, 0], []
@@ -67,7 +67,8 @@ def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
 def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile overlaps a coarser one.
 
-    steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4].
+    steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4], as in
+    `Composite`.
     """
     levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
@@ -130,7 +131,10 @@ class InsetBlend:
         return max(ring.cell * ((MAX_PART + 1) * max(ring.reach) + 2) for ring in self.rings)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
-        """Blend the values of a level in `top` to those below it, in place."""
+        """Blend the values of a level in `top` to those below it, in place, where both are known and inside a ring.
+
+        below: the values of the piece without the level.
+        """
         mixed = (below.ranks >= 0) & (top.ranks > below.ranks)
         if not mixed.any():
             return
@@ -229,7 +233,8 @@ class InsetBlend:
 def _ring(steps: np.ndarray) -> BlendRing:
     """Return the ring of insets on tiles with these steps, samples of the grid along x and y.
 
-    Its cell is at most the shorter step, and at most a block.
+    Its cell is a power of two, at most the shorter step and at most a block. Its axes differ by a factor of MAX_STRETCH
+    at most.
     """
     shortest = min(float(steps.min()), float(BLOCK))
     across, down = (min(float(step), MAX_STRETCH * shortest) for step in steps)
@@ -261,7 +266,7 @@ def _interpolate(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.
 def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
     """Return for corners of cells the largest distance to a seam within one ring around, in widths of the ring.
 
-    It is at most MAX_PART.
+    It is at most MAX_PART. The corners are those inside the margin.
 
     seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
     """

@@ -84,7 +84,7 @@ def _key(tile: SourceTile) -> tuple:
     x, y = tile.position(0, 0)
     if b == d == 0.0:
         fractions = (round(math.cos(2 * math.pi * (x / a)), 2), round(math.cos(2 * math.pi * (y / e)), 2))
-    else:
+    else:  # `_offset_of` tells turned lattices apart
         fractions = (0.0, 0.0)
     return tile.crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
 
@@ -92,7 +92,7 @@ def _key(tile: SourceTile) -> tuple:
 def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
     """Return column and row of a tile's first sample in the lattice of another, and how far its samples are off.
 
-    Return None if they are off by more than MAX_OFF_GRID.
+    Return None if they are off by more than MAX_OFF_GRID, or more than 2^30 columns or rows away.
     """
     a, b, _, d, e, _ = first.transform
     (x0, y0), corners = first.position(0, 0), ((0, 0), (tile.width - 1, 0), (0, tile.height - 1))

@@ -22,7 +22,7 @@ from .report import describe_mosaic
 def describe_sources(settings: ImportSettings) -> dict:
     """Return the report on a mosaic of the settings' sources. Raises TerrainError for files that cannot form one."""
     check_settings(settings)
-    files_of(settings)
+    files_of(settings)  # raises for sources that are not there, before a process starts
     return ask("cbt_terrain.mosaic.mosaic_info", {"settings": dataclasses.asdict(settings)}, settings.name)
 
 

@@ -32,10 +32,12 @@ def open_composite(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     unpacked: UnpackedFiles | None = None,
 ) -> Composite:
-    """Open the mosaic of the settings' sources. Raises TerrainError.
+    """Open the mosaic of the settings' sources; the caller closes it. Raises TerrainError.
 
-    A quick import gets finer tiles only where its complete one is so short that it is made at once.
-    store: folder whose kept catalogue is used, None to read all headers. unpacked: height maps of archives.
+    If its finer files cover little, the composite has the grid of the coarser ones, and `finer` has the finer tiles; so
+    has a quick import only if its complete one is so short that it is made at once.
+    store: folder whose kept catalogue is used, None to read all headers. on_progress: gets the fraction of headers that
+    are known. unpacked: height maps of archives.
     """
     check_settings(settings)
     unpacked = unpacked or UnpackedFiles()
@@ -152,7 +154,10 @@ def _surface_entry(composite: Composite) -> dict:
 
 
 def file_warnings(tiles: Sequence[SourceTile]) -> list[str]:
-    """Return the warnings of files, each text once with the number of files that have it."""
+    """Return the warnings of files, each text once with the number of files that have it.
+
+    After MAX_WARNINGS texts a last line counts the others.
+    """
     counts: dict[str, list[str]] = {}
     for tile in tiles:
         for text in tile.warnings:

@@ -19,9 +19,10 @@ ROUNDING = 1e-6
 
 
 def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return samples at rows and columns of the grid, ascending, float64 [rows, columns] with NaN for gaps.
+    """Return samples at rows and columns of the grid, float64 [rows, columns] with NaN for gaps.
 
-    Each file is opened once, unless more than the composite keeps open are needed by the next call, too.
+    rows, columns: ascending, counted from the grid's corner in the north-west. Each file is opened once, unless more
+    than the composite keeps open are needed by the next call, too.
     """
     grid = composite.grid
     rows, columns = grid.row + rows, grid.column + columns
@@ -64,9 +65,10 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
 
 
 def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stride: float) -> np.ndarray:
-    """Return the samples of a tile at columns u and rows v, float64 [n]; of an overview for a mosaic that is large.
+    """Return the samples of a tile at columns u and rows v, float64 [n].
 
-    stride: columns of the tile between them.
+    A mosaic of more than MAX_UNPACKED samples takes them from an overview if the file has one. stride: columns of the
+    tile between them.
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:

@@ -94,7 +94,7 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
 def interpolation_error(exact: np.ndarray) -> float:
     """Return the largest difference of interpolated from exact values at the odd rows and columns, as a sum by axis.
 
-    exact: [2 n + 1, 2 n + 1], of which the even rows and columns are nodes.
+    exact: [2 n + 1, 2 m + 1], of which the even rows and columns are nodes. Values that are not finite do not count.
     """
     total = 0.0
     with np.errstate(invalid="ignore"):

@@ -91,7 +91,7 @@ def coverage(composite: Composite) -> tuple[float, float]:
 
 
 def datum_warnings(composite: Composite) -> list[str]:
-    """Return a warning if files name different vertical datums, or only some name one."""
+    """Return a warning if files name different vertical datums, with the number of those that name none; else []."""
     counts = Counter(tile.datum for tile in composite.tiles)
     known = {datum: count for datum, count in counts.items() if datum}
     if len(known) < 2:
@@ -109,7 +109,7 @@ def datum_warnings(composite: Composite) -> list[str]:
 
 
 def _kinds(composite: Composite) -> list[str]:
-    """Return a line for each kind of file: system, step and type."""
+    """Return a line for each of the MAX_KINDS commonest kinds of file (system, step, type), and one for the others."""
     counts: Counter = Counter()
     for tile in composite.tiles:
         unit = unit_of(crs_of(tile.crs)) if tile.crs else {}

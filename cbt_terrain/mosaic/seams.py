@@ -26,7 +26,7 @@ class SeamReport(NamedTuple):
         steps: float64 [n], metres by which the higher-ranked file is above the other, at samples of its border.
         places: float64 [n, 2], x and y of these samples in the grid's system.
         numbers: int32 [n], index in `names` of the pair that each sample is of.
-        names: paths of the two files of each pair with a compared sample.
+        names: paths of the two files of each pair with a compared sample, the higher-ranked one last.
     """
 
     pairs: int
@@ -67,7 +67,8 @@ def find_seams(composite: Composite) -> SeamReport:
 def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:
     """Return steps in metres and positions at samples of the upper tile's border inside the lower tile.
 
-    lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in SeamReport.
+    Without a known step there, samples of the whole upper tile are compared. lower, upper: ranks of both tiles. Results
+    are float64 [n] and [n, 2], as in SeamReport.
     """
     tile, scale = composite.tiles[upper], abs(composite.scale)
     right, bottom = tile.width - 1, tile.height - 1
@@ -89,9 +90,10 @@ def _spread(first: int, last: int, max_count: int = MAX_SAMPLES) -> np.ndarray:
 def _compare(
     composite: Composite, lower: int, upper: int, columns: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return differences of heights, and columns and rows of samples of the upper tile, where both tiles have heights.
+    """Return differences of values, upper minus lower, and columns and rows of the upper tile, where both have heights.
 
-    lower, upper: ranks of both tiles. columns, rows: of the upper tile; every column is combined with every row.
+    Values are those of the composite, before its scale. lower, upper: ranks of both tiles. columns, rows: of the upper
+    tile; every column is combined with every row.
     """
     below, above = composite.tiles[lower], composite.tiles[upper]
     columns, rows = (values.ravel() for values in np.meshgrid(columns, rows))
@@ -122,7 +124,7 @@ def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np
 
 
 def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return heights of a tile at fractional columns u and rows v, [n]; NaN where a needed sample is missing.
+    """Return values of a tile at fractional columns u and rows v, [n]; NaN where a needed sample is missing.
 
     rank: number of the tile in the order of priority.
     """

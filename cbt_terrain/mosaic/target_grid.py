@@ -56,7 +56,7 @@ class TargetGrid(NamedTuple):
 
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
-        """Return the geotransform of the raster."""
+        """Return the geotransform (a, b, c, d, e, f): from columns and rows of cells' corners to x and y."""
         west = self.x0 + (self.column - 0.5) * self.step_x
         north = self.y0 - (self.row - 0.5) * self.step_y
         return self.step_x, 0.0, west, 0.0, -self.step_y, north
@@ -70,7 +70,11 @@ class Footprints(NamedTuple):
 
 
 def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> TargetGrid:
-    """Return the grid of a mosaic of tiles, given in the order of the sources. Raises TerrainError."""
+    """Return the grid of a mosaic of tiles, given in the order of the sources. Raises TerrainError.
+
+    Its step is that of the finest tile or of the settings. If that tile is straight in the grid's system and its step
+    divides the grid's, samples of the grid are on its samples.
+    """
     crs = _target_crs(tiles, settings)
     found = footprints(tiles, crs)
     finest = min(range(len(tiles)), key=lambda n: (found.steps[n, 0] * found.steps[n, 1], tiles[n].crs != crs, n))
@@ -167,7 +171,11 @@ def _check_return(tile: SourceTile, crs: str, missed: np.ndarray) -> None:
 
 
 def _target_crs(tiles: Sequence[SourceTile], settings: ImportSettings) -> str:
-    """Return the name of the mosaic's system: the requested one, the first projected one, or the first one."""
+    """Return the name of the mosaic's system: the requested one, the first projected one, or the first one.
+
+    "" if no file names one. Raises TerrainError if only some do or one is needed, and for a request that is no
+    projected system.
+    """
     without = [tile for tile in tiles if not tile.crs]
     if without and (settings.project or len(without) < len(tiles)):
         raise TerrainError(

@@ -90,9 +90,10 @@ def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPi
 def source_box(
     lattice: TileLattice, near: np.ndarray, nodes: BlockNodes, piece: GridPiece
 ) -> tuple[int, int, int, int] | None:
-    """Return the columns and rows of a lattice that a piece needs, with EDGE more; None for none.
+    """Return the part of a lattice that a piece needs, with EDGE more: first column and row, and the ends of both.
 
-    They are those of the nodes around the piece, within the rectangles of the tiles near it.
+    They are those of the nodes around the piece, within the rectangles of the tiles near it. None if the piece has no
+    position in the lattice or is beyond these tiles. near: positions of the tiles in `lattice.tiles`.
     """
     x, y = piece.column % BLOCK, piece.row % BLOCK
     down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
@@ -115,7 +116,8 @@ def source_box(
 def at_corners(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
     """Return the values at a piece's four corners, float64 [4], where the nodes are the corners of the whole block.
 
-    values: those at the nodes, float64 [2, 2]. first: row and column of the piece's first corner in its block.
+    The corners are those of the first row, then of the last one. values: those at the nodes, float64 [2, 2]. first: row
+    and column of the piece's first corner in its block.
     """
     corners = []
     for y in (first[0], first[0] + piece.rows - 1):

@@ -14,7 +14,7 @@ from ..field.lattice import Lattice
 from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
-from .surface import blocks_of, pack_surface
+from .surface import height_ranges_of, pack_surface
 
 
 def box_range(
@@ -29,10 +29,11 @@ def box_range(
 ) -> tuple[float, float]:
     """Return the lowest and highest height in a box of the plan, metres; (nan, nan) without ground.
 
-    west, south, east, north: sides of the box, metres in the terrain's space. Raises TerrainError.
-    Exact for a bilinear surface: in a cell its extrema are at the corners of the part inside the box. A bicubic one is
-    between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
-    terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).
+    west, south, east, north: sides of the box, metres in the terrain's space. Raises TerrainError for sides that are
+    not finite or in the wrong order. Exact for a bilinear surface: in a cell its extrema are at the corners of the part
+    inside the box. A bicubic one is between these heights, the control heights of the patches that the box touches
+    (rounded outward by 1/65,535 of the terrain's relief), and one with detail at most the detail's amplitude beyond
+    them. O(cells in the box).
     """
     sides = [plain_number(value, float, "A side of the box") for value in (west, south, east, north)]
     west, south, east, north = sides
@@ -51,7 +52,7 @@ def box_range(
     rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
     row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
-    inputs = [surface, blocks_of(field, surface), column, first, *corners, shared(row_ranges, wp.vec2d)]
+    inputs = [surface, height_ranges_of(field, surface), column, first, *corners, shared(row_ranges, wp.vec2d)]
     launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
     low_z, high_z = float(row_ranges[:, 0].min()), float(row_ranges[:, 1].max())
     if low_z > high_z:

@@ -80,8 +80,9 @@ def profile(
 ) -> Profile:
     """Return heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
 
-    Without a spacing, at its points and wherever it crosses a line of samples, finer tiles' too; between two of these
-    a bilinear surface is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end.
+    Without a spacing, at its points and wherever it crosses a line of samples, finer tiles' too; between two of these a
+    bilinear surface is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end; other
+    points of `line` are then left out. Some points may come twice.
     """
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
@@ -108,7 +109,11 @@ def _check_count(count: float) -> None:
 
 
 def _space_evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points every `spacing` metres, and the last point: metres along the line, and x and y."""
+    """Return points every `spacing` metres, and the last point: metres along the line, and x and y.
+
+    line: float64 [m, 2], metres. ends: metres along the line at its points. Raises TerrainError for too many points and
+    a spacing that is not positive.
+    """
     if not (np.isfinite(spacing) and spacing > 0):
         raise TerrainError(f"The spacing of the profile is {spacing} metres", expected="a positive number")
     _check_count(ends[-1] / spacing)
@@ -120,7 +125,8 @@ def _space_evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[n
 def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of a line and its crossings with lines of samples: metres along the line, and x and y.
 
-    line: float64 [n, 2], metres. ends: metres along the line at its n points.
+    A crossing at a sample, where two such lines meet, may come twice. line: float64 [n, 2], metres. ends: metres along
+    the line at its n points. Raises TerrainError for too many points.
     """
     lattice = field.lattice
     count = 1 << field.raster.finer.bits if field.raster.finer is not None else 1  # finer cells along a raster cell

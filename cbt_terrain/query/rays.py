@@ -12,7 +12,7 @@ from ..field.heightfield import HeightField
 from ..plain_numbers import vectors
 from ..run import launch
 from ..run.buffers import shared
-from .surface import blocks_of, pack_surface
+from .surface import height_ranges_of, pack_surface
 
 COST = 50.0  # times dearer than a lookup
 AT_ONCE = 1 << 18  # between two launches the work can be stopped
@@ -42,11 +42,11 @@ def pick(
     origins, directions = _check_rays(origins, directions)
     surface = pack_surface(field, vertical_scale, vertical_offset)
     distance = np.empty(len(origins))
-    blocks = blocks_of(field, surface)
+    height_ranges = height_ranges_of(field, surface)
     for first in range(0, len(origins), AT_ONCE):
         block = slice(first, first + AT_ONCE)
         rays = [shared(array[block], wp.vec3d) for array in (origins, directions)]
-        inputs = [surface, blocks, *rays, shared(distance[block], wp.float64)]
+        inputs = [surface, height_ranges, *rays, shared(distance[block], wp.float64)]
         launch.spread(kernels.pick, len(distance[block]), inputs, step="query", threads=threads, cost=COST)
     return _hits(origins, directions, distance)
 
@@ -61,7 +61,8 @@ def nearest(
 ) -> Hits:
     """Return the nearest hit on the lines through points, ahead or behind.
 
-    Arguments as of `pick`. `distance` is negative for a hit against the direction.
+    Arguments as of `pick`. `distance` is negative for a hit against the direction. Of two hits as near, the one ahead
+    counts.
     """
     points, directions = _check_rays(points, directions)
     heights = vertical_scale, vertical_offset, threads

@@ -46,14 +46,17 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     return s
 
 
-def blocks_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:
-    """Return the ranges of heights by which rays skip. Memory is shared, nothing is read."""
+def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:
+    """Return the ranges of heights, in metres after the scaling of `surface`, by which rays skip whole blocks of cells.
+
+    Their fields are explained in HeightRanges. Memory is shared, nothing is read.
+    """
     lattice, b = field.lattice, crossing.HeightRanges()
     b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
     b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
-    # ... and their float64 rounding errors
+    # The ranges leave out the detail; float64 rounds their heights.
     b.more = field.max_change * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)

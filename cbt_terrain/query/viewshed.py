@@ -13,7 +13,7 @@ from ..field.heightfield import HeightField
 from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import flat
-from .surface import blocks_of, pack_surface
+from .surface import height_ranges_of, pack_surface
 
 COST = 50.0
 AT_ONCE = 1 << 17  # samples of one launch: between two the work can be stopped
@@ -49,11 +49,11 @@ def viewshed(
             expected="a finite number and one that is not negative",
         )
     surface = pack_surface(field, vertical_scale, vertical_offset)
-    blocks = blocks_of(field, surface)
-    slack = MARGIN * max(abs(blocks.low_z), abs(blocks.high_z), abs(eye[0, 2]))
+    height_ranges = height_ranges_of(field, surface)
+    slack = MARGIN * max(abs(height_ranges.low_z), abs(height_ranges.high_z), abs(eye[0, 2]))
     seen = np.zeros(field.samples.shape, bool)
     numbers = map(wp.float64, (target_height, radius * radius, slack))
-    inputs = [surface, blocks, wp.vec3d(*eye[0]), *numbers, flat(seen, wp.bool)]
+    inputs = [surface, height_ranges, wp.vec3d(*eye[0]), *numbers, flat(seen, wp.bool)]
     start, end = (surface.samples.columns * row for row in _rows_near(surface, float(eye[0, 1]), radius))
     for first in range(start, end, AT_ONCE):
         count = min(AT_ONCE, end - first)
@@ -62,7 +62,7 @@ def viewshed(
 
 
 def _rows_near(surface: QueriedSurface, y: float, radius: float) -> tuple[int, int]:
-    """Return the first row of samples within a radius of y, and the one after the last."""
+    """Return the first row of samples that may be within a radius of y, and the one after the last."""
     rows = (np.array([y - radius, y + radius]) - surface.south) / surface.step_y
     low, high = np.floor(np.clip(rows, -1, surface.samples.rows)).astype(int).tolist()
     return max(low, 0), min(high + 2, surface.samples.rows)

@@ -31,7 +31,7 @@ def band_notes(dataset: DatasetReader, band: int, driver: str) -> list[str]:
 
     notes, is_picture = [], driver == "PNG"
     others = [n for n, kind in enumerate(dataset.colorinterp, 1) if n != band and kind != ColorInterp.alpha]
-    if others and band == 1 or (is_picture and dataset.count > 1):
+    if others and band == 1 or (is_picture and dataset.count > 1):  # another band than 1 was chosen by the user
         what = f"The PNG has {dataset.count} channels" if is_picture else f"The file has {dataset.count} bands"
         notes.append(f"{what}; band {band} is taken as the height. If another one is, give its number (--band).")
     if len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):

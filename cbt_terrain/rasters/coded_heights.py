@@ -36,7 +36,7 @@ CODINGS = {"terrarium": HeightCoding(1 / 256, -32768.0), "mapbox": HeightCoding(
 
 
 def tile_of(path: Path) -> tuple[int, int, int] | None:
-    """Return the zoom, column and row of a web map tile whose path ends with z/x/y.png; None for other names."""
+    """Return the zoom, column and row of a web map tile with a path that ends with z/x/y and a suffix; else None."""
     found = _TILE.fullmatch("/".join((*path.parts[-3:-1], path.stem)))
     if not found:
         return None
@@ -61,8 +61,8 @@ def codes_of(bands: np.ndarray) -> np.ndarray:
 def decode_if_coded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> DatasetReader:
     """Return a rasterio dataset of heights: `dataset`, or its decoded copy in memory if it holds coded ones.
 
-    The copy has one band of codes with their scale, offset, unit and no-data value, and the position of a web map tile.
-    Raises TerrainError for an image that cannot hold codes.
+    The copy has one band of codes with their scale, offset, unit and no-data value, and the position of a web map tile;
+    `dataset` is then closed. Raises TerrainError for an image that cannot hold codes.
     """
     if not may_be_coded(path, settings.encoding):
         return dataset

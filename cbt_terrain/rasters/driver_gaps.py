@@ -45,7 +45,10 @@ def band_facts(path: Path, dataset: DatasetReader, band: int, grid: FileGrid) ->
 
 
 def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
-    """Read the metres in a unit of heights. GDAL reports only the scales of metres and feet."""
+    """Read the metres in a unit of heights. GDAL reports only the scales of metres and feet.
+
+    The file has a float32, of which seven digits count.
+    """
     with open_regular(path, links=True) as file:
         (scale,) = struct.unpack_from("<f", file.read(256), BT_SCALE_AT)
     if facts.unit or scale in BT_SCALES or not np.isfinite(scale):
@@ -54,7 +57,10 @@ def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFact
 
 
 def _correct_saga(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
-    """Read the unit and the factor of heights in a SAGA grid's header, which GDAL ignores."""
+    """Read the unit and the factor of heights in a SAGA grid's header, which GDAL ignores.
+
+    A factor that is 0 or no finite number counts as 1.
+    """
     header = path.with_suffix(".sgrd")
     with open_regular(header, links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")

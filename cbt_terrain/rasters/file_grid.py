@@ -24,7 +24,7 @@ class FileGrid(NamedTuple):
     Attributes:
         crs: a rasterio CRS or None.
         transform: from columns and rows of cells' corners to x and y; None if the file does not place its samples.
-        problem: why `transform` is None; "" for a file without any georeference.
+        problem: why `transform` is None, as a clause after the file's name; "" for a file without any georeference.
         tool: GDAL command that places the raster.
     """
 
@@ -91,7 +91,10 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
 
 
 def unit_of(crs: CRS | None) -> dict:
-    """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees."""
+    """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees.
+
+    {} without a system, whose unit is the metre.
+    """
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
     return {"metres": plane_metres(crs)} if crs is not None else {}

@@ -63,7 +63,7 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
 
 
 def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
-    """Return whether corners of a raster do not survive the way to longitudes and latitudes and back."""
+    """Return whether points near a raster's corners do not survive the way to longitudes and latitudes and back."""
     from rasterio.warp import transform
 
     x, y = grid.positions(np.array([0.02, 0.98, 0.02, 0.98]) * width, np.array([0.02, 0.02, 0.98, 0.98]) * height)

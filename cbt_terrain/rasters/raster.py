@@ -91,7 +91,7 @@ class ImportSettings:
     def __post_init__(self) -> None:
         """Convert numbers to plain ones and sequences to tuples.
 
-        Raises TerrainError for a number that is not finite.
+        Raises TerrainError for a value of another type. `check` refuses numbers that are not finite or out of range.
         """
         keep_plain_numbers(self, "The import's")
         object.__setattr__(self, "more_sources", tuple(self.more_sources))
@@ -193,7 +193,8 @@ class Raster:
         read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
         window: window(first, count, column, columns) returns a part of these rows; None for a raster that is read by
             whole rows only. Those of a reprojected raster differ by its stated error, because GDAL depends on windows.
-        pick: pick(rows, columns) returns the samples there, NaN where missing; None for a raster that is read by rows.
+        pick: pick(rows, columns) returns the samples of these rows in these columns, [rows, columns] with NaN where
+            missing; None for a raster that is read by rows.
         grid: coordinate system and geotransform of the samples, if the file places them.
         stored: name of the samples' type in the file.
         format: name of the file's format.
@@ -209,7 +210,8 @@ class Raster:
             `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
-        overview: overview(max_factor) returns a raster of means of at most max_factor samples a side, or None.
+        overview: overview(max_factor) returns a raster of means of 2, 4, 8 ... samples a side, the most up to
+            max_factor, which the caller closes; None if the file has none.
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         method: version of a method that makes the samples and that older versions lack; 0 for none.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
@@ -268,7 +270,10 @@ class Raster:
 
 
 def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
-    """Return whether a sample of type `kind` can equal `no_data` and hence be a missing one."""
+    """Return whether a sample of type `kind` can equal `no_data` and hence be a missing one.
+
+    False for None and NaN: samples that are NaN are missing anyway.
+    """
     if no_data is None or math.isnan(no_data):
         return False
     with np.errstate(over="ignore", invalid="ignore"):

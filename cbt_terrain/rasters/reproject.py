@@ -33,8 +33,8 @@ def reproject(
 ) -> tuple[DatasetReader, FileGrid]:
     """Return a resampled view of a rasterio dataset, and its grid.
 
-    The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset.
-    Raises TerrainError.
+    The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset, which
+    it reads and which has to stay open. Raises TerrainError.
 
     Args:
         grid: grid of the dataset.
@@ -128,7 +128,7 @@ def _target_system(path: Path, dataset: DatasetReader, source: FileGrid, name: s
 
 
 def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
-    """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n."""
+    """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n. Raises TerrainError beyond the latitudes of UTM."""
     from rasterio.crs import CRS
 
     middle = source.positions(np.array([dataset.width / 2]), np.array([dataset.height / 2]))
@@ -171,7 +171,10 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
 
 
 def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tuple[float, float]:
-    """Return the steps along x and y of a straight grid as dense as one whose column and row steps are given."""
+    """Return the steps along x and y of a straight grid as dense as one whose column and row steps are given.
+
+    A grid that is almost parallel to the axes keeps its step along a row; any other gets squares.
+    """
     column, row = length((column_x, column_y)), length((row_x, row_y))
     area = abs(column_x * row_y - column_y * row_x)
     if abs(column_y) < 0.1 * column:

@@ -45,7 +45,11 @@ class SourceRounding:
         return 0 if kind.kind != "f" else self.bits or np.finfo(kind).nmant + 1
 
     def half_step(self, largest: float) -> float:
-        """Return the largest half step between values of several files, if values are up to `largest`."""
+        """Return the largest rounding error of heights up to `largest`, in their unit.
+
+        It is half the step between stored values there, the whole step if digits were cut, with the errors before
+        storing.
+        """
         kind, scale = np.dtype(self.stored), abs(self.scale)
         if scale == 0.0:
             return 0.0
@@ -65,7 +69,7 @@ class SourceRounding:
 
 
 def half_step(roundings: tuple[SourceRounding, ...], largest: float) -> float:
-    """Return the largest half step of several files' values."""
+    """Return the largest rounding error of several files' heights up to `largest`."""
     return max(rounding.half_step(largest) for rounding in roundings)
 
 

@@ -15,7 +15,10 @@ MAX_TAGS = 4096  # tags of a file's first directory that are searched
 
 
 def orientation_of(path: Path) -> int:
-    """Return the orientation of a TIFF's first picture, 1 to 8; 1 if the file has no such tag."""
+    """Return the orientation of a TIFF's first picture, 1 to 8; 1 if the file has no such tag or is no whole TIFF.
+
+    Raises OSError.
+    """
     with open_regular(path, links=True) as file:
         head = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2])

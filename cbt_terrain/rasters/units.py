@@ -60,7 +60,7 @@ def metres_of(name: str) -> float | None:
         return None
     is_whole = not re.search(r"[^\W_][\W_]+[^\W_]", name)  # nothing but letters and digits between its ends
     name = re.sub(r"international|intl|[\W_]", "", name)
-    for text in (name, name.removesuffix("s") if len(name) > 2 else name):
+    for text in (name, name.removesuffix("s") if len(name) > 2 else name):  # as it is, and without a plural
         if text in METRES and (is_whole or len(text) > MAX_SYMBOL):  # "m m" is not mm
             return METRES[text]
         for word, feet in FEET.items():

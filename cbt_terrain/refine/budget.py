@@ -14,7 +14,7 @@ from ..history.frame_history import FrameHistory
 from ..run import launch
 from ..run.buffers import bind, shared
 from .request import RefinementRequest
-from .step_search import MAX_STEP, Found, lowest
+from .step_search import MAX_STEP, Found, find_finest_step
 
 # Where an unrelaxed mesh has less than this fraction of the leaves that it may have, it also fits a step finer.
 NEAR = 0.5
@@ -45,10 +45,11 @@ def search(
     """Return the finest step that gives at most `max_leaves`, not finer than `low`; MAX_STEP + 1 if none does.
 
     start: the last frame's result (None: there is none). It changes how long the search takes, not the answer. Without
-    it, 0 is only a step that may fit: a refinement finds that out as soon as counting does.
+    it, 0 is only a step that may fit, and is not counted: a refinement finds that out as soon as counting does.
     """
     roots = 2 * lattice.squares
-    return lowest(partial(count_splits, lattice, request, history, threads), max_leaves - roots, start, low)
+    count_at = partial(count_splits, lattice, request, history, threads)
+    return find_finest_step(count_at, max_leaves - roots, start, low)
 
 
 def ramp_start(
@@ -66,7 +67,7 @@ def ramp_start(
         return last
     marks = history.hints.marks
     _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_splits, finer_by=1)
-    history.hints.marks = marks
+    history.hints.marks = marks  # those of the search
     finer = int(found[0]) + roots if len(found) else FAR_OVER * max_splits
     fraction = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
     return last * 2.0 ** (fraction / STEPS_PER_OCTAVE)
@@ -85,7 +86,7 @@ def count_splits(
     """Count split triangles at steps from `finest` to `coarsest`.
 
     Return the first step with at most `max_splits`, and the counts from it on; `coarsest` + 1 and no counts if there is
-    no such step.
+    no such step. The history's marks become those of this count.
 
     finer_by: number of steps by which the limits are finer.
     """

@@ -110,9 +110,10 @@ class Outcome:
     def search(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
 
-        what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. With ANY as `max_depth` all leaves of
-        the tree are searched; `threshold` must then be the tolerance to which they were refined. The result is rounded
-        up by at most a thousandth, for ERROR by a hundredth.
+        what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. threshold: in the unit of the result's
+        `value`, -1 for any. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must then be the
+        tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
+        hundredth.
         """
         stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
@@ -197,7 +198,7 @@ def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | No
 
 
 def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
-    """Return the bound of the screen error for the views of `o.arrays`.
+    """Return the bound of the screen error for the views of `outcome.arrays`; 0 if no ground is in view.
 
     It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway. `finest`
     is the tolerance of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.

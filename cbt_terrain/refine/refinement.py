@@ -45,7 +45,7 @@ def refine(
     """Refine from the roots and write the leaves into the next frame.
 
     Returns the leaves, and the factor by which the triangle limit relaxed the criterion (1: not at all). If vertices
-    morph, it is the factor from which they do.
+    morph, it is the factor from which they do. Raises TerrainError for a field whose errors are damaged.
     """
     domain, criterion, depth, morphs = request.domain, request.criterion, request.max_depth, request.morph_until > 1
     history.need_tree(field.lattice.square_bits + max(depth, MIN_DEPTH), threads)
@@ -70,7 +70,7 @@ def _refine_to_limit(
     """Return the finest walk that keeps to the triangle limit, and its relaxation step.
 
     There is no walk (None) if that relaxes the criterion by more than `relaxed`. The step is kept in the hints, and the
-    factor of its squares in the criterion.
+    factor of its squares in the criterion. Raises TerrainError for a field whose errors are damaged.
     """
     criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)

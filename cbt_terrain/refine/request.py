@@ -72,6 +72,6 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
     arrays.diagonal2, arrays.axis2 = spans.lengths
     arrays.limit = 1.0
-    views = views or [LocalView()]
+    views = views or [LocalView()]  # kernels get an array that is not empty
     arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
     return arrays

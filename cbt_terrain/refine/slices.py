@@ -43,8 +43,9 @@ class Slices:
     def of(cls, history: FrameHistory, lattice: Lattice, cuts: list[int], max_depth: int, max_leaves: int) -> "Slices":
         """Return the walks between `cuts`, bound to the next frame's arrays.
 
-        cuts: deepest cells of the tree. max_depth: bisections of a square. A walk with more leaves than fit
-        into its part of the arrays counts the others; above `max_leaves` it may stop.
+        cuts: deepest cells of the root squares, ascending, at which walks begin, and the end of the last one.
+        max_depth: bisections of a square. A walk with more leaves than fit into its part of the arrays counts the
+        others; above `max_leaves` it may stop.
         """
         assert history.tree is not None, "refine and replay have a tree"
         count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
@@ -113,7 +114,10 @@ class Slices:
         self.reused = scratch.numpy("reused")[:count]
 
     def read_counts(self) -> np.ndarray:
-        """Return the counts that the kernels have written, int64 [slices, 4]."""
+        """Return the counts that the kernels have written, int64 [slices, 4].
+
+        They and `reused` are copies from now on, which a later walk does not overwrite.
+        """
         self.counts, self.reused = self.counts.copy(), self.reused.copy()
         return self.counts
 

@@ -25,7 +25,7 @@ REACH, REACH_OF_PARTS, WIDER = 40, 256, 3
 WINDOW = 8
 # Octaves of splits per octave of error, on typical ground.
 SPLITS_PER_ERROR = 1.2
-# ... and at least: coarse meshes have too few steps with growth to measure it.
+# The least that is assumed: coarse meshes have too few steps with growth to measure it.
 MIN_SPLITS_PER_ERROR = 0.8
 
 # (finest, coarsest, max_splits): see `count_splits` in budget.py.
@@ -39,11 +39,12 @@ class Found(NamedTuple):
     splits: int = 0  # triangles that are split there; 0: not counted
 
 
-def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Found:
+def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: int) -> Found:
     """Find the finest step at which at most `max_splits` triangles are split, MAX_STEP + 1 if there is none.
 
     splits: function that counts them at steps; the numbers fall as steps rise. start: the last frame's result, None
-    without one; it changes the time only. low: the finest step that is allowed.
+    without one; it changes the time only. Without it, step 0 is returned before it is counted if it may fit. low: the
+    finest step that is allowed.
     """
     search = _Search(splits, max_splits, low)
     if start:
@@ -71,7 +72,10 @@ class _Search:
         self._reached = 0  # splits at `high`, or a number that the next finer step exceeds
 
     def look(self, finest: int, coarsest: int, goal: int) -> int:
-        """Count splits at the steps finest .. coarsest, where there are at most `goal`; return the first such step."""
+        """Count splits at the steps finest .. coarsest, where there are at most `goal`; return the first such step.
+
+        It is `coarsest` + 1 if there is none.
+        """
         first, found = self._splits(finest, coarsest, goal)
         self.known[first : coarsest + 1] = found
         if len(found) and first <= self.high:

@@ -16,9 +16,9 @@ DISPLACEMENT_ERROR = 2.0**-48
 # Inside a bicubic patch slopes are means of three times the differences of control heights, and a facet may lean along
 # each axis by as much as the surface does along both.
 BICUBIC_LEAN = 6.0
-# Relative; above what rounding does to the sums below.
+# Relative; above the rounding of the sums below.
 OUTWARD = 1 + 1e-6
-MARGIN = 1e-12  # ... of a few metres
+MARGIN = 1e-12  # relative; above the rounding of a bound
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,13 @@ class Terms:
 
     @classmethod
     def shares(cls, bound: float, *parts: float) -> "Terms":
-        """Divide a bound in proportion to its three terms in metres, in the order above."""
+        """Divide a bound in proportion to its three terms, which are in one unit, as metres, in the order above.
+
+        All terms are 0 if the parts are.
+        """
         total = add_up(parts)
-        unit_per_metre = bound / total if total > 0.0 else 0.0
-        return cls(*(metres * unit_per_metre for metres in parts))
+        scale = bound / total if total > 0.0 else 0.0
+        return cls(*(part * scale for part in parts))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.refine.budget import count_splits, limit_at_step
 from adaptive_terrain.cbt_terrain.refine.request import RefinementRequest
 from adaptive_terrain.cbt_terrain.refine.slices import Slices
-from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, lowest
+from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, find_finest_step
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -222,13 +222,13 @@ def test_the_search_finds_the_finest_step_from_anywhere():
                 first = finest + int(np.count_nonzero(splits[finest : coarsest + 1] > goal))
                 return first, splits[first : coarsest + 1]
 
-            found = lowest(counted, most, None if start is None else Found(max(1, int(start))), 0)
+            found = find_finest_step(counted, most, None if start is None else Found(max(1, int(start))), 0)
             if found.step == 0 and start is None:  # a guess, which may be wrong
-                found = lowest(counted, most, None, 1) if expected else found
+                found = find_finest_step(counted, most, None, 1) if expected else found
             assert found.step == expected
             if start is None and 4 <= expected <= MAX_STEP:  # again, from the result
                 passes.clear()
-                assert lowest(counted, most, found, 0) == found and len(passes) == 1
+                assert find_finest_step(counted, most, found, 0) == found and len(passes) == 1
 
 
 def test_a_search_counts_few_times_the_budget(counted):

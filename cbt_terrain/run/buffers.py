@@ -43,7 +43,11 @@ def flat(array: np.ndarray, dtype: Any) -> wp.array:
 
 
 def bind(struct: Any, **values: Any) -> None:
-    """Set the fields of a Warp struct that differ from `values`, because setting an array costs as much as a launch."""
+    """Set the fields of a Warp struct that differ from `values`, because setting an array costs as much as a launch.
+
+    Arrays and structs differ if they are other objects, integers if their values do; floats are set unless the object
+    is the same.
+    """
     for name, value in values.items():
         held = getattr(struct, name)
         if held is not value and not (isinstance(value, int) and held == value):
@@ -104,7 +108,8 @@ class Buffers:
     def get(self, name: str, count: int, dtype: Any) -> wp.array:
         """Return an array of at least `count` items of a Warp dtype; the contents are kept only if it need not grow.
 
-        A larger array gets a quarter more than the last one had, so that slowly growing meshes rarely allocate.
+        dtype: the same at every call with a name. A larger array gets a quarter more than the last one had, so that
+        slowly growing meshes rarely allocate.
         """
         existing = self._arrays.get(name)
         if existing is None or len(existing[0]) < count:
@@ -127,7 +132,10 @@ class Buffers:
         return table
 
     def extend(self, name: str, count: int) -> np.ndarray:
-        """Return the memory of a buffer with room for at least `count` items; the contents are kept."""
+        """Return the memory of a buffer with room for at least `count` items; the contents are kept.
+
+        If it grows, an array that `get` returned before shares the old memory.
+        """
         array, shared_array = self._arrays[name]
         if len(array) < count:
             larger = np.empty((int(1.25 * count), *array.shape[1:]), array.dtype)

@@ -61,7 +61,8 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
     """Start a program whose standard input is a pipe that lives as long as its parent; only that receives Ctrl-C.
 
-    variables: additions to its environment. streams: its other standard streams, as of Popen.
+    variables: additions to its environment. streams: its other standard streams, as of Popen. Raises OSError if it
+    cannot be started.
     """
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
     folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # the first in a child that starts others
@@ -103,8 +104,9 @@ def _kill_group(process: subprocess.Popen) -> None:
 def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable[[], None] = lambda: None) -> None:
     """Stop this child process when its parent ends for any reason.
 
-    The next `stopping.check` then raises `Stopped`. If the process still runs after a while, it calls `clean_up` and
-    exits. `heard` is called, on another thread, when the parent writes anything.
+    The next `stopping.check` then raises `Stopped`. If the process still runs after GRACE_SECONDS, it calls `clean_up`
+    and exits with the code 1. `heard` is called, on another thread, when the parent writes anything. From now on that
+    thread alone reads stdin.
     """
 
     def wait() -> None:

@@ -26,7 +26,11 @@ MAX_OBJECT_BYTES = 1 << 28
 
 
 def load(name: str) -> None:
-    """Load the kernels of the Warp module `name`, from one thread at a time. Raises TerrainError."""
+    """Load the kernels of the Warp module `name`, from one thread at a time.
+
+    If the cache fails, a temporary folder takes its place for this process, and loading is tried again. Raises
+    TerrainError.
+    """
     try:
         _load(name)
     except Exception as reason:  # Warp raises many kinds for its cache and its compiler
@@ -101,7 +105,7 @@ def _load(name: str) -> None:
 
 
 def _build_folder() -> tempfile.TemporaryDirectory:
-    """Make a folder in the cache in which there is room for a compiled module. Raises OSError."""
+    """Make a folder in the cache with room for a compiled module, which the caller removes. Raises OSError."""
     folder = tempfile.TemporaryDirectory(prefix="build_", dir=wp.config.kernel_cache_dir, ignore_cleanup_errors=True)
     with tempfile.TemporaryFile(dir=folder.name) as probe:
         if hasattr(os, "posix_fallocate"):

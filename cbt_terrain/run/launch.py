@@ -47,7 +47,10 @@ def checked_threads(threads: int | None) -> int:
 
 @contextmanager
 def stopwatch() -> Iterator[dict[str, float]]:
-    """Yield a dict that collects the milliseconds of every step that this thread launches inside the block."""
+    """Yield a dict that collects the milliseconds of every step that this thread launches inside the block.
+
+    The stopwatch of an outer block misses these steps.
+    """
     outer = getattr(_times, "steps", None)
     steps: dict[str, float] = {}
     _times.steps = steps
@@ -190,9 +193,9 @@ def spread(
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
-    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys; stable.
+    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, in place; stable.
 
-    Both arrays have room for twice as many items as scratch.
+    Both arrays have at least 2 `count` items, of which those behind the first `count` are scratch.
     """
     stopping.check()
     with timed(step):

@@ -46,7 +46,10 @@ caching = SharedLock()
 
 
 def cached(cache: MutableMapping[Any, Any], key: Hashable, make: Callable[[], Value]) -> Value:
-    """Return `cache[key]`. If it is missing, `make` it on this thread, while other threads wait that need any value."""
+    """Return `cache[key]`. If it is missing, `make` it on this thread, while other threads wait that need any value.
+
+    If `make` raises, nothing is cached.
+    """
     try:
         return cache[key]
     except KeyError:

@@ -272,12 +272,12 @@ def remove_tree(
     """Remove a folder with its contents, if it exists.
 
     Args:
-        may_remove: returns whether this program created an entry, from its name and whether it is a folder. None: all
-            entries are removed, also links themselves, as in a folder that this process created.
+        may_remove: returns whether this program created an entry directly in the folder, from its name and whether it
+            is a folder. None: all entries are removed, also links themselves, as in a folder that this process created.
         may_be_link: allow a link as the folder above, if the user chose it.
 
     Raises OSError; and NotOursError, before anything is removed, if the folder is a link or if, with `may_remove`, an
-    entry is a link or not of this program.
+    entry directly in it is a link or not of this program; after some were removed, for more than MAX_DEPTH folders.
     """
     path = Path(path)
     try:
@@ -311,7 +311,10 @@ def _foreign_error(what: str) -> NotOursError:
 
 
 def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
-    """Remove an entry, or a link itself. Entries that another process removes meanwhile are no error."""
+    """Remove an entry with its contents, or a link itself. Entries that another process removes meanwhile are no error.
+
+    depth: folders above it in the tree that is removed. Raises OSError, and NotOursError beyond MAX_DEPTH.
+    """
     if depth > MAX_DEPTH:
         raise _foreign_error(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
     with suppress(FileNotFoundError):
@@ -328,7 +331,7 @@ def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
 def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -> None:
     """Remove the regular files in a folder with names that `may_remove` accepts; all other entries stay.
 
-    A missing folder is no error. Raises NotOursError for a link, and OSError.
+    A missing folder is no error. Raises NotOursError if the folder is a link, and OSError.
     """
     try:
         with open_folder(path) as folder:
@@ -342,7 +345,7 @@ def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -
 
 
 def remove_empty(path: str | os.PathLike) -> None:
-    """Remove an empty folder; raise OSError for any other. Links stay."""
+    """Remove an empty folder. Raises OSError for any other and for a missing one, and NotOursError for a link."""
     path = Path(path)
     with open_folder(path.absolute().parent, may_be_link=True) as above:
         found = above.find(path.name)

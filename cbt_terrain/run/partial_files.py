@@ -47,7 +47,8 @@ def written_beside(path: Path) -> Iterator[Path]:
     """Yield a path for the new content of `path`; rename it to `path` when the block ends well, else remove it.
 
     So no incomplete file ever has the final name. The new file has that name already, in a folder that only this user
-    may write: exporters choose a format by it, and it cannot be replaced by a link.
+    may write: exporters choose a format by it, and it cannot be replaced by a link. Raises OSError, and NotOursError if
+    `path` may not be replaced.
     """
     path = Path(path)
     check_replaceable(path)
@@ -243,7 +244,10 @@ def _try_lock(lock: int) -> bool | None:
 
 
 def _open_lock(folder: Path) -> int | None:
-    """Return a folder's open lock file; None if its work has ended. Raises OSError if the folder is gone."""
+    """Return a folder's open lock file; None if its work has ended. Raises OSError if the folder is gone.
+
+    An empty folder is removed.
+    """
     for _ in range(ATTEMPTS):
         try:
             return os.open(folder / LOCK, os.O_RDWR | NO_LINK)

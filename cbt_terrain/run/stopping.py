@@ -142,7 +142,8 @@ def _replace(number: int) -> Callable[[], object]:
 def _listen(reader: int) -> None:
     """Read signal numbers from the pipe `reader`, on the thread for them.
 
-    The first asks to stop, a later one ends the process at once, and 0 ends the loop.
+    The first asks to stop. A later one ends the process at once, unless it follows within ONE_PRESS_SECONDS. 0 ends the
+    loop.
     """
     first, end = None, None
     while number := os.read(reader, 1)[0]:

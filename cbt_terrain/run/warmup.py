@@ -155,7 +155,10 @@ def start() -> None:
 
 
 def prepare_modules(modules: Iterable[ModuleType]) -> bool:
-    """Return whether these modules are prepared. If not, start that, unless others are in progress; then call again."""
+    """Return whether these modules are prepared. If not, start that, unless others are in progress; then call again.
+
+    A module whose preparation failed counts as prepared: the launch of its kernels raises the error.
+    """
     global _requested
     missing = [module for module in modules if module not in _tried]
     if missing and not preparing():
@@ -164,7 +167,7 @@ def prepare_modules(modules: Iterable[ModuleType]) -> bool:
 
 
 def stop() -> None:
-    """End the preparations of `start` and `prepare_modules` at once; `wait` then raises TerrainError."""
+    """End the preparations of `start` and `prepare_modules` at once; a `wait` in progress raises TerrainError."""
     global _current, _requested
     begun, _current, _requested = [p for p in (_current, _requested) if p is not None], None, None
     for preparation in begun:
@@ -196,7 +199,7 @@ def progress() -> float | None:
 def wait(overlay: bool = False) -> None:
     """Wait until the kernels of a frame, or of the overlay, and those of `prepare_modules` are ready.
 
-    Raises TerrainError if `stop` was called.
+    It returns at once if nothing was started. Raises TerrainError if `stop` is called meanwhile.
     """
     for preparation in (_current, _requested):
         if preparation is not None:

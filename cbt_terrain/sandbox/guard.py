@@ -24,9 +24,10 @@ VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM
 
 
 def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
-    """Drop this process's rights before files are opened, and return the report of `sandbox.enter`.
+    """Drop this process's rights before files are opened, and return the report of `sandbox.enter`, with "memory".
 
-    folder: where this process may still write. encoding: how the pixels of an image hold heights, PLAIN for numbers.
+    folder: existing one, where this process may still write; None for no folder. encoding: how the pixels of an image
+    hold heights, PLAIN for numbers.
 
     Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
     right remains.

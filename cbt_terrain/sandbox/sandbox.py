@@ -52,7 +52,7 @@ def enter(folder: Path | None) -> dict[str, str]:
 
 
 def limit_memory(max_bytes: int) -> str:
-    """Limit this process's allocated memory for good, without mapped files, and return the limit as text."""
+    """Limit this process's allocated memory for good, and return the limit as text. Mapped files do not count."""
     if sys.platform != "linux":
         return f"{REMAINS}: only Linux can limit it"
     import resource
@@ -84,7 +84,10 @@ def _die_first() -> None:
 
 
 def _drop_calls(libc: ctypes.CDLL) -> str:
-    """Drop root's capabilities and all system calls that are not listed; return the outcome in words."""
+    """Drop root's capabilities and all system calls that are not listed; return the outcome in words.
+
+    Raises OSError.
+    """
     if platform.machine() not in MACHINES:
         return f"{REMAINS}: not known how on {platform.machine()}"
     _drop_capabilities(libc)
@@ -93,7 +96,7 @@ def _drop_calls(libc: ctypes.CDLL) -> str:
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:
-    """Drop all of root's rights except those to read and write files."""
+    """Drop all of root's rights except those to read and write files. Raises OSError."""
     header, sets = struct.pack("Ii", CAPABILITIES_VERSION, 0), ctypes.create_string_buffer(24)
     if libc.capget(header, sets) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
@@ -106,7 +109,7 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
 def _drop_writes(libc: ctypes.CDLL, folder: Path | None) -> str:
     """Restrict this process with Landlock: write in `folder` alone, read no devices; return the outcome in words.
 
-    Later versions of Landlock also refuse TCP, device calls, abstract sockets and signals.
+    Later versions of Landlock also refuse TCP, device calls, abstract sockets and signals. Raises OSError.
     """
     version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 2:  # version 1 refuses every rename into another folder, which a store needs
@@ -134,7 +137,7 @@ def _readable() -> list[Path]:
 
 
 def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, access: int) -> None:
-    """Add a right to a Landlock ruleset. access: bits of what may be done with `path` and all below."""
+    """Add a right to a Landlock ruleset. access: bits of operations on `path` and all below. Raises OSError."""
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         rule_type, flags = 1, 0  # LANDLOCK_RULE_PATH_BENEATH

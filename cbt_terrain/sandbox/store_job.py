@@ -315,7 +315,8 @@ ChildWork = Callable[[dict, Tell, Callable[[], None]], Mapping | Sequence]
 def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
     """Read a request from stdin, do it, and report on stdout; for the child process.
 
-    what(request): the work as a noun, for errors. heard(): called when the parent writes another line.
+    what(request): the work as a noun, for errors. heard(): called when the parent writes another line. An unexpected
+    exception of the work is reported and raised again.
     """
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # libraries print to stderr

@@ -47,10 +47,10 @@ class Candidates:
         return self._first[number], (self._keys[number] == keys) & (self._count[number] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
-        """Reserve `count` candidates and return the index of the first.
+        """Reserve `count` candidates and return the index of the first; `add` has to follow once they are written.
 
-        If the arrays are full, they grow and only the runs of the given `keys` are copied; other runs are computed
-        again.
+        If the arrays are full, they grow and only the runs of the given `keys`, which have to be there, are copied;
+        other runs are computed again.
         """
         if self._used + count > len(self.density):
             runs = np.searchsorted(self._keys, np.sort(keys))

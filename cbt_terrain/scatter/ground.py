@@ -105,7 +105,7 @@ class ScatterGround:
         first, available = tile().runs(squares.halvings, window)
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
-        runs["clear"] = squares.clear if views == 1 else 0
+        runs["clear"] = squares.clear if views == 1 else 0  # of several views it is not known in which one
         keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first
         firsts, known = self.candidates.find(keys, squares.count)
         if not known.all():
@@ -120,7 +120,10 @@ class ScatterGround:
         return runs
 
     def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
-        """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays."""
+        """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays.
+
+        Raises TerrainError for heights that are not finite.
+        """
         inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(
             kernels.place_candidates, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place"
@@ -141,7 +144,10 @@ class ScatterGround:
 
 
 def pieces_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
-    """Return ranges of runs with equal numbers of candidates, for a useful number of threads."""
+    """Return ranges of runs (first, end) with about equal numbers of candidates, for a useful number of threads.
+
+    counts: candidates of each run, [n].
+    """
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     pieces = max(1, min(threads, total // launch.SLICE_ITEMS))
@@ -155,7 +161,10 @@ def pack_runs(runs: np.ndarray) -> wp.array:
 
 
 def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
-    """Return the pattern over the raster, shifted by the seed, and the number of tiles in a row."""
+    """Return the pattern over the raster, shifted by the seed, and the number of tiles in a row.
+
+    Raises TerrainError for more than MAX_TILES.
+    """
     west, south, east, north = field.lattice.rectangle()
     side, pattern = scatter.tile_side, Pattern()
     tiles = int(max(east - west, north - south) / side) + 2

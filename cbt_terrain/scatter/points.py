@@ -154,7 +154,10 @@ def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGroun
 
 
 def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> ScatterPoints:
-    """Move points to the heights of the terrain's last surface, where it has a triangle; normals do not change."""
+    """Move points to the heights of a terrain's surface, where it has a triangle; normals do not change.
+
+    surface: that of the terrain's last update. Raises TerrainError before the first one.
+    """
     places = points.positions[:, :2].astype(np.float64)
     number = terrain.triangles_at(places)
     there = np.flatnonzero(number >= 0)
@@ -168,9 +171,9 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
 
 
 def _take_horizon(views: list[LocalView], horizon: CriterionArrays) -> None:
-    """Give each view its part of the horizon map, so that points behind ground are left out.
+    """Give each view its part of the horizon map, in place, so that points behind ground are left out.
 
-    Raises TerrainError if the map was made for other views.
+    Raises TerrainError if the map was made for another number of views or other eyes.
     """
     others = horizon.views.numpy()[: horizon.view_count]
     if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):

@@ -112,8 +112,8 @@ def _quarter(numbers: np.ndarray) -> np.ndarray:
 def _pack_squares(field: HeightField, west: float, south: float, side: float) -> kernels.ScatterSquares:
     """Return squares of a size as kernels read them, with ranges of heights.
 
-    The ranges are of the smallest lattice cells that are as large as a square. west, south: corner of square 0,
-    metres. side: metres.
+    The ranges are of the smallest lattice cells that are as large as a square; larger squares than the root squares
+    have that of the whole surface. west, south: corner of square 0, metres. side: metres.
     """
     lattice, q = field.lattice, kernels.ScatterSquares()
     q.west, q.south, q.side, q.low, q.high = west, south, side, field.min_height, field.max_height

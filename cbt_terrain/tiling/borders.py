@@ -91,7 +91,7 @@ def raise_kinds(grid: TileGrid, opened: Opened) -> list[tuple[int, bool]]:
             at = entries_of(grid.lattice, vertices)
             found = kinds[at]
             for child, there in children_of(grid.lattice, vertices, is_centre):
-                if level or is_centre:
+                if level or is_centre:  # sides of single cells have their kinds from the tiles
                     found[there] |= kinds[child[there]]
             kinds[at] = found
             if (found == GROUND_AND_HOLE).any():
@@ -160,6 +160,8 @@ def join_borders(
 ) -> None:
     """Write the values of vertices near the borders of tiles; `unite` decides about those of several tiles.
 
+    They are set to 0 before any tile's values are united with them.
+
     Args:
         rows: numbers of tiles, and functions that return their values, uint8 as `TileErrors.border`.
         opened: maps the array of the raster.
@@ -186,7 +188,7 @@ def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, 
         parts = [*shared_vertices(grid, level, True)]
         parts += [*shared_vertices(grid, level, False)] if level >= grid.bits else []
         error = opened()
-        if level >= grid.bits:
+        if level >= grid.bits:  # `join_borders` has written the centres of tiles
             for vertices in parts:
                 error[entries_of(grid.lattice, vertices)] = 0
         chosen = [item for item in found if item.level == level]

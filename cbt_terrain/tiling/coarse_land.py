@@ -110,7 +110,7 @@ class CoarseLand:
         return found
 
     def large_errors(self, found: list[LargeError]) -> Iterator[LargeError]:
-        """Yield the errors of this land for diamonds of cells as large as a tile or larger."""
+        """Yield the errors of this land for diamonds of cells as large as a tile or larger: those in `found`."""
         for item in found:
             x, y = np.array([item.x]), np.array([item.y])
             is_centre = bool(item.x & item.y & 1 << item.level)

@@ -234,9 +234,9 @@ def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -
 
 
 def _squares(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
-    """Return the cells of `side` samples that meet a tile.
+    """Return the cells of `side` samples that meet a tile: (column, row) of each.
 
-    Samples on the raster's border also count for the padding beyond it.
+    side: at least that of a tile. Samples on the raster's border also count for the padding beyond it.
     """
     found = []
     for first, last, cells, span in zip(

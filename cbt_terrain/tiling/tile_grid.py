@@ -32,7 +32,7 @@ class TileBox(NamedTuple):
 
 
 class LatticeVertices(NamedTuple):
-    """LatticeVertices of a lattice, int64 [n], in samples, and their levels, int64 [n] or one for all."""
+    """Vertices of a lattice, int64 [n], in samples, and their levels, int64 [n] or one for all."""
 
     x: np.ndarray
     y: np.ndarray
@@ -257,7 +257,10 @@ def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> 
 
 
 def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarray) -> None:
-    """Replace the codes of a tile in the array of the raster: uint8 tables [groups of the tile and cells, 256]."""
+    """Replace the codes of a tile in the array of the raster, in place.
+
+    tables: uint8 [groups of the tile and cells, 256], the new code of each old one.
+    """
     for area in owned_areas(grid, box):
         table = tables[area.group].tobytes()
         target, at = (area.paged(whole), None) if area.is_paged else (whole, area.positions())

@@ -52,7 +52,7 @@ def limits_of(work: TileWork) -> TerrainLimits:
 
 
 def fill(work: TileWork, threads: int) -> None:
-    """Fill all missing samples with the nearest valid one."""
+    """Fill all missing samples with the nearest valid one, in the work's arrays; they stay marked as missing."""
     lattice = work.grid.lattice
     cleaning.fill_rows(
         lambda: work.open("samples"),
@@ -72,6 +72,8 @@ def measure(
     coarse: CoarseLand | None = None,
 ) -> bool:
     """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
+
+    Without a change nothing is written.
 
     Args:
         before: its last record, None for none.
@@ -164,7 +166,7 @@ def join(
 ) -> JoinedErrors:
     """Complete the errors and ranges of a terrain whose tiles are all measured.
 
-    coarse: the land around loaded tiles, None if all tiles are loaded.
+    on_progress: gets the fraction that is done. coarse: the land around loaded tiles, None if all tiles are loaded.
     """
     grid, lattice = work.grid, work.grid.lattice
     records = work.records(MEASURED)

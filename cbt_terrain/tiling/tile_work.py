@@ -117,7 +117,7 @@ class TileWork:
     def copy(self, before: "TileWork") -> None:
         """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.
 
-        Records of units with gaps are left out, because a store does not mark filled samples.
+        Records of units with gaps are left out, because a store does not mark filled samples. Raises OSError.
         """
         is_whole = False
         try:
@@ -207,7 +207,8 @@ class TileWork:
     def write_heights(self, x: int, y: int, heights: np.ndarray) -> list[float]:
         """Store heights, float32 [rows, columns] with NaN where missing, from sample (x, y) on.
 
-        Return the lowest and the highest, or [] without any. Raises NotNumberedError.
+        Missing ones are marked in the array "missing"; their stored height has no meaning. Return the lowest and the
+        highest, or [] without any. Raises NotNumberedError.
         """
         missing = np.isnan(heights)
         has_gaps = bool(missing.any())
@@ -233,7 +234,7 @@ class TileWork:
             file.write(line)
 
     def records(self, kind: str) -> dict[int, dict]:
-        """Return the last record of each part by its number."""
+        """Return the last record of each part by its number. kind: READ for units, MEASURED for tiles."""
         found: dict[int, dict] = {}
         for record in sorted(self._all_records(), key=lambda record: record["at"]):
             if record["kind"] == kind:
@@ -241,7 +242,7 @@ class TileWork:
         return found
 
     def _all_records(self) -> Iterator[dict]:
-        """Return the whole records of all processes that worked on tiles."""
+        """Yield the whole records of all processes that worked on tiles; damaged lines are left out."""
         for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
             for line in read_regular(file, MAX_RECORDS, links=False).split(b"\n"):
                 record = record_of(line, self.grid)

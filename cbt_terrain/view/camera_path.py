@@ -127,7 +127,7 @@ def _clip(path: Path, data: dict) -> tuple[float, float]:
 
 
 def _field_of_view(path: Path, where: str, data: dict, sensor: float) -> float:
-    """Return the field of view in degrees: `fov`, else computed from `lens`, else 50.
+    """Return the field of view in degrees: `fov`, else computed from `lens`, else 50. Raises TerrainError.
 
     where: subject of errors. data: JSON object. sensor: width in millimetres.
     """

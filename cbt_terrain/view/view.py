@@ -173,7 +173,7 @@ def _read_point(position: ArrayLike, name: str) -> np.ndarray:
 
 
 def _check_resolution(resolution: object) -> tuple[float, float]:
-    """Return pixels each way, whole ones as ints, so that JSON has one text for a resolution."""
+    """Return pixels each way, whole ones as ints, so that JSON has one text for a resolution. Raises TerrainError."""
     pixels = plain_number(resolution, tuple[float, float], "The resolution")
     if not all(0 < n <= MAX_PIXELS for n in pixels):
         raise TerrainError(f"The resolution is {resolution}", expected=f"1 to {MAX_PIXELS:,} pixels each way")

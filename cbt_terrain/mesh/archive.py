@@ -36,7 +36,8 @@ def write_npz(
     seen from above; `edges` int32 [E, 2]; every attribute by its name; `tree` uint8 [bytes], a saved tree (see
     `Terrain.restore`), if one is given; and `info`, JSON text (no times, so that it is a function of the frame alone),
     with the domains and units of the attributes under "attributes". Raises TerrainError for an attribute with the name
-    of another entry, for a number that is not finite, and for a value of `info` that JSON cannot hold.
+    of another entry, for a number that is not finite, and for a value of `info` that JSON cannot hold; and OSError if
+    the file cannot be written.
     """
     about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {

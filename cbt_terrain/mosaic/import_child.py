@@ -56,9 +56,10 @@ def run_mosaic_import(
 ) -> dict:
     """Import a mosaic in this process and return the report. Raises TerrainError.
 
-    path: the store's folder. folder: name of the new folder of arrays in it, None for a new one. crew: processes that
-    read and measure tiles, None for this process alone. part: the part of an import that this process does, None for
-    all.
+    path: the store's folder. on_progress: gets a fraction and a message, and once a report on a mosaic that is new; an
+    exception from it cancels the import. folder: name of the new folder of arrays in it, None for a new one. crew:
+    processes that read and measure tiles, None for this process alone. part: the part of an import that this process
+    does, None for all.
     """
     store_folder.check_target(path)
     settings.check()

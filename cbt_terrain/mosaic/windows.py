@@ -27,7 +27,7 @@ class GridPiece(NamedTuple):
         return self.column // BLOCK, self.row // BLOCK
 
     def halves(self) -> tuple["GridPiece", "GridPiece"]:
-        """Divide the longer side."""
+        """Return the two halves of the piece, divided along its longer side."""
         if self.columns >= self.rows:
             left = self.columns // 2
             return self._replace(columns=left), self._replace(column=self.column + left, columns=self.columns - left)

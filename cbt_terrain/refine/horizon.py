@@ -59,9 +59,9 @@ def fill_horizons(
     buffers: Buffers,
     threads: int,
 ) -> None:
-    """Fill the horizon maps of all views, for meshes that satisfy the criterion times `relaxed`.
+    """Fill the horizon maps of all views, `criterion.slopes`, for meshes that satisfy the criterion times `relaxed`.
 
-    max_depth: largest depth of leaves. With an infinite factor the maps hide nothing.
+    max_depth: largest depth of leaves. buffers: hold the maps. With an infinite factor the maps hide nothing.
     """
     views = [(k, view) for k, view in enumerate(criterion.views.numpy()) if view["rings"]["count"]]
     entries = sum(int(view["rings"]["count"] + 1) for _, view in views) * int(ROW)

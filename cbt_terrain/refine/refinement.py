@@ -154,7 +154,10 @@ def _walk(
 
 
 def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
-    """Return where the curve is cut for the threads: evenly by the cost of the last frame. Results are the same."""
+    """Return where the curve is cut for the threads: evenly by the cost of the last frame. Results are the same.
+
+    These are numbers of deepest cells, ascending, from 0 to the end of the last root square.
+    """
     tree, last = history.tree, history.last.leaves
     assert tree is not None, "refine and replay have a tree"
     end = lattice.squares << tree.max_depth - lattice.square_bits

@@ -128,8 +128,9 @@ def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = 
 def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
     """Launch a kernel once with each list of inputs, all in parallel, each on its own thread.
 
-    `recorded` caches launches for a caller that launches again and again: replaying one takes 2 us instead of 15. A
-    struct that is identical to that of the last launch is read again, so setting its fields is enough. None: no cache.
+    Without any list it only loads the kernel. `recorded` caches launches for a caller that launches again and again:
+    replaying one takes 2 us instead of 15. A struct that is identical to that of the last launch is read again, so
+    setting its fields is enough. None: no cache.
     """
     stopping.check()
     with timed(step):

@@ -92,8 +92,8 @@ class OpenFolder(NamedTuple):
     def replace(self, name: str, source: "OpenFolder", source_name: str) -> None:
         """Move a file of another folder to `name` in this one, replacing a file there.
 
-        Raises OSError, and NotOursError for a link in a derived folder; in a folder that the user chose the link is
-        replaced.
+        Raises OSError, and NotOursError for a link, or another entry than a file, in a derived folder; in a folder that
+        the user chose a link is replaced.
         """
         found = self.find(name)
         if found is not None and derived_components(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):

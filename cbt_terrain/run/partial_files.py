@@ -201,9 +201,10 @@ def remove_if_abandoned(
 ) -> None:
     """Remove a folder of `make_folder` with a name with this token, if no living process uses it.
 
-    token: that of `new_token`, by which a folder of this machine is known. `is_needed` is called once no process uses
-    the folder, because the process may have ended well; if it returns True the folder stays. may_remove: returns
-    whether this program created an entry, from its name and whether it is a folder; None for all.
+    token: that of `new_token`, by which a folder of this machine is known. A folder of another machine, or where locks
+    are unknown, has to be older than STALE_SECONDS. `is_needed` is called once no process uses the folder, because the
+    process may have ended well; if it returns True the folder stays. may_remove: returns whether this program created
+    an entry, from its name and whether it is a folder; None for all. A folder that cannot be removed is no error.
     """
     try:
         if not _is_ours(folder):

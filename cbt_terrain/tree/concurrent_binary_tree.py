@@ -58,7 +58,10 @@ class ConcurrentBinaryTree:
     """
 
     def __init__(self, max_depth: int, threads: int | None = 1) -> None:
-        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 48."""
+        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 48.
+
+        threads: for queries and edits; None for `launch.default_threads`.
+        """
         if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
             raise TerrainError(
                 f"The tree's depth is {max_depth!r}", expected=f"a whole number, {MIN_DEPTH} .. {MAX_DEPTH}"

@@ -133,7 +133,7 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
     """
     if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
         return np.zeros((0, 4))
-    planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]
+    planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]  # before the eye, and up to the clip end
     for axis, (low, high) in enumerate(view.bounds()):
         guard = math.radians(min(margins[axis], 89.0))
         sine, cosine = round_last_bits(math.sin(guard)), round_last_bits(math.cos(guard))

@@ -261,7 +261,7 @@ class ConcurrentBinaryTree:
         self._state[bitfield.PAGES_USED] = FIRST_PAGES
 
     def _resize(self, num_pages: int) -> None:
-        """Give the pool room for `num_pages` pages, at least as many as it has; they keep their content."""
+        """Give the pool room for `num_pages` pages, no fewer than it has; they keep their content."""
         self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)  # counted on when it was full
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:

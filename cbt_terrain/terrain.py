@@ -134,9 +134,9 @@ class Terrain:
         example of a damaged field, the error leaves the terrain without a mesh.
         """
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
-        heights = vertical(vertical_scale, vertical_offset)
-        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *heights)
-        return self._make_once(key, lambda ms: self._update(key, criterion, views, placement, *heights, ms))
+        scaling = vertical(vertical_scale, vertical_offset)
+        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *scaling)
+        return self._make_once(key, lambda ms: self._update(key, criterion, views, placement, *scaling, ms))
 
     def saved(self) -> tuple[bytes, dict]:
         """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
@@ -165,9 +165,9 @@ class Terrain:
         of this height field.
         """
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
-        heights = vertical(vertical_scale, vertical_offset)
-        key = (tree, meshlet, *heights)
-        return self._make_once(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
+        scaling = vertical(vertical_scale, vertical_offset)
+        key = (tree, meshlet, *scaling)
+        return self._make_once(key, lambda ms: self._restore(key, tree, meshlet, *scaling, ms))
 
     def _make_once(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
         """Return the update that `make` builds, or the last one if its key is the same.

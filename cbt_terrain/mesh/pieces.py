@@ -44,9 +44,9 @@ class Pieces:
         for k in range(int((end - first).max(initial=0))):
             rows = np.flatnonzero(first + k < end)
             triangles = self.order[first[rows] + k]
-            inside = _depth(self.surface.positions[self.surface.triangles[triangles], :2], places[rows])
-            deeper = inside > depth[rows]
-            found[rows[deeper]], depth[rows[deeper]] = triangles[deeper], inside[deeper]
+            piece_depth = _depth(self.surface.positions[self.surface.triangles[triangles], :2], places[rows])
+            deeper = piece_depth > depth[rows]
+            found[rows[deeper]], depth[rows[deeper]] = triangles[deeper], piece_depth[deeper]
         slack = ROUNDED * float(np.abs(self.surface.positions[:, :2]).max(initial=0.0))
         return np.where(depth >= -slack, found, -1)
 

@@ -17,14 +17,14 @@ MIN_WEIGHT = 0.5 - 1e-9
 def bridge(
     piece: GridPiece,
     lattices: list[tuple[BlockNodes, LatticeWindow]],
-    out: np.ndarray,
+    values: np.ndarray,
     ranks: np.ndarray,
     moved: np.ndarray,
 ) -> None:
     """Fill samples of a piece that no tile covers from the borders of tiles within one cell, in order of their ranks.
 
-    lattices: nodes and samples of each lattice that the piece meets. out, ranks, moved: fields of the piece's
-    PieceValues, [rows, columns]; `out` and `moved` are changed in place. Samples of less weight than MIN_WEIGHT stay
+    lattices: nodes and samples of each lattice that the piece meets. values, ranks, moved: fields of the piece's
+    PieceValues, [rows, columns]; `values` and `moved` are changed in place. Samples of less weight than MIN_WEIGHT stay
     NaN.
     """
     rows, columns = np.nonzero(ranks == UNCOVERED)
@@ -47,7 +47,7 @@ def bridge(
         if not len(beside):
             continue
         heights, step = _border(window, np.clip(u[beside], first_u, last_u), np.clip(v[beside], first_v, last_v))
-        beside, heights, step = (values[np.isfinite(heights)] for values in (beside, heights, step))
+        beside, heights, step = (array[np.isfinite(heights)] for array in (beside, heights, step))
         weight = (1.0 - beyond_u[beside]) * (1.0 - beyond_v[beside])
         weights[beside] += weight
         sums[beside] += weight * heights
@@ -57,7 +57,7 @@ def bridge(
         errors[beside] = np.maximum(errors[beside], error * step)
     good = weights >= MIN_WEIGHT
     samples = rows[good], columns[good]
-    out[samples] = sums[good] / weights[good]
+    values[samples] = sums[good] / weights[good]
     # A weight changes by the error of its position, and a sum of weights is at least a half.
     moved[samples] = errors[good] + 2.0 * position_errors[good] * (high[good] - low[good])
 

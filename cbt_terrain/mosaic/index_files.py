@@ -74,17 +74,19 @@ def _names_in_database(path: Path, column: str) -> list[str]:
     sqlite3.Error.
     """
     uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    base = sqlite3.connect(uri, uri=True)
+    connection = sqlite3.connect(uri, uri=True)
     try:
-        tables = [row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
+        tables = [
+            row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+        ]
         for table in map(_quoted, tables):
-            names = [row[1] for row in base.execute(f"PRAGMA table_info({table})")]
+            names = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
             found = _find_column(names, column)
             if found is not None:
                 query = f"SELECT {_quoted(names[found])} FROM {table} ORDER BY rowid LIMIT {MAX_FILES + 1}"
-                return _check_count([row[0] for row in base.execute(query) if isinstance(row[0], str)])
+                return _check_count([row[0] for row in connection.execute(query) if isinstance(row[0], str)])
     finally:
-        base.close()
+        connection.close()
     raise ValueError(f"no table has a column {column or COLUMNS[0]!r}")
 
 

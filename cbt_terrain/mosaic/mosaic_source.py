@@ -65,16 +65,16 @@ def check_settings(settings: ImportSettings) -> None:
 def georeference_of(grid: TargetGrid) -> Georeference:
     """Return the georeference of a grid, with a warning about wrong lengths."""
     crs = crs_of(grid.crs) if grid.crs else None
-    place = FileGrid(crs, grid.transform)
+    file_grid = FileGrid(crs, grid.transform)
     georeference = from_transform(grid.transform, grid.width, grid.height, crs=grid.crs, **unit_of(crs))
-    notes = length_warnings(place, grid.width, grid.height, georeference)
+    notes = length_warnings(file_grid, grid.width, grid.height, georeference)
     return replace(georeference, size_warnings=(*georeference.size_warnings, *notes))
 
 
 def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     """Return a composite as the raster of an import."""
     grid = composite.grid
-    place = FileGrid(crs_of(grid.crs) if grid.crs else None, grid.transform)
+    file_grid = FileGrid(crs_of(grid.crs) if grid.crs else None, grid.transform)
     grids = composite.shifts.grids(composite.tiles) if composite.shifts is not None else []
     raster = Raster(
         width=grid.width,
@@ -82,7 +82,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         read=lambda first, count: window(first, count, 0, grid.width),
         stored=composite.stored,
         format="mosaic",
-        grid=place,
+        grid=file_grid,
         georeference=georeference_of(grid),
         is_sized=True,
         has_unit=True,
@@ -90,7 +90,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         scale=composite.scale,
         offset=composite.offset,
         roundings=composite.all_roundings(),
-        warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
+        warnings=[*file_warnings(composite.tiles), *mirror_warnings(file_grid, grid.width, grid.height)],
         details=_surface_entry(composite),
         sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
         method=BLENDING if composite.insets else 0,

@@ -23,7 +23,7 @@ class SeamReport(NamedTuple):
     Attributes:
         pairs: pairs of files with an overlap.
         compared: pairs whose heights were compared.
-        steps: float64 [n], metres by which the higher-ranked file is above the other, at samples of its border.
+        steps: float64 [n], metres, values of the higher-ranked file less those of the other, at samples of its border.
         places: float64 [n, 2], x and y of these samples in the grid's system.
         numbers: int32 [n], index in `names` of the pair that each sample is of.
         names: paths of the two files of each pair with a compared sample, the higher-ranked one last.

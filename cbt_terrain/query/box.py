@@ -48,11 +48,18 @@ def box_range(
         return math.nan, math.nan
     # A point on the border of a hole is on the last side of the cells before it, which have ground.
     before = low if field.valid is None else np.ceil(low) - 1
-    column, first = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
-    rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
+    first_column, first_row = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
+    rows = min(int(high[1]), lattice.cells_y - 1) - first_row + 1
     row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
-    inputs = [surface, height_ranges_of(field, surface), column, first, *corners, shared(row_ranges, wp.vec2d)]
+    inputs = [
+        surface,
+        height_ranges_of(field, surface),
+        first_column,
+        first_row,
+        *corners,
+        shared(row_ranges, wp.vec2d),
+    ]
     launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
     low_z, high_z = float(row_ranges[:, 0].min()), float(row_ranges[:, 1].max())
     if low_z > high_z:

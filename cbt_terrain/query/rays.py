@@ -65,9 +65,9 @@ def nearest(
     counts.
     """
     points, directions = _check_rays(points, directions)
-    heights = vertical_scale, vertical_offset, threads
-    ahead = pick(field, points, directions, *heights).distance
-    behind = pick(field, points, -directions, *heights).distance
+    options = vertical_scale, vertical_offset, threads
+    ahead = pick(field, points, directions, *options).distance
+    behind = pick(field, points, -directions, *options).distance
     return _hits(points, directions, np.where(behind < ahead, -behind, ahead))
 
 

@@ -105,7 +105,9 @@ class CoarseLand:
             image[:] = pages_of(rows)
         wide, high = local.extent(local.cell_depth)
         x, y = box.x0 + np.arange(wide), box.y0 + np.arange(high)[:, None]
-        cells = pages_of(self._twists(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding)
+        cells = pages_of(
+            self._cell_errors(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding
+        )
         found[base[-2] :] = cells
         return found
 
@@ -128,12 +130,12 @@ class CoarseLand:
             shift = self.bits + 2 * group
             at = base[group] + tile_index(x >> shift, y >> shift, pages[group])
             return self.field.table[group][self.field.error[at]] + self.rounding
-        twist = self._twists(x >> self.bits, y >> self.bits)
+        error = self._cell_errors(x >> self.bits, y >> self.bits)
         if not is_centre:  # a side is of two cells
-            twist = np.maximum(twist, self._twists(x - 1 >> self.bits, y - 1 >> self.bits))
-        return twist * np.float32(0.25 ** (-above - is_centre)) + self.rounding
+            error = np.maximum(error, self._cell_errors(x - 1 >> self.bits, y - 1 >> self.bits))
+        return error * np.float32(0.25 ** (-above - is_centre)) + self.rounding
 
-    def _twists(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def _cell_errors(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres."""
         lattice = self.field.lattice
         columns, rows = lattice.extent(lattice.cell_depth)

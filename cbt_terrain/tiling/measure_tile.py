@@ -209,10 +209,11 @@ def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeT
     for level in range(grid.bits - 1, lattice.levels):
         half = 1 << level
         is_root = level == lattice.levels - 1
-        for x, y in _squares(grid, box, 2 * half):  # their diamonds have their vertex in the middle
+        for x, y in _cells_over(grid, box, 2 * half):  # their diamonds have their vertex in the middle
             corners = _centre_corners(x, y, 2 * half, is_root, height)
             found.append(LargeTriangles((2 * x + 1) * half, (2 * y + 1) * half, level, corners))
-        for x, y in _squares(grid, box, half) if level >= grid.bits else []:  # a corner of each of two sides' diamonds
+        # Such a cell has a corner of each of two sides' diamonds.
+        for x, y in _cells_over(grid, box, half) if level >= grid.bits else []:
             for dx in (0, 1):
                 dy = dx if (x + y) & 1 else 1 - dx
                 corner = _side_corner(x + dx, y + dy, 1 - 2 * dx, 1 - 2 * dy, half, height)
@@ -233,7 +234,7 @@ def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -
     return errors
 
 
-def _squares(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
+def _cells_over(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
     """Return the cells of `side` samples that meet a tile: (column, row) of each.
 
     side: at least that of a tile. Samples on the raster's border also count for the padding beyond it.

@@ -38,7 +38,10 @@ SMALLEST_FOV, LARGEST_FOV = 1e-6, 180.0 - 1e-6
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """Keyframes: `frames` float64 [K], rising; `values` float64 [K, 7]: eye, target, log(tan(field of view / 2))."""
+    """Keyframes: `frames` float64 [K], rising; `values` float64 [K, 7]: eye, target, log(tan(field of view / 2)).
+
+    `clip`: start and end of the clip range, metres, of all frames.
+    """
 
     frames: np.ndarray
     values: np.ndarray
@@ -161,7 +164,7 @@ def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> 
     value: Any = data.get(name)
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
-        shown = value[0] if isinstance(value, list) and count == 1 else value
+        wrong = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise _path_error(path, f"{where} has {name} {shown!r}", expected)
+        raise _path_error(path, f"{where} has {name} {wrong!r}", expected)
     return [float(v) for v in value]

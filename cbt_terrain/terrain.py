@@ -130,8 +130,8 @@ class Terrain:
         `views`: a list, any other iterable, or one view. `placement`: the identity by default. Heights become `height *
         vertical_scale + vertical_offset` metres. The arrays of the surface are read-only. They stay as they are however
         many updates follow; `copy()` has arrays that can be written. Other threads that update the same terrain wait.
-        Raises TerrainError and leaves the last mesh as it is if a number cannot be used. If a mesh cannot be built, for
-        example of a damaged field, the error leaves the terrain without a mesh.
+        Raises TerrainError and leaves the last mesh as it is if a number cannot be used. An error while the mesh is
+        built, for example of a damaged field, leaves the terrain without a mesh.
         """
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         scaling = vertical(vertical_scale, vertical_offset)

@@ -85,11 +85,11 @@ def cut(
 ) -> tuple[Surface, np.ndarray]:
     """Remove everything outside of `sides`; return the remaining surface and int64 [2, n]: pairs of swapped vertices.
 
-    If nothing is outside, the surface itself is returned. Each edge that changes sign gets one new vertex, so the mesh
-    stays welded; its attributes are interpolated between the edge's ends. Elements keep their numbers, except that the
-    last ones fill the gaps of removed ones. `room` allocates the larger arrays for new elements. With another `room`
-    than `copy_with_room` the given arrays are overwritten; swapping back restores the earlier vertices. The bytes do
-    not depend on the number of threads. `sides` should be few: each may double the number of listed triangles.
+    If all vertices are inside, the surface itself is returned. Each edge that changes sign gets one new vertex, so the
+    mesh stays welded; its attributes are interpolated between the edge's ends. Elements keep their numbers, except that
+    the last ones fill the gaps of removed ones. `room` allocates the larger arrays for new elements. With another
+    `room` than `copy_with_room` the given arrays are overwritten; swapping back restores the earlier vertices. The
+    bytes do not depend on the number of threads. `sides` should be few: each may double the number of listed triangles.
     """
     if not sides:
         return surface, NONE_SWAPPED

@@ -75,7 +75,8 @@ def run_mosaic_import(
     def open_mosaic(settings: ImportSettings) -> Raster:
         """Return the composite of the sources as a raster.
 
-        Report on it first, unless the store has it already or the import is quick.
+        Report on it first, unless this process does a part of the import, the import is quick, or the store has it
+        already.
         """
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)  # may raise, which cancels the import

@@ -40,7 +40,10 @@ class BlockNodes(NamedTuple):
 
 
 def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
-    """Return the nodes of the block with these numbers: its first sample is (column, row) * BLOCK."""
+    """Return the nodes of the block with these numbers: its first sample is (column, row) * BLOCK.
+
+    In the grid's own system positions are linear, so the corners of the block are its nodes.
+    """
     if lattice.crs == grid.crs:
         error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
         return BlockNodes(*_exact(lattice, grid, column, row, BLOCK), BLOCK, error, error)

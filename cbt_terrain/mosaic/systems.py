@@ -65,8 +65,8 @@ def _datum_name(vertical: dict) -> str:
 def projected(source: str, target: str, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return positions in another system, float64 [n] each, not finite where there are none.
 
-    GDAL chooses the operation between two datums by all points of a call, so results depend on the whole set.
-    Raises TerrainError for systems without a common one.
+    They are x and y themselves if the systems are the same. GDAL chooses the operation between two datums by all points
+    of a call, so results depend on the whole set. Raises TerrainError for systems without a common one.
     """
     from rasterio.warp import transform
 

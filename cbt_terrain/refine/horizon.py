@@ -122,9 +122,10 @@ def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
-    """Return the number of a view's first ring, and the number of its rings.
+    """Return the number of a view's first ring, and the number of its rings, 0 or less if there are none.
 
-    Rings extend from one raster cell away, from the raster's nearest point or from the clip start, to its far corner.
+    Rings extend to the raster's far corner from one raster cell away, from the raster's nearest point or from the clip
+    start, of which the farthest counts.
     """
     cells = (domain.samples.columns - 1, domain.samples.rows - 1)
     unit = 1 << (domain.unit_bits - domain.levels)

@@ -329,7 +329,10 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
         channel.flush()
 
     def on_progress(fraction: float, message: str, preview: dict | None = None) -> None:
-        """Send the progress, at most once in PROGRESS_SECONDS. Raises if the work was cancelled."""
+        """Send a preview, if there is one, and the progress, at most once in PROGRESS_SECONDS.
+
+        Raises if the work was cancelled.
+        """
         nonlocal sent
         stopping.check()
         if preview is not None:

@@ -249,7 +249,7 @@ def _cells_over(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]
 
 
 def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) -> list[Corner]:
-    """Return the two triangles of the diamond in the middle of cell (x, y) of `side` samples.
+    """Return the two triangles of the diamond in the middle of cell (x, y): column and row of cells of `side` samples.
 
     is_root: the cell is a root square. height: function of a sample (i, j), metres. They are those of the kernel
     `centre_errors`.
@@ -268,7 +268,10 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
 
 
 def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height) -> Corner:
-    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), a right triangle."""
+    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), a right triangle.
+
+    x, y: in units of `half` samples, half the side. right, up: 1 or -1. height: function of a sample (i, j), metres.
+    """
     is_flat = x & 1
     dx, dy = is_flat * half, (1 - is_flat) * half
     i, j = x * half, y * half

@@ -245,7 +245,7 @@ def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> 
     """
     local = grid.local(box)
     base, pages = local.layout()
-    for area in owned_areas(grid, box, len(values) == local.node_count):
+    for area in owned_areas(grid, box, len(values) == local.node_count):  # ranges have no entries of cells
         source, wide = values[base[area.group] : base[area.group + 1]], int(pages[area.group])
         if area.is_paged:
             target = area.paged(whole)

@@ -11,7 +11,9 @@ HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
 
 
 def land_section(heights: HeightField, of: str) -> list:
-    """Return blocks of the accuracy page about shaped land, level by level; [] for land that no stack has shaped.
+    """Return blocks of the accuracy page about shaped land; [] for land that no stack has shaped.
+
+    Their table has a row for each operator of the stack and level, the finest level of an operator first.
 
     of: " of NAME" for headings if the page has several terrains, else "".
     """
@@ -39,8 +41,9 @@ def land_section(heights: HeightField, of: str) -> list:
 
 
 def _finest_level_text(added: list[dict]) -> str:
-    """Return a sentence about what would be saved and lost without the finest level; "" if not all times are known.
+    """Return a sentence about what would be saved and lost without the finest level.
 
+    It is "" if there is one level only, or if some were known before, so that their times are not those of this run.
     added: records of a shaped store's provenance, one a level and operator.
     """
     by_level = [list(group) for _, group in groupby(sorted(added, key=_level_of), key=_level_of)]  # 0 is the finest

@@ -47,7 +47,10 @@ class Result:
 
 
 def read_measured(detail) -> dict:
-    """Return what `Result.store` wrote: the fields of a Measurement and "digest"; {} if it is missing or damaged."""
+    """Return what `Result.store` wrote: the fields of a Measurement, its Errors as dicts, and "digest".
+
+    The result is {} if the text is missing, is not JSON or lacks a field; values are not checked.
+    """
     try:
         measured = json.loads(detail.measured)
     except (ValueError, RecursionError):
@@ -63,9 +66,9 @@ def errors_text(measured: Measurement) -> str:
 
 
 def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Result]:
-    """Measure the requests of both modes, without touching Blender; return a Result by mode.
+    """Measure requests by mode, of one or both modes, without touching Blender; return a Result by mode.
 
-    on_progress: called with the fraction done and a message; may raise to stop.
+    on_progress: called with the fraction done and a message; may raise to stop. Raises TerrainError if one fails.
     """
     results = {}
     for i, (mode, request) in enumerate(requests.items()):
@@ -82,9 +85,11 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 def measure_request(field, request: Request, on_progress) -> Result:
     """Measure what different errors cost on a terrain, and the true errors of the mesh of `request`.
 
-    The errors are those of a sweep and the request's own, coarse first, until one needs too many triangles. field: the
-    height field. on_progress: called with the fraction done and a message; may raise to stop. Raises TerrainError if no
-    two errors can be measured.
+    The errors are those of a sweep and the request's own, coarse first, until one needs too many triangles. The mesh
+    has the error of the request's criterion; with a time budget the one that fits it by the new curve, if there is one.
+
+    field: the height field. request: its criterion has an error. on_progress: called with the fraction done and a
+    message; may raise to stop. Raises TerrainError if no two errors can be measured.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = requested_unit(request.criterion)
@@ -99,7 +104,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     for i, error in enumerate(errors):
 
         def on_run(_surface=None, done: int = i, error: float = error) -> float:
-            """Report progress before a timed run of an update; return 0 ms for what Blender would add."""
+            """Report progress, before the first timed run and after each; return 0 ms as the time of writing."""
             on_progress(done / steps, f"time at {error:.3g} {unit}")
             return 0.0  # nothing is written
 
@@ -138,7 +143,10 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
 
 def _measurable_requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
-    """Return the requests that can be measured, by mode, and why the others cannot. Raises TerrainError if none can."""
+    """Return the requests that can be measured, by mode, each with an error in its criterion, and why others cannot.
+
+    Raises TerrainError if none can.
+    """
     requests, problems = {}, []
     for mode in DETAIL:
         try:
@@ -166,7 +174,10 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def prepare(self, context):
-        """Return the function that measures on the job's thread; report modes that cannot be measured."""
+        """Return the function that measures on the job's thread; report modes that cannot be measured.
+
+        Raises TerrainError if neither can.
+        """
         requests, problems = _measurable_requests(context.object, context.evaluated_depsgraph_get())
         for problem in problems:
             self.report({"WARNING"}, str(problem))

@@ -22,14 +22,17 @@ class MeasuringOperator(JobOperator):
     """Base of operators that measure.
 
     A subclass has `prepare(context)`, which returns a function of the job that measures on a thread, or raises
-    TerrainError. It may have `clean_up()`, called however the measurement ends.
+    TerrainError. It may have `clean_up()`, called however the measurement ends once `prepare` has returned.
     """
 
     kind = jobs.MEASURE
     poll_s = jobs.CALL_S
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Prepare the measurement, wait for kernels, and measure on a thread; return its result."""
+        """Prepare the measurement, wait for kernels, and measure on a thread; return its result.
+
+        Raises TerrainError if Blender renders, and those of `prepare`; `clean_up` is not called for them.
+        """
         if jobs.is_rendering():
             raise error_while_rendering()
         measure = self.prepare(context)
@@ -40,13 +43,13 @@ class MeasuringOperator(JobOperator):
             self.clean_up()
 
     def modal(self, context, event):
-        """Continue the job, but stop it with an error once a render starts."""
+        """Continue the job, but once a render starts, stop it with an error at its next check."""
         if jobs.is_rendering() and not self.job.stopped:
             self.job.stop(str(error_while_rendering()))
         return JobOperator.modal(self, context, event)
 
     def clean_up(self) -> None:
-        """Remove the measurement's data from the file; called however it ends. A subclass overrides it if needed."""
+        """Remove the measurement's data from the file. A subclass overrides it if needed."""
 
     def abandon(self) -> None:
         """Report that the measurement was dropped because its terrain was removed."""

@@ -40,9 +40,9 @@ STRIP_PX = (4.0, 2.0, 1.0, 0.5)
 
 
 def report_files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
-    """Return the content of every file of a report by its name.
+    """Return the content of every file of a report by its name: text, or the bytes of a PNG.
 
-    subjects: measured AccuracySubjects. machine: result of `describe_machine`.
+    subjects: measured AccuracySubjects, each with a row at least. machine: result of `describe_machine`.
     """
     title, blocks = title_of(subjects), build_page(subjects, machine)
     return pictures(blocks) | {
@@ -65,7 +65,7 @@ def title_of(subjects) -> str:
 
 
 def as_csv(subjects) -> str:
-    """Return a CSV with a line for each measured row; a field is empty if it was not measured."""
+    """Return a CSV with a head and a line for each measured row, one at least; figures that are None are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
@@ -94,7 +94,7 @@ def as_json(subjects, machine: dict[str, str]) -> str:
 
 
 def build_page(subjects, machine: dict[str, str]) -> list:
-    """Return the page as blocks: main figures first, then tables, definitions last."""
+    """Return the page as blocks: figures and plots of all terrains first, then their tables, definitions last."""
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []
@@ -110,9 +110,10 @@ def measured_on(machine: dict[str, str]) -> Text:
 
 
 def front_blocks(subject: AccuracySubject) -> list:
-    """Return the first part of one terrain's page: five figures, pictures, plots and notes.
+    """Return the first part of one terrain's page: five figures, pictures, sentences on costs, plots and notes.
 
-    The figures are those of the current setting, or else of the first setting that is an error only (`is_plain`).
+    The figures are those of the current setting if it was measured, or else of the first setting that is an error only
+    (`is_plain`), or else of the first row.
     """
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
@@ -148,7 +149,10 @@ def main_figures(row: Row) -> list[tuple[str, str]]:
 
 
 def picture_strip(subject: AccuracySubject) -> list[PictureStrip | Text]:
-    """Return pictures of the same part of the view at several errors, with the cost of each; [] if none were drawn."""
+    """Return pictures of the same part of the view at several errors, with the cost of each; [] if none were drawn.
+
+    The pictures are `subject.crops`, whose errors are those of `strip_rows`.
+    """
     costs = {row.setting.error: row for row in strip_rows(subject)}
     shown = [
         PagePicture(
@@ -196,7 +200,7 @@ def table_blocks(subject: AccuracySubject, of: str) -> list:
         Text(
             f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
             f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
-            f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
+            f"apart (95 % of places within {between.p95:.3g} m)." + source_rounding_text(heights)
         ),
         overview_table(rows, subject.current),
         Heading(f"What the errors{of} are made of"),
@@ -213,7 +217,7 @@ def other_interpolation(heights) -> str:
     return next(name for name in INTERPOLATIONS if name != heights.interpolation)
 
 
-def imported_text(heights) -> str:
+def source_rounding_text(heights) -> str:
     """Describe the rounding of the source, "" if there is none."""
     if not heights.source_max:
         return ""
@@ -221,7 +225,7 @@ def imported_text(heights) -> str:
 
 
 def cost_curves(subject: AccuracySubject) -> list:
-    """Return the cost curve of each unit that has two errors or more within all limits, and steady times."""
+    """Return the cost curve of each unit that has two errors or more in its `curve_rows`, and steady times."""
     steady = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
     return [curve_of(rows) for rows in steady if len({row.setting.error for row in curve_rows(rows)}) > 1]
 
@@ -243,12 +247,12 @@ def timing_notes(subject: AccuracySubject) -> list[str]:
 
 
 def cost_sentences(subject: AccuracySubject) -> list[str]:
-    """Return sentences on the cost of half and twice the error, at the current setting or amid the sweep.
+    """Return a text for each cost curve: the cost of half the error, and what twice the error saves.
 
-    curve.error: the measured errors, the largest first.
+    The error is the current setting's if that has the curve's unit, or else the one in the middle of the sweep.
     """
     text = []
-    for curve in cost_curves(subject):
+    for curve in cost_curves(subject):  # whose errors fall
         unit, error = curve.unit, curve.error[len(curve.error) // 2]
         if subject.current is not None and subject.current.unit == unit:
             error = subject.current.error
@@ -267,13 +271,17 @@ def cost_sentences(subject: AccuracySubject) -> list[str]:
 def difference_text(difference_ms: float, whole_ms: float) -> str:
     """Describe a difference of times; one within the noise of a measurement gets no number.
 
-    whole_ms: the measured time, of which NOISE is the noise.
+    difference_ms: below 0 if the finer error was measured to be faster, which is noise, too. whole_ms: the measured
+    time, of which NOISE is the noise.
     """
     return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 
 def overview_table(rows: list[Row], current: Setting | None) -> Table:
-    """Return the table of all settings: bound, measured error, cost, and which Pareto fronts each is on."""
+    """Return the table of all settings: bound, measured error, cost, and which Pareto fronts each is on.
+
+    Each unit has a front of triangles, and one of times if these are steady. current: the setting to mark, or None.
+    """
     fronts = {}
     for unit in dict.fromkeys(row.setting.unit for row in rows):
         for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
@@ -293,7 +301,8 @@ def overview_table(rows: list[Row], current: Setting | None) -> Table:
 def error_tables(rows: list[Row]) -> list[Table]:
     """Return tables of the terms of the bound and of all measured errors.
 
-    These are height, screen, silhouette, popping, normals and rounding.
+    These are height, screen, silhouette, popping, normals and rounding. Errors on screen have a table, of the rows with
+    a view, only if there are such rows.
     """
     blocks = [bound_table(rows)]
     on_screen = [row for row in rows if row.measured.screen_px is not None]
@@ -319,7 +328,7 @@ def error_tables(rows: list[Row]) -> list[Table]:
 
 
 def bound_table(rows: list[Row]) -> Table:
-    """Return the table of the terms of each bound, at the leaf with the largest one."""
+    """Return the table of the terms of each bound, at the leaf with the largest one; empty cells without a bound."""
     head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
     lines = []
     for row in rows:
@@ -331,7 +340,10 @@ def bound_table(rows: list[Row]) -> Table:
 
 
 def steps_table(rows: list[Row]) -> Table:
-    """Return the table of milliseconds by step of an update."""
+    """Return the table of milliseconds: processor time, time to the finished mesh, that of the engine, and by step.
+
+    A step that no row took has no column.
+    """
     steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
     lines = []
     for row in rows:

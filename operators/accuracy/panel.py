@@ -48,7 +48,7 @@ class StatisticsPanel(TerrainSubpanel):
         _draw_measuring(column, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
 
     def _draw_measured(self, column, status, detail):
-        """Draw the measured errors if they belong to this mesh, and what other errors would cost.
+        """Draw the measured errors if they belong to this mesh, and what other errors would cost by the measured curve.
 
         detail: DetailSettings with the results.
         """
@@ -77,7 +77,7 @@ class AccuracyReportPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"
 
     def draw(self, context):
-        """Draw the folder of reports, the button that writes one, and one that opens it."""
+        """Draw the folder of reports, the button that writes one, and one that opens it, or why there is no path."""
         column = self._columns()
         obj = session.shown_terrain(context)
         column.prop(obj.adaptive_terrain, "reports")
@@ -101,7 +101,10 @@ def _draw_measuring(column, operator: str, icon: str) -> None:
 
 
 def _list_bounds(status) -> list[tuple[str, float, str, object]]:
-    """Return label, value, unit and terms (None without) of every bound of the last update, in the order of BOUNDS."""
+    """Return label, value, unit and terms (None without) of every bound of the last update, in the order of BOUNDS.
+
+    Bounds that the update does not have are left out.
+    """
     bounds = []
     for name, (label, unit) in BOUNDS.items():
         if (value := getattr(status.bounds, name)) is not None:
@@ -111,7 +114,7 @@ def _list_bounds(status) -> list[tuple[str, float, str, object]]:
 
 
 def _bound_label(value: float, unit: str, digits: int) -> str:
-    """Return a bound as text, rounded up to a number of digits; 0 if nothing is in view. unit: px or m."""
+    """Return a bound as text, rounded up to a number of digits, or NO_BOUND. value: 0 if nothing is in view."""
     shown = max(value, SMALLEST) if value else 0.0
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
@@ -153,7 +156,10 @@ def statistics_lines(status) -> list[tuple[str, str]]:
 
 
 def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
-    """Return the measured errors: name and unit, largest (of height: anywhere), 95 %."""
+    """Return the measured errors: name and unit, largest (of height: anywhere), 95 %; below a line of headings.
+
+    measured: result of `read_measured`, not {}. Errors that were measured nowhere have no line.
+    """
     distributions = [
         ("Screen (px)", "screen_px"),
         ("Hidden (px)", "hidden_px"),
@@ -174,7 +180,8 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
 def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     """Return lines on what half and twice the error of the last update would cost, by the measured curve.
 
-    exact: the update is the measured one. Otherwise the curve is scaled to go through the update's own cost.
+    exact: the update is the measured one. Otherwise the curve is scaled to go through the update's own cost. The
+    result is [] if the update has no error in the curve's unit.
     """
     error = getattr(status.request.criterion, f"error_{curve.unit}") * status.bounds.relaxed
     if not error:

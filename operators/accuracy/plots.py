@@ -35,9 +35,10 @@ def error_plots(subject, unit: str, current: Row | None) -> list[Plot]:
 
 
 def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
-    """Return the curves of a plot of rows of one unit; `cost` is "ms" or "triangles".
+    """Return the curves of a plot of rows of one unit, one row at least; `cost` is "ms" or "triangles".
 
-    The first row has the interpolation that most rows have; rows of the other one have one curve. current: row to mark.
+    The first row has the interpolation that most rows have; rows of the other one have one curve. Curves without points
+    are among them: `draw` leaves them out. current: row to mark if it is among `rows`, or None.
     """
 
     def points(candidates: list[Row], error) -> list[tuple[float, float]]:
@@ -85,7 +86,10 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
 
 
 def time_spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
-    """Return the fastest and the slowest time of each row in the order of its curve; [] for triangles."""
+    """Return the fastest and the slowest time of each row in the order of its curve; [] for triangles.
+
+    A row without a spread has its time twice.
+    """
     coarse_first = sorted(rows, key=lambda row: -row.setting.error)
     return [row.spread_ms or (row.cost_ms, row.cost_ms) for row in coarse_first] if cost == "ms" else []
 

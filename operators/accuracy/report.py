@@ -36,7 +36,10 @@ def write_report(subjects: Sequence[AccuracySubject], out: Path) -> None:
 
 
 def draw_crops(subject: AccuracySubject) -> None:
-    """Draw the pictures of one part of the view at several errors, which the page shows side by side."""
+    """Set `subject.crops`: pictures of one part of the first frame at the errors of `strip_rows`, for the page.
+
+    It is [] without such rows, without a view and for a panorama.
+    """
     errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
     subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 
@@ -53,7 +56,7 @@ def check_bounds(subjects: Sequence[AccuracySubject]) -> None:
 
 
 def time_mesh_writing(surface) -> float:
-    """Write a surface into a Blender mesh and return the milliseconds that it took.
+    """Write a surface into a Blender mesh, on the main thread, and return the milliseconds that it took.
 
     The same mesh is used until `remove_scratch_meshes`, so that it has memory already, as a terrain's mesh has. A
     million triangles take twice as long in a new mesh.

@@ -44,7 +44,7 @@ class AccuracySubject:
         rows: the measured settings.
         notes: sentences for the page.
         crops: pictures of some of the errors.
-        called: the object's name, "" for a store.
+        called: the object's name as `file_name` returns it, "" for a store.
         effects: the attributes that the scene reads.
     """
 
@@ -63,7 +63,7 @@ class AccuracySubject:
 
     @property
     def title(self) -> str:
-        """The name of the source file, and that of the object if it differs."""
+        """The name of the source file, or `name` if the store names none, and that of the object if it differs."""
         file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
         return (
             file
@@ -83,7 +83,8 @@ def store_subject(
 ) -> AccuracySubject:
     """Return the subject of a store, seen along a camera path, or from a position that shows all of it (no path).
 
-    frames: numbers of frames of the path, by default a few that are evenly spaced.
+    frames: numbers of frames of the path, by default a few that are evenly spaced. resolution: width and height,
+    pixels. Raises TerrainError for a store or a path that cannot be read.
     """
     heights = open_store(store)
     name, current = file_slug(Path(store).stem), Setting("px", Criterion().error_px)
@@ -109,10 +110,11 @@ def store_subject(
 def scene_subjects(
     blend: Path, camera: str | None, frames: Sequence[int] | None, resolution: tuple[int, int] | None
 ) -> list[AccuracySubject]:
-    """Return a subject for each terrain of a .blend file, with the settings of its render.
+    """Open a .blend file and return a subject for each of its terrains, with the settings of its render.
 
-    frames: by default the file's current frame. Triangles that a clean-up cuts away are measured, too: they change
-    no error of the others.
+    camera: name of a camera, None for the scene's. frames: by default the file's current frame. resolution: pixels,
+    None for the scene's. Triangles that a clean-up cuts away are measured, too: they change no error of the others.
+    Raises TerrainError.
     """
     source = SceneFrames(blend, camera, resolution)
     import bpy
@@ -125,7 +127,10 @@ def scene_subjects(
 
 @dataclass(frozen=True)
 class Look:
-    """The Request of a terrain at the first of some frames, and its views and placement in each of them."""
+    """The Request of a terrain at the first of some frames, and its views and placement in each of them.
+
+    `name`: the object's, as `file_name` returns it. `frames`, `frame_numbers`: as in AccuracySubject.
+    """
 
     name: str
     request: object
@@ -133,9 +138,9 @@ class Look:
     frame_numbers: list[int]
 
     def subject(self, through: str) -> AccuracySubject:
-        """Return the terrain as a subject to be measured. Any thread may call it, because it uses nothing of Blender.
+        """Return the terrain as a subject to be measured. It opens the height field, but uses nothing of Blender.
 
-        through: the camera, as a phrase after "through".
+        A thread beside the window holds `engine_lock` meanwhile. through: the camera, as a phrase after "through".
         """
         from ..session import session
 
@@ -151,8 +156,8 @@ class Look:
 def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
     """Visit the frames `numbers` of a scene and return a Look for each terrain of `objects`.
 
-    Each frame has the next one with it, if the scene has one, for measuring popping. look: `criterion`, `camera`,
-    `resolution` or `overrides` in place of those of the scene.
+    Each frame has the next one with it, if the scene has one, for measuring popping. The scene stays at the last of
+    them. look: `camera`, `resolution` or `overrides` in place of those of the scene. Raises TerrainError.
     """
     from ..terrain.request import RENDER, gather
 
@@ -182,8 +187,8 @@ def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> 
 def setting_of_request(request) -> Setting | None:
     """Return a request's own setting, which a report measures beside others and marks.
 
-    It is the error in pixels, or in metres if that alone is limited, with limits and interpolation; None without an
-    error.
+    It is the error in pixels, or in metres if that alone is limited, with the depth limit, meshlets and interpolation;
+    None without an error.
     """
     criterion = request.criterion
     unit = requested_unit(criterion)
@@ -219,7 +224,7 @@ def whole_view(heights: HeightField, resolution: tuple[int, int]) -> View:
 
 
 def spread_frames(first: int, last: int) -> list[int]:
-    """Return at most SPREAD whole frames from first to last, evenly spaced."""
+    """Return at most SPREAD whole frames from first to last, evenly spaced; [first] if `last` is before it."""
     count = min(SPREAD, max(last, first) - first + 1)
     return sorted({round(n) for n in np.linspace(first, max(last, first), count)})
 

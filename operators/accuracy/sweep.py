@@ -29,7 +29,10 @@ NOT_FOLLOWED = (
 
 
 def report_folder(obj) -> Path:
-    """Return the folder of a terrain's report, inside the one of its settings. Raises TerrainError."""
+    """Return the folder of a terrain's report, inside the one of its settings, as an absolute path; it need not exist.
+
+    Raises TerrainError for a path relative to a file that is not saved, and for one that is not absolute.
+    """
     folder = obj.adaptive_terrain.reports
     if folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
@@ -45,7 +48,7 @@ def report_folder(obj) -> Path:
 
 
 def check_report_name(obj) -> None:
-    """Raise TerrainError if another terrain has the same report folder."""
+    """Raise TerrainError if another terrain has the same report folder, upper and lower case being equal in names."""
     place = obj.adaptive_terrain.reports, file_name(obj).casefold()
     for other in session.all_terrains():
         if other != obj and (other.adaptive_terrain.reports, file_name(other).casefold()) == place:
@@ -80,7 +83,7 @@ def readers_of(scene) -> list[str]:
 
 
 def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
-    """Measure every setting of a sweep on the job's thread; return the subject with its rows.
+    """Measure every setting of a sweep on the job's thread; return the subject with its rows and crops.
 
     Only writing meshes is done on the main thread. through: the camera, as a phrase after "through".
     """
@@ -115,7 +118,7 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def prepare(self, context):
-        """Check the folder, visit the frames, and return the function that measures and writes the report."""
+        """Check the folder, visit two frames in a copy of the scene; return the function that measures and writes."""
         obj, scene = context.object, context.scene
         folder = report_folder(obj)
         check_report_name(obj)
@@ -128,7 +131,10 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
         def measure_and_write(job: BackgroundJob) -> tuple[Path, AccuracySubject]:
-            """Measure and write the report; return its folder and the subject."""
+            """Measure and write the report; return its folder and the subject.
+
+            Raises TerrainError if it cannot be written, and after writing if a bound does not hold.
+            """
             subject = measure_look(look, through, job)
             if readers:
                 subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")

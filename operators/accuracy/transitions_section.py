@@ -24,7 +24,7 @@ HEAD = [
 
 
 def transitions_section(rows: list[Row], of: str, plot: str) -> list:
-    """Return blocks of the page that compare popping with and without geomorph; [] if no frame follows another.
+    """Return blocks of the page that compare popping with and without geomorph; [] without `paired_rows`.
 
     of: " of NAME" for headings if the page has several terrains, else "". plot: name of the plot's file.
     """

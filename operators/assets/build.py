@@ -32,15 +32,16 @@ VARIATION_M = 80.0  # size of the materials' variation: that of a terrain of 8 k
 
 
 def child_main(folder: str, stamp: str) -> None:
-    """Write the library to a folder. `stamp`: version that is written last, when all is complete."""
+    """Write the library in the child process of `library.start_writing`. `stamp`: as in `write_library`."""
     child.end_with_parent()
     write_library(Path(folder), stamp)
 
 
 def write_library(folder: Path, stamp: str) -> None:
-    """Write the library to a folder; each file replaces an earlier one when it is complete.
+    """Write the library to a folder, in an empty file that takes the place of the open one.
 
-    Partial files are beside the folder: the Asset Browser reads all that is in it.
+    stamp: version of the library. Its file is replaced last, so that it marks the others as complete. Partial files are
+    beside the folder: the Asset Browser reads all that is in it.
     """
     # Factory settings would disable all extensions of this process, and Blender would then remove the wheels of the
     # user's extensions.
@@ -70,9 +71,9 @@ def _mark(item, catalog: str, about: str) -> None:
 
 
 def _add_materials(studio: Studio) -> None:
-    """Add the terrain's material and its node group, a material of each default layer, and water."""
+    """Add the terrain's material with a preview, its node group, and materials of each default layer and of water."""
     layers = [(layer.name, color) for layer, color in zip(DEFAULT, DEFAULT_COLORS, strict=True)]
-    ground = studio.add_ground(len(layers))
+    ground = studio.new_ground(len(layers))
     terrain = dress(ground, LayerSources(layers))
     terrain.name = "Terrain Material"
     node = next(node for node in terrain.node_tree.nodes if node.type == "GROUP")
@@ -91,7 +92,7 @@ def _add_materials(studio: Studio) -> None:
 
 
 def _add_starter(studio: Studio) -> None:
-    """Add the collections and the objects of the starter collection."""
+    """Add the collections and the objects of the starter collection, with previews."""
     for kind, collection in starter.add_starter(bpy.context).items():
         catalog = ROCKS if kind == "ROCKS" else PLANTS
         _mark(collection, catalog, "Choose it as the collection of a scatter")

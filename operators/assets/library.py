@@ -32,7 +32,7 @@ def library_folder(create: bool = False) -> Path | None:
 
 
 def is_current(folder: Path) -> bool:
-    """Return whether a folder has the library of this version."""
+    """Return whether a folder has the library that this version of the extension writes in this version of Blender."""
     try:
         return (folder / BLEND).is_file() and read_regular(folder / STAMP, MAX_STAMP) == _stamp().encode()
     except (OSError, ValueError):
@@ -53,7 +53,7 @@ def add_entry(folder: Path) -> None:
 
 
 def remove_entry(folder: Path) -> None:
-    """Remove the library from the preferences; other libraries stay."""
+    """Remove the library's first entry from the preferences; other libraries stay."""
     for entry in _entries(folder)[:1]:
         bpy.context.preferences.filepaths.asset_libraries.remove(entry)
 
@@ -64,7 +64,10 @@ def _entries(folder: Path) -> list:
 
 
 def start_writing(folder: Path) -> subprocess.Popen:
-    """Start a process that writes the library. Raises OSError."""
+    """Start a Blender that writes the library to a folder; return its process, to poll or to kill. Raises OSError.
+
+    Factory settings load no extension: the process gets the paths of modules of this one.
+    """
     module, arguments = "operators.assets.build", (str(folder), _stamp())
     argv = ["-c", *child.bootstrap_arguments(module, *arguments)]
     script = f"import sys\nsys.path[:], sys.argv[:] = {sys.path!r}, {argv!r}\n{child.BOOTSTRAP}"
@@ -74,7 +77,7 @@ def start_writing(folder: Path) -> subprocess.Popen:
 
 
 def _turn() -> float | None:
-    """Start the child, or look whether it has ended, from a timer; return the seconds to the next look."""
+    """Start the child, or look whether it has ended, from a timer; return seconds to the next look, None at the end."""
     global _process
     folder = library_folder(create=True)
     if _process is None and not is_current(folder):

@@ -38,7 +38,7 @@ class Studio:
             scene.collection.objects.link(obj)
 
     def take(self, item, objects) -> None:
-        """Render objects side by side, and give the picture to a data-block as its preview."""
+        """Render objects, which need not be in the scene, side by side; the picture becomes a data-block's preview."""
         instances = self._place(objects)
         self.scene.render.filepath = str(self.file)
         bpy.ops.render.render(write_still=True)
@@ -55,7 +55,7 @@ class Studio:
     def _place(self, objects) -> list:
         """Add instances of the objects in a row from the left to the right of the picture, and frame them.
 
-        They overlap by a tenth of their widths. Return the instances.
+        They overlap by a tenth of their widths. Return the instances, which the caller removes.
         """
         turn = AHEAD.to_track_quat("-Z", "Y").to_matrix()  # from the camera to the world
         right, offset, corners, instances = Vector((turn.col[0].x, turn.col[0].y, 0.0)).normalized(), 0.0, [], []
@@ -75,10 +75,11 @@ class Studio:
         self.scene.camera.matrix_world = Matrix.Translation(turn @ middle) @ turn.to_4x4()
         return instances
 
-    def add_ground(self, layers: int):
-        """Return a hill with the attribute splat_1, whose layers change with the height, and water_depth.
+    def new_ground(self, layers: int):
+        """Return a new hill with the attribute splat_1, whose layers change with the height, and water_depth.
 
-        layers: number of layers, 4 at most, from the lowest to the highest ground.
+        It is in no scene; the caller removes it. layers: number of layers, 4 at most, from the lowest to the highest
+        ground.
         """
         x, y = np.meshgrid(*[np.linspace(-1.0, 1.0, HILL_SIDE)] * 2)
         z = 0.5 * np.exp(-2.5 * (x * x + y * y)) + 0.05 * np.sin(7.0 * x) * np.cos(6.0 * y)

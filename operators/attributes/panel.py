@@ -42,7 +42,10 @@ class AttributeList(bpy.types.UIList):
         right.prop(getattr(terrain.adaptive_terrain.effects, name), "when", text="", icon_only=True, emboss=False)
 
     def filter_items(self, _context, struct, _name):
-        """Show the members that are attributes, and of those the ones whose name contains the text of the filter."""
+        """Show the members that are attributes, and of those the ones whose title contains the text of the filter.
+
+        Return Blender's flags by row, and [] to keep the order.
+        """
         sought = self.filter_name.lower()
         names = [item.identifier for item in struct.properties]
         shown = [name in ATTRIBUTES and sought in title_of(name).lower() for name in names]
@@ -72,7 +75,7 @@ class EffectsPanel(TerrainSubpanel):
 
 
 def chosen_attribute(settings) -> str:
-    """Return the name of the attribute that is chosen in the list."""
+    """Return the name of the attribute that is chosen in the list, or of the first one if the row is of none."""
     names = settings.bl_rna.properties.keys()
     chosen = names[settings.active] if settings.active < len(names) else ""
     return chosen if chosen in ATTRIBUTES else next(iter(ATTRIBUTES))
@@ -90,7 +93,7 @@ def _draw_details(box, name: str, status) -> None:
 
 
 def about_text(name: str) -> str:
-    """Return an attribute's translated title, its unit and its description: `Slope (rad): how steep ...`."""
+    """Return an attribute's translated title, its unit if any, and its description: `Slope (rad): how steep ...`."""
     unit = ATTRIBUTES[name].unit
     return (
         f"{phrase(title_of(name))}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {ATTRIBUTES[name].about}"
@@ -100,7 +103,8 @@ def about_text(name: str) -> str:
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     """Return three (name, value) rows: number of computed attributes, their cost, and the memory that they hold.
 
-    statuses: an EffectStatus by name. nbytes: the memory.
+    statuses: an EffectStatus by name; the cost includes the bytes of the values. nbytes: memory of all attributes,
+    including their cache for the next update.
     """
     computed = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in computed), sum(status.nbytes for status in computed) / 1e6

@@ -23,7 +23,10 @@ def is_number(parameter: Parameter) -> bool:
 
 
 def changed_numbers(settings, name: str) -> tuple[tuple[str, float], ...]:
-    """Return (name, value) of an attribute's parameters that differ from their defaults in a terrain's settings."""
+    """Return (name, value) of an attribute's parameters that differ from their defaults in a terrain's settings.
+
+    Values are clamped to the declared ranges.
+    """
     group, found = getattr(settings.effects, name), []
     for parameter in filter(is_number, ATTRIBUTES[name].parameters):
         value = getattr(group, parameter.name)
@@ -43,7 +46,7 @@ def _make_property(parameter: Parameter):
 
 
 def _make_group(effect: AttributeDeclaration) -> type:
-    """Return a PropertyGroup class for an attribute: when it is computed, and its numbers."""
+    """Return a PropertyGroup class for an attribute, not registered: when it is computed, and its numbers."""
     when = EnumProperty(name=effect.name, description=effect.about, items=WHEN, update=changed)
     numbers = {parameter.name: _make_property(parameter) for parameter in filter(is_number, effect.parameters)}
     members = {"__annotations__": {"when": when} | numbers, "__doc__": effect.about}

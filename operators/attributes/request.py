@@ -76,7 +76,8 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
         evaluated: the object's evaluated copy.
         placement: matrix from the terrain's space to the world, float64 [4, 4].
         mode: VIEWPORT or RENDER.
-        names: attributes of an export, in place of those that the scene reads; None otherwise.
+        names: attributes of an export, in place of those that the scene reads, whether pinned or switched off; None
+            otherwise.
     """
     settings = evaluated.adaptive_terrain
     found = (
@@ -103,7 +104,8 @@ def statuses(
 ) -> dict[str, EffectStatus]:
     """Return an EffectStatus for every attribute by its name, computed or not.
 
-    effects: result of `gather_effects`. plan: the attributes of the update. ran: cost of those that were computed.
+    effects: result of `gather_effects`. plan: the attributes of the update, with those that they read, also if these
+    are switched off. ran: cost of the steps; one that is missing cost nothing.
     """
     found = {}
     for step in plan.steps:

@@ -23,7 +23,7 @@ class Sun(NamedTuple):
 
 
 def sun_lamps(depsgraph) -> list[Sun]:
-    """Return every sun lamp that the evaluated view layer of a dependency graph shows."""
+    """Return every sun lamp, with light and a direction, that the evaluated view layer of a dependency graph shows."""
     found = []
     for lamp in _evaluated_suns(depsgraph):
         axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
@@ -37,8 +37,9 @@ def sun_lamps(depsgraph) -> list[Sun]:
 def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]:
     """Return a row for each sun lamp of the scene: x, y, z towards it in the terrain's space, its angle and strength.
 
-    placement: matrix from the terrain's space to the world. Shadows are the same in that space. The angle is that
-    in the world: a scale that differs by axis would make an ellipse of the disc.
+    placement: matrix from the terrain's space to the world, whose scale changes the length of x, y, z. Rows are sorted.
+    Shadows are the same in that space. The angle is that in the world: a scale that differs by axis would make an
+    ellipse of the disc.
     """
     to_local = inverse(placement)[:3, :3]
     rows = []

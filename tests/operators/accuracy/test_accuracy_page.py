@@ -107,9 +107,9 @@ def test_an_infinite_bound_is_in_no_table_and_no_plot():
 
 def test_the_page_says_what_the_source_has_rounded():
     heights = np.random.default_rng(0).standard_normal((20, 31))
-    said = accuracy_page.imported_text(from_array(heights, source_max=0.5))
+    said = accuracy_page.source_rounding_text(from_array(heights, source_max=0.5))
     assert said.endswith(" may have moved the surface by up to 0.5 m.")
-    assert accuracy_page.imported_text(from_array(heights)) == ""
+    assert accuracy_page.source_rounding_text(from_array(heights)) == ""
 
 
 def curve_of(plot) -> list[str]:

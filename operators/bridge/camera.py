@@ -26,7 +26,8 @@ def render_resolution(scene) -> tuple[int, int]:
 def active_camera(scene):
     """Return the camera of the current frame: the one that a marker binds, else the scene's; None without a camera.
 
-    Blender applies markers before it renders, but only after the handlers of a frame change outside of a render.
+    Before the first marker its camera is bound already; one that is hidden in renders is not bound. Blender applies
+    markers before it renders, but only after the handlers of a frame change outside of a render.
     """
     bound = [marker for marker in scene.timeline_markers if marker.camera and not marker.camera.hide_render]
     if not bound:
@@ -92,7 +93,8 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
     """Return the projection matrix of a camera, float64 [4, 4], as `Object.calc_matrix_camera` does.
 
     That gives zeros for some clip ranges, depending on the version. Depth is scaled for a clip range from 0 to
-    infinity, since only x and y in the frame are used. aspect: width and height of a pixel.
+    infinity, since only x and y in the frame are used. Values are not finite for some cameras that make no picture.
+    data: Blender's camera data. aspect: width and height of a pixel.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
     sensor, fitted = _fit_sensor(data, width, height)
@@ -117,7 +119,7 @@ def view_from_region(space, region, region_3d) -> View:
         clip = _clip(seen_through.data)
     elif kind == PERSPECTIVE:
         clip = _clip(space)
-    else:
+    else:  # an orthographic viewport also shows ground behind its eye
         clip = -float(space.clip_end), float(space.clip_end)
     return View(np.array(region_3d.view_matrix, np.float64), projection, (region.width, region.height), kind, clip)
 
@@ -147,7 +149,10 @@ def views_from_windows(window_manager) -> list[View]:
 
 
 def _clip(data) -> tuple[float, float]:
-    """Return start and end of the camera's clip range in metres; for a reversed one, the range that culls nothing."""
+    """Return start and end of the clip range in metres; for a reversed one, the range that culls nothing.
+
+    data: Blender's camera data, or the space of a viewport.
+    """
     start, end = float(data.clip_start), float(data.clip_end)
     return (start, end) if start < end else (0.0, 0.0)
 
@@ -183,7 +188,7 @@ def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
 
 
 def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
-    """Return the smallest angle that a pixel of a panorama spans, as Cycles projects.
+    """Return the smallest angle that a pixel of a panorama spans, in radians, as Cycles projects.
 
     For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side along the meridians
     counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less.
@@ -224,7 +229,8 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
 def _multiview_cameras(scene, camera) -> list:
     """Return the cameras of a render with one camera a view.
 
-    They have the name of the active one but for the view's suffix.
+    They have the name of the active one but for the view's suffix. Views without a camera are left out; the active one
+    stands alone if no view has one.
     """
     suffixes = [view.camera_suffix for view in scene.render.views if view.use]
     base = next((camera.name[: -len(s)] for s in suffixes if s and camera.name.endswith(s)), camera.name)
@@ -235,6 +241,7 @@ def _multiview_cameras(scene, camera) -> list:
 def _stereo_views(view: View, stereo) -> list[View]:
     """Return the views of the left and the right eye, moved along the camera's x about the pivot.
 
+    They converge by a turn, or by a shift of the projection if the camera is perspective; otherwise they are parallel.
     stereo: Blender's stereo settings of the camera.
     """
     distance, convergence = stereo.interocular_distance, stereo.convergence_distance

@@ -53,6 +53,7 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
 
     Args:
         matrix: from the object's space to the world.
+        terrain_from_world: matrix from the world to the terrain's space.
         what: name of the object's role for errors.
 
     Raises:

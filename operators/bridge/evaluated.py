@@ -82,7 +82,10 @@ def _hidden_error(obj, depsgraph, what: str, named) -> TerrainError:
 
 
 def placement_of(terrain) -> np.ndarray:
-    """Return float64 [4, 4]: from a terrain's own space to the world. Raises TerrainError."""
+    """Return float64 [4, 4]: from the space of an evaluated terrain to the world.
+
+    Raises TerrainError if it is not finite or singular.
+    """
     placement, name = np.array(terrain.matrix_world, np.float64), terrain.name
     if not np.isfinite(placement).all():
         raise TerrainError(

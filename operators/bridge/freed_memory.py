@@ -44,7 +44,7 @@ def hold_freed_memory() -> None:
 
 
 def give_back() -> None:
-    """Return held memory to the system. jemalloc gets its old settings, glibc its largest default thresholds."""
+    """Return held memory to the system, if any. jemalloc gets its old settings, glibc its largest thresholds."""
     with _lock:
         for name, decay_ms in _decays.items():
             _set_decay(name, decay_ms)
@@ -74,7 +74,10 @@ def _c_function(name: str):
 
 
 def _hold_jemalloc() -> bool:
-    """Make jemalloc keep freed pages, in every arena; return False if the process has another allocator."""
+    """Make jemalloc keep freed pages, in every arena; return whether an arena has an old time to restore.
+
+    None has if the process has another allocator, or keeps its pages anyway.
+    """
     control, arenas = _c_function("mallctl"), ctypes.c_uint()
     size = ctypes.c_size_t(ctypes.sizeof(arenas))
     if control is None or control(b"arenas.narenas", ctypes.byref(arenas), ctypes.byref(size), None, ctypes.c_size_t()):
@@ -99,7 +102,7 @@ def _set_decay(name: bytes, decay_ms: int) -> int | None:
 
 
 def _hold_glibc() -> bool:
-    """Make glibc keep all freed memory in the heap; return False if the process has another allocator."""
+    """Make glibc keep all freed memory in the heap; return False if the process has no glibc."""
     global _glibc_holds
     option = _c_function("mallopt")
     if option is None or _c_function("malloc_trim") is None:

@@ -20,8 +20,8 @@ CORNERS = np.arange(12, dtype=np.float32).reshape(6, 2) / 16
 
 
 def face_offsets(mesh) -> wp.array | None:
-    """Return a Warp array over the face offsets of a new mesh, int32 [faces], to write in place; None to use
-    `foreach_set`.
+    """Return a Warp array over the face offsets of a new mesh, int32 [faces], to write in place until its geometry
+    changes; None to use `foreach_set`.
     """
     return _array_over(mesh.polygons, wp.int32) if writable_in_place() else None
 
@@ -35,8 +35,8 @@ def vectors_2d(data) -> wp.array | None:
 def writable_in_place() -> bool:
     """Return whether this Blender's meshes can be written in place, by one test on a mesh of two triangles.
 
-    Each step is safe if the step before has passed: the probe reads only between the addresses that Blender gave for
-    its items, and writes only where it has read the values of `foreach_set`.
+    The answer is cached. Each step is safe if the step before has passed: the probe reads only between the addresses
+    that Blender gave for its items, and writes only where it has read the values of `foreach_set`.
     """
     mesh = bpy.data.meshes.new(".adaptive_terrain_probe")
     try:
@@ -67,7 +67,10 @@ def writable_in_place() -> bool:
 
 
 def _array_over(items, dtype) -> wp.array | None:
-    """Return a Warp array over the memory of a Blender collection; None if its items are not contiguous."""
+    """Return a Warp array over the memory of a Blender collection; None if it is empty or its items are not contiguous.
+
+    Blender owns the memory, and moves it when the mesh gets other items or attributes.
+    """
     count = len(items)
     if not count:
         return None

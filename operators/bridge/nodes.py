@@ -5,13 +5,13 @@ import bpy
 
 
 class Nodes:
-    """Every method adds one node to the tree and returns its output."""
+    """Methods that add a node to the tree and return its output (`add`: the node), and one that arranges all nodes."""
 
     def __init__(self, tree):
         self.tree = tree
 
     def add(self, kind: str, inputs: dict | None = None, **settings):
-        """Add a node with settings; set its inputs (by name or index) to values or link them to sockets."""
+        """Add a node with settings; set its inputs (by name or index) to values or link them to sockets; return it."""
         node = self.tree.nodes.new(kind)
         for name, value in settings.items():
             setattr(node, name, value)
@@ -47,7 +47,7 @@ class Nodes:
         return node.outputs[2]
 
     def arrange(self) -> None:
-        """Arrange the nodes in columns, each to the right of the nodes that feed it."""
+        """Arrange the nodes in columns, each to the right of the nodes that feed it. The tree has no cycle."""
         column: dict = {}  # number of the column by node
         pending = list(self.tree.nodes)
         feeds = {node: {link.from_node for link in self.tree.links if link.to_node == node} for node in pending}

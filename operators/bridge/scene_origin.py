@@ -34,7 +34,7 @@ class SceneOrigin(NamedTuple):
 
 
 def origin_of(scene) -> SceneOrigin | None:
-    """Return the origin in a scene's custom properties, None if it has none or an incomplete one."""
+    """Return the origin in a scene's custom properties, None if it has none, or lacks a system or finite numbers."""
     crs, x, y = (scene.get(name) for name in (SRID, CRS_X, CRS_Y))
     metres = list(scene.get(METRES, (1.0, 1.0)))
     if crs is None or not all(_is_number(value) for value in (x, y, *metres)) or not all(metres):
@@ -43,7 +43,7 @@ def origin_of(scene) -> SceneOrigin | None:
 
 
 def set_origin(scene, origin: SceneOrigin, latitude_longitude: tuple[float, float] | None) -> None:
-    """Write an origin; without latitude and longitude those of an earlier origin are removed."""
+    """Write an origin into a scene; without latitude and longitude (degrees) those of an earlier origin are removed."""
     scene[SRID], scene[CRS_X], scene[CRS_Y] = origin.crs, origin.x, origin.y
     for name, value in zip((LATITUDE, LONGITUDE), latitude_longitude or (None, None), strict=True):
         if value is not None:

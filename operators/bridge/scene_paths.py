@@ -16,7 +16,7 @@ def absolute_path(text: str, library=None) -> str:
 
     Blender on Windows saves `//terrain\store`, and `bpy.path.abspath` elsewhere takes that for one name. A backslash
     counts as a separator unless a file of exactly that name exists. A path with a drive letter names a place on another
-    machine, and is returned as it is.
+    machine, and is returned as it is. library: the library that the path's owner is linked from, None for this file.
     """
     import bpy  # an export of .npz imports this module without Blender
 
@@ -36,8 +36,8 @@ def store_path(obj) -> str:
 def propose_file(operator, obj, name_end: str = "") -> None:
     """Let the file dialog of an operator propose the terrain's name, unless it has a path already.
 
-    The folder is that of the .blend file, or before it is saved that of the terrain's height map. `name_end`: added
-    to the name, which keeps a proposal from replacing that height map.
+    The folder is that of the .blend file, or before it is saved that of the terrain's height map; without both the
+    dialog chooses it. `name_end`: added to the name, which keeps a proposal from replacing that height map.
     """
     import bpy
 

@@ -50,7 +50,7 @@ def write_mesh(mesh, surface: Surface, *, smooth: bool = True, exact: bool = Tru
 
 
 def write_normals(mesh, normals: np.ndarray) -> None:
-    """Set the custom normals of a smooth mesh, float32 [V, 3]."""
+    """Set the custom normals of a smooth mesh that has none yet, float32 [V, 3]; nothing for one without faces."""
     if not len(mesh.polygons):
         return
     if STORES_VERTEX_NORMALS:
@@ -80,7 +80,10 @@ def add_attribute(mesh, name: str, kind: str, domain: str) -> None:
 
 
 def _write_geometry(mesh, surface: Surface) -> None:
-    """Write vertices, edges, faces, UV map and attributes of a surface, but no normals."""
+    """Write vertices, edges, faces, UV map and attributes of a surface, but no normals.
+
+    Raises TerrainError for the name of an attribute that Blender changes; the mesh is then without content.
+    """
     triangles = len(surface.triangles)
     named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}
     mesh.clear_geometry()

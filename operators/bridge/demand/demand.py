@@ -26,8 +26,10 @@ class _Search:
 
     Attributes:
         found: the demand to add to.
+        terrain: the object whose mesh is read.
         objects: all objects of the scene.
         render: whether render settings count, otherwise those of viewports.
+        shading: how the scene shows materials, with the node trees read so far.
         holding: objects that have the mesh or geometry made from it.
         materials: materials that may show the mesh, to be read last.
     """
@@ -100,7 +102,10 @@ def _all_objects(scene) -> list:
 
 
 def _read_engine(found: Demand, scene, render: bool) -> None:
-    """Add the reads of the render engine: of Workbench by its settings, of an unknown engine all attributes."""
+    """Add the reads of the render engine: of Workbench by its settings, of an unknown engine all attributes.
+
+    Outside of renders Workbench draws viewports, which `read_screens` reads.
+    """
     engine = scene.render.engine
     if engine == WORKBENCH:
         if render:
@@ -119,7 +124,7 @@ def _read_holder(search: _Search, obj) -> None:
     slots = range(len(obj.material_slots)) if any(map(sets_material_index, modifiers)) else used_slots(obj)
     numbers = set(slots)
     for system in obj.particle_systems:
-        numbers.add(system.settings.material - 1)
+        numbers.add(system.settings.material - 1)  # which counts from 1
         read_particles(search.found, system, "" if obj == search.terrain else f"object {obj.name}, ")
     search.materials |= {obj.material_slots[n].material for n in numbers if 0 <= n < len(obj.material_slots)}
 
@@ -153,7 +158,7 @@ def _read_users(search: _Search) -> None:
             if modifier.type == "DATA_TRANSFER" and sources.objects & search.holding:
                 label = f"{search.label_of(obj, modifier)} (it transfers data layers)"
                 search.found.add(ALL, label, GEOMETRY)
-            if modifier.type in ("NODES", "BOOLEAN"):
+            if modifier.type in ("NODES", "BOOLEAN"):  # these put the used geometry into the object's own
                 search.holding.add(obj)
                 search.materials |= {slot.material for slot in obj.material_slots}
                 _add_materials(search, sources)
@@ -162,13 +167,17 @@ def _read_users(search: _Search) -> None:
 def _add_materials(search: _Search, sources: Sources) -> None:
     """Add materials to search: those that a modifier sets, and those of its source objects.
 
-    Materials of instanced objects read attributes of the instances' points.
+    Materials of instanced objects read attributes of the instances' points. Those of objects with the terrain's
+    geometry are added with these objects.
     """
     search.materials |= sources.materials
     search.materials |= {s.material for o in sources.all_objects() - search.holding for s in o.material_slots}
 
 
 def _with_overrides(materials: set, layers: list) -> set:
-    """Return the materials that are shown: material overrides of view layers replace them."""
+    """Return the materials that view layers show: their overrides, and `materials` if a layer has no override.
+
+    None, which stands for an empty slot, is left out.
+    """
     overrides = {layer.material_override for layer in layers} or {None}
     return (overrides if None not in overrides else materials | overrides) - {None}

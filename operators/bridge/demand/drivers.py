@@ -14,7 +14,7 @@ NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')
 def read_drivers(found: Demand, obj, objects, scene) -> None:
     """Add the attributes of a terrain's mesh that drivers of objects, shaders and node groups read as variables.
 
-    obj: the terrain. objects: all objects of the scene.
+    A path that names no attribute counts as all of them. obj: the terrain. objects: all objects of the scene.
     """
     targets = {obj, obj.data}
     for block in _data_with_drivers(objects, scene):

@@ -34,8 +34,8 @@ def is_enabled(modifier, render: bool) -> bool:
 def read_modifier(found: Demand, modifier, label: str, trees: Trees, viewers: bool = False) -> Sources:
     """Add the attributes that one modifier reads to `found`, and return the data that it uses.
 
-    label: the modifier's name for the user. trees: node trees that were read before. viewers: viewer nodes count as
-    outputs.
+    It is read even if it is off. label: the modifier's name for the user. trees: node trees that were read before.
+    viewers: viewer nodes count as outputs.
     """
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, label, trees, viewers) if modifier.node_group else Sources()
@@ -111,7 +111,7 @@ COORDINATES = "texture_coords", "mask_tex_mapping"
 def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
     """Return a geometry-nodes modifier's constant input values by identifier, and (input, attribute) names.
 
-    An input whose value is animated is in neither.
+    An input whose value is animated is in neither; nor is Socket_1 among the values if that of Socket_12 is.
     """
     values, attributes = {}, []
     for item in modifier.node_group.interface.items_tree:

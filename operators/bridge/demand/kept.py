@@ -25,7 +25,8 @@ _driven: dict[int, tuple] = {}  # key of its drivers at the last update of a dat
 def demand_of(obj, depsgraph, mode: str) -> Demand:
     """Return the attributes that a terrain's scene reads, in a viewport from the cache if nothing has changed.
 
-    A render's demand is never cached: a script may have changed anything since the last reported update.
+    Do not change the result, which the cache holds. A render's demand is never cached: a script may have changed
+    anything since the last reported update.
     """
     if mode == RENDER:
         return find_demand(obj, depsgraph, mode)
@@ -37,7 +38,7 @@ def demand_of(obj, depsgraph, mode: str) -> Demand:
 
 
 def note_update(depsgraph) -> None:
-    """Drop cached demands that the updates of a dependency graph may have changed."""
+    """Drop all cached demands if an update of a dependency graph may have changed one."""
     stale = False
     for update in depsgraph.updates:
         block = update.id.original
@@ -88,7 +89,10 @@ def _object_key(obj) -> tuple:
 
 
 def _scene_key(scene) -> tuple:
-    """Return a key of the settings and the number of objects of a scene, whose updates Blender reports as one."""
+    """Return a key of a scene's engine, view layers, background set and number of objects.
+
+    Blender reports every update of a scene as one of the scene itself.
+    """
     layers = tuple(
         (layer.name, layer.use, layer.material_override and layer.material_override.session_uid, *layer.aovs.keys())
         for layer in scene.view_layers

@@ -37,7 +37,10 @@ class Shading:
 
 
 def shading_of(scene, layers, preview: bool) -> Shading:
-    """Return how a scene shows materials. `preview`: include EEVEE, which a viewport may show at any time."""
+    """Return how a scene shows materials; by all outputs if its engine is unknown.
+
+    layers: view layers whose AOVs count. preview: include EEVEE, which a viewport may show at any time.
+    """
     engine = scene.render.engine
     targets = set() if engine == WORKBENCH else {ENGINES[engine]} if engine in ENGINES else {"ALL", "CYCLES", "EEVEE"}
     if preview:
@@ -47,7 +50,7 @@ def shading_of(scene, layers, preview: bool) -> Shading:
 
 
 def read_material(found: Demand, material, shading: Shading) -> None:
-    """Add the attributes that a material reads of its mesh."""
+    """Add the attributes that a material reads of its mesh; none if it has no nodes."""
     tree = material.node_tree
     if tree is None or bpy.app.version < (5, 0) and not material.use_nodes:
         return
@@ -57,7 +60,7 @@ def read_material(found: Demand, material, shading: Shading) -> None:
 def read_rays(found: Demand, materials: set, shading: Shading) -> None:
     """Add to `found` the attributes that Raycast nodes of other shaders may read where their rays hit the mesh.
 
-    materials: the mesh's own, which `read_material` reads.
+    Blender has these nodes since 5.1. materials: the mesh's own, which `read_material` reads.
     """
     if not HAS_RAYCAST_NODE:
         return
@@ -75,14 +78,17 @@ def read_rays(found: Demand, materials: set, shading: Shading) -> None:
 
 
 def read_workbench(found: Demand, shading, label: str) -> None:
-    """Add the attribute that Workbench reads for a solid shading. label: the reader's name for the user."""
+    """Add the attribute that Workbench reads for a solid shading, if any. label: the reader's name for the user."""
     name = {"VERTEX": ACTIVE_COLOR, "TEXTURE": ACTIVE_UV}.get(shading.color_type)
     if name:
         found.add(name, label, PICTURE)
 
 
 def used_slots(obj) -> set[int]:
-    """Return the numbers of the material slots that faces use; a number beyond the last is clamped."""
+    """Return the numbers of the material slots that faces use, from 0; a number beyond the last is clamped.
+
+    The first is used if faces have no numbers. The result is empty for an object without slots.
+    """
     last = len(obj.material_slots) - 1
     numbers = obj.data.attributes.get("material_index") if hasattr(obj.data, "attributes") else None
     if last < 0 or numbers is None or numbers.domain != "FACE":
@@ -100,7 +106,7 @@ def _hits_others(node) -> bool:
 def _read_shader(found: Demand, tree, label: str, shading: Shading) -> None:
     """Add the attributes that a shader's node tree reads, from its used outputs and AOVs backwards.
 
-    label: the owner's name for the user.
+    With MAX_AOVS or more AOV outputs it counts as reading everything. label: the owner's name for the user.
     """
     walk = NodeWalk(found, label, PICTURE, shading.trees, osl=shading.osl)
     ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}

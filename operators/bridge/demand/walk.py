@@ -46,7 +46,11 @@ class NodeWalk:
     collections: set = field(default_factory=set)
 
     def visit(self, node, socket, context: tuple = ()) -> None:
-        """Walk backwards from an input of a node: add the reads of all nodes that feed it."""
+        """Walk backwards from an input of a node: add the reads of all nodes that feed it.
+
+        Outputs that were visited before are passed over. A walk of more than MAX_STEPS outputs ends, and counts as
+        reading everything.
+        """
         self.trees.add(node.id_data)
         waiting = [(node, socket, context)]
         while waiting:
@@ -68,7 +72,8 @@ class NodeWalk:
     def constant(self, node, socket, context: tuple):
         """Return the value of an input if nothing can change it, else None. context: see the module.
 
-        A link is followed back through reroutes, muted nodes and groups, 100 steps at most.
+        A link is followed back through reroutes, muted nodes and groups, 100 steps at most. It may end at a String
+        node; the values of other nodes count as computed.
         """
         for _ in range(100):
             links = self.feeding(socket)
@@ -105,7 +110,10 @@ class NodeWalk:
         return value if isinstance(value, CONSTANTS) else None
 
     def _input_passed_to(self, node, output, context: tuple) -> tuple | None:
-        """Return (node, input, context) of the input that an output passes on unchanged, or None."""
+        """Return (node, input, context) of the input that an output passes on unchanged; None if there is none.
+
+        The outermost tree's inputs have none.
+        """
         if node.mute:
             through = [link.from_socket for link in node.internal_links if link.to_socket == output]
             return (node, through[0], context) if through else None
@@ -120,7 +128,7 @@ class NodeWalk:
     def _read_and_step(self, node, output, context: tuple) -> list[tuple]:
         """Add the reads of a node for one of its outputs; return (node, input, context) of the inputs that it needs.
 
-        [] if this output was visited in the same context before.
+        [] if this output was visited in the same context before, and at the inputs of the outermost tree.
         """
         key = node.as_pointer(), output.identifier, tuple(group.as_pointer() for group in context)
         if key in self.seen:
@@ -142,7 +150,7 @@ class NodeWalk:
     def _enter_group(self, group, output, context: tuple) -> list[tuple]:
         """Enter a group node: return (output node, its input, longer context) for one of the group's outputs.
 
-        Groups nested deeper than MAX_DEPTH count as reading everything, and return [].
+        A group nested deeper than MAX_DEPTH counts as reading everything, and is not entered: the result is [].
         """
         if len(context) >= MAX_DEPTH:
             self.read(ALL, group, context[:1], "groups too deep to follow")

@@ -26,7 +26,7 @@ def run(subjects: list[AccuracySubject], out: Path, show_progress: bool | None =
 
 
 def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) -> None:
-    """Fill in the rows of every subject; print a line per row on stdout and a progress bar on stderr.
+    """Fill in the rows, crops and notes of every subject; print a line per row on stdout, a progress bar on stderr.
 
     show_progress: see Progress.
     """

@@ -71,7 +71,7 @@ def path(text: str) -> Path:
 
 
 def path_text(text: str) -> str:
-    """Check a path, or a name in place of one, and return it unchanged."""
+    """Return a path, or a name in place of one, unchanged, after a check that a file may have it."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name is empty")
     fault = path_fault(shown(text), text)
@@ -104,7 +104,7 @@ def pair(separator: str, kind, max_value: float):
 def parse_effects(text: str) -> tuple[str, ...] | None:
     """Parse names of attributes, with commas between; return each once.
 
-    Returns () for `none`, and None for `auto`: the attributes that the scene reads.
+    Returns () for `none`, and None for `auto`, which each verb explains. Raises ValueError for an unknown name.
     """
     from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
     from ..text.effect_lines import unknown_attribute
@@ -119,7 +119,7 @@ def parse_effects(text: str) -> tuple[str, ...] | None:
 
 
 def add_settings(verb: argparse.ArgumentParser) -> None:
-    """Add an option to a verb's parser for each criterion setting that declares one, with help text from SETTINGS."""
+    """Add an option to a verb's parser for each criterion setting that declares one; None stands for one not given."""
     for setting in SETTINGS:
         if not setting.option:
             continue

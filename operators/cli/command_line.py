@@ -48,7 +48,7 @@ def _run(argv: list[str] | None) -> int:
             _with_negatives_joined(sys.argv[1:] if argv is None else argv)
         )
         arguments.run(arguments)
-        print(end="", flush=True)
+        print(end="", flush=True)  # an error of stdout is raised here, not at the exit of Python
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:

@@ -19,12 +19,15 @@ FINE_M = 1e-3  # an error that the limit above holds back
 
 
 def describe_attributes() -> dict:
-    """Return the description of every attribute by its name."""
+    """Return the declaration of every attribute, as fields, by its name."""
     return {name: effect_lines.about(effect) for name, effect in ATTRIBUTES.items()}
 
 
 def list_costs(store: Path) -> list[str]:
-    """Return a line of text for each attribute: the time and memory that it takes on a mesh of the whole store."""
+    """Return lines of text: the size of a mesh of the whole store, and each attribute's time and memory on it.
+
+    The mesh has MEASURED_TRIANGLES at most. Raises TerrainError.
+    """
     field = open_store(store)
     surface = Terrain(field).update(Criterion(error_px=0, error_m=FINE_M, max_triangles=MEASURED_TRIANGLES), []).surface
     lines = [f"a mesh of {len(surface.triangles):,} triangles, {len(surface.positions):,} vertices"]
@@ -35,7 +38,7 @@ def list_costs(store: Path) -> list[str]:
 
 
 def _measure_attribute(name: str, field, surface):
-    """Return time and memory of one attribute and the attributes that it reads.
+    """Return time and memory of one attribute and the attributes that it reads together, as a Ran.
 
     It is evaluated twice: the second run, which is reported, finds compiled kernels and filled caches.
     """

@@ -43,7 +43,10 @@ def run_render(arguments) -> None:
 
 
 def run_verify(arguments) -> None:
-    """Run the verb `verify`: check the frames of a job, and print their number and largest bound."""
+    """Run the verb `verify`: check the frames of a job, and print their number and largest bound.
+
+    Raises TerrainError if one is missing or differs from its summary.
+    """
     from ..export.verifying import verify_frames
 
     summaries, missing = verify_frames(arguments.folder, arguments.frames)

@@ -13,7 +13,10 @@ from .verbs import UsageError, print_fields
 
 
 def run_import(arguments) -> None:
-    """Run the verb `import`: turn a height map or a built-in land into a store, and print the report."""
+    """Run the verb `import`: turn height maps or a built-in land into a store, and print the report.
+
+    With --only it does one part of that; with --job it writes a farm's job for it instead. Raises UsageError.
+    """
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.source_list import names_several
@@ -56,7 +59,7 @@ def run_import(arguments) -> None:
     if part is not None:
         print_fields(report)
         return
-    printed = previews[0] if previews else {}
+    printed = previews[0] if previews else {}  # only fields that are new or have changed are printed again
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 
@@ -70,7 +73,10 @@ def _write_import_job(arguments, settings) -> list[str]:
 
 
 def run_info(arguments) -> None:
-    """Run the verb `info`: print the versions, or describe or check a store, a height map or an exported .npz."""
+    """Run the verb `info`: print the versions, or the description of a store, height maps or an exported .npz.
+
+    With --verify a store is checked first. Raises UsageError.
+    """
     if arguments.versions == bool(arguments.paths):
         raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
     is_store = len(arguments.paths) == 1 and _is_store(arguments.paths[0])
@@ -86,7 +92,7 @@ def run_info(arguments) -> None:
 
 
 def _is_store(path: str) -> bool:
-    """Return whether a path is a folder, but not one of height maps: a store that is missing or damaged is reported."""
+    """Return whether a path is a folder without height maps: `describe` reports it if it is no store or damaged."""
     from ...cbt_terrain.importing.source_list import holds_height_maps
 
     return os.path.isdir(path) and not holds_height_maps(path)
@@ -120,7 +126,10 @@ def describe_heights(settings) -> dict:
 
 
 def _verify_store(path) -> None:
-    """Check every block of a store against its checksum, and print the number of blocks of each array."""
+    """Check every block of a store against its checksum, and print the number of blocks of each array.
+
+    Raises TerrainError if one differs.
+    """
     from ...cbt_terrain.field.store import verify
 
     blocks = verify(path)

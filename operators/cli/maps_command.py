@@ -18,7 +18,7 @@ from ..maps.baking import MapRequest, bake_maps, check_names, summary
 from ..text.console import Progress
 
 READER = "this command"
-MAX_FRAMES = 100_000  # of a path without --frames
+MAX_FRAMES = 100_000  # whose views of a path are kept at once
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,10 @@ def subjects_of_store(
 
 
 def views_along(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
-    """Return the views along a camera path at `frames`; None or () for all its whole frames."""
+    """Return the views along a camera path at `frames`; None or () for all its whole frames.
+
+    Raises TerrainError for more than MAX_FRAMES.
+    """
     flight = read_camera_path(path)
     if not frames:
         first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
@@ -92,9 +95,10 @@ def subjects_of_scene(
     resolution: tuple[int, int] | None,
     frames: Sequence[int] | None,
 ) -> list[MapSubject]:
-    """Return the terrains of a .blend file, each with its map settings and a folder inside `out`.
+    """Open a .blend file and return its terrains, each with its map settings and a folder inside `out`.
 
-    `names`: maps to bake, None for those of the scene's settings.
+    `names`, `frames`: maps to bake and frames whose views count, None for those of each terrain's settings. `camera`:
+    name of a camera, None for the scene's. `resolution`: pixels, None for the scene's. Land is shaped if it is missing.
     """
     source = SceneFrames(blend, camera, resolution)
 

@@ -24,7 +24,10 @@ EXPECTED = "the names of columns, x and y (or easting and northing, lon and lat)
 
 
 class PointTable(NamedTuple):
-    """Column names, rows of text as they are in the file but with decimal points, and coordinates, float64 [n, 2]."""
+    """Column names, rows of text, and coordinates, float64 [n, 2].
+
+    Rows are as in the file, except that coordinates with a decimal comma have a point.
+    """
 
     names: list[str]
     rows: list[list[str]]
@@ -79,7 +82,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
 
 
 def _decode(content: bytes) -> str:
-    """Decode UTF-8, UTF-16 or Windows-1252, with or without a byte order mark."""
+    """Decode UTF-8, UTF-16 or Windows-1252, with or without a byte order mark; bytes without a letter are replaced."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16", "replace")
     # UTF-16 without a mark: in Latin text every other byte is 0, from the byte `first` on.
@@ -95,8 +98,8 @@ def _decode(content: bytes) -> str:
 def _split_into_cells(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
     """Split a text into lines of cells; return line numbers with cells, without empty lines, and the delimiter.
 
-    The delimiter is the one with which the header has most names of coordinates. Raises TerrainError for broken
-    quotes.
+    The delimiter is the one with which the header has most names of coordinates, a comma if it has none. A row in
+    several lines has the number of its last. Raises TerrainError for broken quotes.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     known = {column for pair in (ANY, LENGTHS, DEGREES) for axis in pair for column in axis}

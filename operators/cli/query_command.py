@@ -58,7 +58,7 @@ def number_texts(values: np.ndarray) -> list[str]:
 
 
 def write_csv(names: list[str], lines: list[list[str]], out: Path | None) -> None:
-    """Write a table as CSV into a file, or to stdout if `out` is None. Raises TerrainError.
+    """Write a table as CSV into a file, or to stdout if `out` is None. Raises TerrainError if the file fails.
 
     names: the columns' names, for the first line. lines: the cells.
     """

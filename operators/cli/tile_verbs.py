@@ -116,7 +116,7 @@ def run_map(arguments) -> None:
     if not matching:
         names = ", ".join(obj.name for obj in objects)
         raise TerrainError(f"The scene has no terrain {arguments.terrain!r}", expected=f"one of {names}")
-    matching[0].adaptive_terrain.camera_source = "SCENE"
+    matching[0].adaptive_terrain.camera_source = "SCENE"  # it is refined for the map's camera, not for a chosen one
     add_map_camera(matching[0], bpy.context.evaluated_depsgraph_get(), arguments.pixels, arguments.metres)
     out = Path(arguments.out).absolute()
     for file in render_map(scene, out, arguments.tiles, arguments.geotiff):

@@ -68,7 +68,7 @@ def run_export(arguments) -> None:
 
 @contextmanager
 def frame_reporter(arguments, label: str):
-    """Yield a function to call after each frame, which prints a line and advances the progress bar.
+    """Yield a function to call after each of `arguments.frames`, which prints a line and advances the progress bar.
 
     It takes the frame, its summary, and whether the frame was complete before.
     """
@@ -128,8 +128,8 @@ def _export_source(arguments):
 
 
 def run_effects(arguments) -> None:
-    """Run the verb `effects`: describe the attributes, and print their cost on a store or their readers in a
-    scene.
+    """Run the verb `effects`: print the readers of attributes in a scene if there is one; otherwise the declarations of
+    all attributes, and their cost on a store if there is one.
     """
     from ..blender import need_bpy
     from . import effects_command
@@ -296,7 +296,7 @@ def largest_bound(terrains: list[dict]) -> str:
 
 
 def print_fields(fields: dict, indent: str = "") -> None:
-    """Print a line for each field that is not empty, and a dict as indented lines below its name.
+    """Print a line for each field that is not None or "", and a dict as indented lines below its name.
 
     Control characters are escaped (`shown`), because texts may come from a file.
     """

@@ -48,7 +48,10 @@ FLIGHT = {
 
 
 def run(out: Path, show_progress: bool | None = None) -> None:
-    """Import the island, export a flight of 24 frames, render pictures and write `index.html`, all into `out`."""
+    """Import and shape the island, export a flight of 24 frames, render pictures, and write `index.html` into `out`.
+
+    All other files are in `out`, too. The scene takes the place of Blender's open file. Raises TerrainError.
+    """
     need_bpy("The demo")
     make_folder(out)
     steps: dict[str, float] = {}
@@ -113,7 +116,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
 
 
 def _export_flight(out: Path, store: Path) -> tuple[list[dict], Criterion]:
-    """Export the flight's meshes as .npz into `out`; return the frames' summaries and the criterion."""
+    """Write `flight.json` and the flight's meshes as .npz into `out`; return the summaries and the criterion."""
     flight = out / "flight.json"
     write_text(flight, json.dumps(FLIGHT, indent=1) + "\n")
     criterion = Criterion(error_px=ERROR_PX)

@@ -29,7 +29,7 @@ class LandNodes(Nodes):
     """Node helpers for the demo's materials."""
 
     def ramp(self, value, colours):
-        """Add a colour ramp of evenly spaced colours for a value 0 .. 1; return the colour."""
+        """Add a colour ramp of evenly spaced colours, RGB and two at least, for a value 0 .. 1; return the colour."""
         node = self.add("ShaderNodeValToRGB", {"Fac": value})
         elements = node.color_ramp.elements
         while len(elements) < len(colours):
@@ -43,7 +43,7 @@ class LandNodes(Nodes):
         return self.add("ShaderNodeEmission", {"Color": colour, "Strength": strength}).outputs[0]
 
     def smooth(self, value, low: float, high: float):
-        """Return a smoothstep: 0 below `low`, 1 above `high`."""
+        """Return a smoothstep that is 0 at `low` and beyond, 1 at `high` and beyond; `low` may be the larger one."""
         limits = {"Value": value, "From Min": low, "From Max": high}
         return self.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
 
@@ -53,7 +53,10 @@ class LandNodes(Nodes):
         return self.mix(self.math("POWER", self.smooth(towards, -0.4, 1.0), 2.5), AWAY, SUNWARD)
 
     def with_haze(self, surface, sun):
-        """Return a surface shader with aerial perspective: air absorbs its light and adds light of the sky."""
+        """Return a surface shader with aerial perspective: air absorbs its light and adds light of the sky.
+
+        surface: the shader's socket. sun: unit vector towards it.
+        """
         distance = self.add("ShaderNodeCameraData").outputs["View Distance"]
         absorbed = [
             self.math("SUBTRACT", 1.0, self.math("POWER", math.e, self.math("DIVIDE", distance, -length)))
@@ -87,7 +90,10 @@ def _new_material(name: str) -> tuple[bpy.types.Material, LandNodes]:
 
 
 def put_grain(material: bpy.types.Material) -> None:
-    """Add stones and tufts finer than samples and texels to a material's colour and shading; snow hides them."""
+    """Add stones and tufts finer than samples and texels to a material's colour and shading; snow hides them.
+
+    The material has a Principled BSDF; a base colour that is not linked stays as it is.
+    """
     n = LandNodes(material.node_tree)
     shader = next(node for node in n.tree.nodes if node.type == "BSDF_PRINCIPLED")
     inputs = {"Vector": n.add("ShaderNodeTexCoord").outputs["Object"], "Scale": 1.0 / GRAIN_M, "Detail": 5.0}
@@ -105,7 +111,7 @@ def put_grain(material: bpy.types.Material) -> None:
 
 
 def put_haze(material: bpy.types.Material, sun) -> None:
-    """Add aerial perspective to any material. sun: object of the sun's light."""
+    """Add aerial perspective to a material whose output has a surface. sun: unit vector towards it."""
     n = LandNodes(material.node_tree)
     output = next(node for node in n.tree.nodes if node.type == "OUTPUT_MATERIAL")
     [link] = output.inputs["Surface"].links
@@ -114,7 +120,10 @@ def put_haze(material: bpy.types.Material, sun) -> None:
 
 
 def water_material(sun) -> bpy.types.Material:
-    """Return a water material: darker with the attribute WATER_DEPTH, with foam, gusts and aerial perspective."""
+    """Return a water material: darker with the attribute WATER_DEPTH, with foam, gusts and aerial perspective.
+
+    sun: unit vector towards it.
+    """
     material, n = _new_material("Water")
     depth = n.add("ShaderNodeAttribute", attribute_name=WATER_DEPTH).outputs["Fac"]
     place = n.add("ShaderNodeNewGeometry").outputs["Position"]
@@ -137,17 +146,17 @@ def water_material(sun) -> bpy.types.Material:
 
 
 def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
-    """Return a material that colours triangles by level, with edges and some shading by the `sun` (unit vector).
+    """Return a material that colours triangles by level, with edges and some shading.
 
-    coarsest, finest: levels at the ends of the colours.
+    coarsest, finest: levels at the ends of the colours. sun: unit vector towards it.
     """
     material, n = _new_material("Levels")
     level = n.add("ShaderNodeAttribute", attribute_name=LEVEL).outputs["Fac"]
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}
     colour = n.ramp(n.add("ShaderNodeMapRange", inputs).outputs["Result"], LEVEL_COLOURS)
     normal = n.add("ShaderNodeNewGeometry").outputs["Normal"]
-    sun = n.add("ShaderNodeVectorMath", {0: normal, 1: tuple(sun)}, operation="DOT_PRODUCT")
-    light = n.math("ADD", 0.42, n.math("MULTIPLY", n.math("MAXIMUM", sun.outputs["Value"], 0.0), 1.15))
+    facing = n.add("ShaderNodeVectorMath", {0: normal, 1: tuple(sun)}, operation="DOT_PRODUCT")
+    light = n.math("ADD", 0.42, n.math("MULTIPLY", n.math("MAXIMUM", facing.outputs["Value"], 0.0), 1.15))
     shaded = n.add("ShaderNodeVectorMath", {0: colour, "Scale": light}, operation="SCALE").outputs["Vector"]
     line = n.add("ShaderNodeWireframe", {"Size": 0.9}, use_pixel_size=True).outputs[0]
     n.finish(n.emission(n.mix(n.math("MULTIPLY", line, 0.75), shaded, INK)))

@@ -158,7 +158,7 @@ def _share_of_grid(triangles: float, size: int) -> str:
 
 
 def _crop_picture(crop: Crop, size: int) -> PagePicture:
-    """Return the picture of one error in the comparison, with its triangles as the caption."""
+    """Return the picture of one error in the comparison, with its triangles as the caption; it is embedded only."""
     cost = f"{crop.triangles:,} triangles, {_share_of_grid(crop.triangles, size)} of the grid's"
     return PagePicture("", cost, f"{crop.error_px:g} px", png(crop.pixels))
 
@@ -173,12 +173,12 @@ def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
 
 
 def _skipped(effects: dict[int, dict]) -> list[str]:
-    """Return the names of the effects that no frame has computed."""
+    """Return the names of the effects that no pictured frame has computed."""
     return [name for name in next(iter(effects.values())) if all(frame[name].skipped for frame in effects.values())]
 
 
 def _effects_table(effects: dict[int, dict]) -> Table:
-    """Return the table of computed attributes: their readers, and their cost in each pictured frame."""
+    """Return the table of computed attributes: their readers in the first pictured frame, and their cost in each."""
     skipped, rows = _skipped(effects), []
     for name, first in next(iter(effects.values())).items():
         if name not in skipped:

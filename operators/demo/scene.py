@@ -45,7 +45,8 @@ MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, int], criterion):
     """Build the scene with the terrain of `store` and a camera that follows `flight`, and save `out`/island.blend.
 
-    flight: a CameraPath. criterion: of the terrain's detail. Returns the scene and the terrain's object.
+    It begins with an empty file, which takes the place of the open one. flight: a CameraPath. criterion: of the
+    terrain's detail. Returns the scene and the terrain's object.
     """
     open_empty_file()
     scene = bpy.context.scene
@@ -72,7 +73,7 @@ def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, 
     add_rivers(scene, field, water)
     file = str((out / "island.blend").resolve())
     with quiet():
-        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
+        bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)  # a relative path needs a file that it begins at
         settings.store = bpy.path.relpath(str(store.resolve()))  # users may move the whole folder
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
     remove_file(file + "1", may_be_link=True)  # Blender's backup of the first save
@@ -90,13 +91,13 @@ def bake_island_maps(obj) -> None:
 
 
 def _add_camera(scene, flight, frames: range):
-    """Add a camera with a key at each of the frames of a CameraPath."""
+    """Add a camera with a key at each of the frames of a CameraPath; return it."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
     camera.data.clip_start, camera.data.clip_end = flight.clip
     camera.rotation_mode = "QUATERNION"
     for frame in frames:
-        view = flight.view(frame, (1, 1))
+        view = flight.view(frame, (1, 1))  # whose sides have the field of view of any picture's larger side
         matrix = Matrix(inverse(view.world_to_camera).tolist())
         camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
         camera.data.angle = 2 * math.atan(1 / view.projection[0, 0])
@@ -115,7 +116,7 @@ def sun_direction():
 
 
 def add_sky(scene) -> None:
-    """Add a low sun and a sky from the horizon to the zenith."""
+    """Add a low sun, and a new world with a sky from the horizon to the zenith and with clouds."""
     world = bpy.data.worlds.new("Sky")
     scene.world = world
     world.cycles.sampling_method = "NONE"  # it is smooth and needs no importance map
@@ -176,14 +177,15 @@ def render(scene, path: Path) -> None:
 def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolution: tuple[int, int]) -> int:
     """Draw one frame's triangles by level: `levels.png` from the camera, `plan.png` from above with its view.
 
-    An error of `error_px` pixels makes single triangles visible. Returns their number.
+    An error of `error_px` pixels makes single triangles visible. Returns their number. The scene, its materials and
+    its camera stay changed, and are not saved.
     """
     scene.frame_set(frame)
     camera, settings = scene.camera, obj.adaptive_terrain
     settings.render.error_px = error_px
     settings.camera_source, settings.camera = CHOSEN_CAMERA, camera
     update = session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
-    coarsest, finest = np.percentile(update.surface.level, (1, 99))
+    coarsest, finest = np.percentile(update.surface.level, (1, 99))  # without a few extreme triangles
     obj.data.materials.clear()
     obj.data.materials.append(level_material(coarsest, finest, sun_direction()))
     for name in {"Sea", "Water"} & set(scene.objects.keys()):
@@ -201,7 +203,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
 
 
 def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
-    """Add an orthographic camera over the whole terrain and make it the scene's.
+    """Add an orthographic camera over the whole terrain and make it the scene's, with a picture of `resolution` pixels.
 
     Two strips over the terrain, from the eye along the sides of the picture, show the view of `camera`.
     """

@@ -18,7 +18,7 @@ SEA_SAMPLES, RIVER_SAMPLES = 513, 2049  # maximum along a side
 def add_sea(scene, field: HeightField, material: bpy.types.Material):
     """Add the sea at height 0: a grid with the attribute `water_depth`, without land, and four faces of open sea.
 
-    Each of the four joins a side of the grid to a side of a much larger square.
+    Each of the four joins a side of the grid to a side of a much larger square. Return the object.
     """
     heights, _ = _thinned(field.heights(), field.lattice, SEA_SAMPLES)
     rows, columns = heights.shape
@@ -39,7 +39,10 @@ def add_sea(scene, field: HeightField, material: bpy.types.Material):
 
 
 def add_rivers(scene, field: HeightField, material: bpy.types.Material):
-    """Add rivers and lakes above the sea as an object, and return it, or None without water."""
+    """Add rivers and lakes above the sea as an object, and return it, or None without water.
+
+    field: shaped land with the layers of the operator `water`.
+    """
     heights, lattice = _thinned(field.heights(), field.lattice, RIVER_SAMPLES)
     depth, speed = (_thinned(field.layers[name], field.lattice, RIVER_SAMPLES)[0] for name in NAMES[:2])
     depth = np.where(heights > 0.0, depth, np.float32(0.0))
@@ -52,7 +55,10 @@ def add_rivers(scene, field: HeightField, material: bpy.types.Material):
 
 
 def _thinned(samples: np.ndarray, lattice: Lattice, max_side: int) -> tuple[np.ndarray, Lattice]:
-    """Return every n-th sample, at most `max_side` along a side, and the lattice of these samples."""
+    """Return every n-th sample, at most `max_side` along a side, and the lattice of these samples.
+
+    It covers the same ground if n divides the number of cells along each side, as on the island.
+    """
     step = -(-(max(lattice.width, lattice.height) - 1) // (max_side - 1))  # rounded up
     found = np.ascontiguousarray(samples[::step, ::step])
     return found, fit(found.shape[1], found.shape[0], lattice.step_x * step, lattice.step_y * step)

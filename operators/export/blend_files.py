@@ -12,7 +12,7 @@ MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix t
 
 
 def open_scene(blend: Path) -> tuple:
-    """Open a .blend file; returns its scene and the scene's terrains, one at least. Raises TerrainError."""
+    """Open a .blend file; returns its active scene and that scene's terrains, one at least. Raises TerrainError."""
     bpy = import_bpy("A .blend file")
     from ..session import session
 
@@ -68,7 +68,7 @@ def import_bpy(what: str):
 
 
 def new_object(name: str):
-    """Open an empty Blender file and add a mesh object to it; return the object."""
+    """Open an empty Blender file, add a mesh object to it and return that. Raises TerrainError without Blender."""
     bpy = import_bpy("This format")
     open_empty_file()
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
@@ -87,7 +87,10 @@ def open_empty_file() -> None:
 
 
 def file_name(obj) -> str:
-    """Return an object's name as the start of a file name: shortened, without characters that files cannot have."""
+    """Return an object's name as the start of a file name: shortened, without characters that files cannot have.
+
+    Two objects may get the same (`check_distinct_names`).
+    """
     import bpy
 
     return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")

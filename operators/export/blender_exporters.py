@@ -19,7 +19,10 @@ ONLY = {"export_selected_objects": True, "apply_modifiers": False}
 
 @contextmanager
 def only_selected(obj):
-    """Select the object alone, for Blender's exporters; restore the user's selection afterwards."""
+    """Select the object alone in the `with` block, for Blender's exporters; restore the user's selection afterwards.
+
+    Raises TerrainError if it is hidden or cannot be selected.
+    """
     import bpy
 
     if not obj.visible_get():
@@ -60,7 +63,7 @@ def need_no_shear(obj) -> None:
 def turn_faces_over(path: Path, faces: int) -> None:
     """Reverse the order of the corners of all faces in a binary .ply file.
 
-    `faces`: their number; they are triangles and come last in the file.
+    `faces`: their number; they are triangles and come last in the file, whose numbers are little endian.
     """
     face = np.dtype([("count", np.uint8), ("corners", "<u4", 3)])
     with path.open("r+b") as file:

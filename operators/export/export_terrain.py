@@ -75,7 +75,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
             self.report({"WARNING"}, f"{path.name}: nothing is left of the terrain; check its clean-up, and its holes")
 
     def _restore_viewport(self, obj):
-        """Give the viewport its detail back, also after a failed export."""
+        """Give the viewport its detail back if the mesh is a render's, also after a failed export; report an error."""
         if session.record_of(obj).status.mode != RENDER:
             return
         try:

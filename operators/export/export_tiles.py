@@ -78,7 +78,7 @@ class LandExport(FileJobOperator):
         check_target(Path(self.filepath))
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Open the shaped land and write on a thread; return the line to report."""
+        """Open the shaped land and write on a thread; return the line to report. Raises TerrainError."""
         self.check_file()
         land = shaped_field(context.object, context.evaluated_depsgraph_get())
 
@@ -121,7 +121,7 @@ class ExportHeights(LandExport, bpy.types.Operator):
         check_export(self.filepath)
 
     def prepare(self, _obj, _depsgraph, field):
-        """Prepare to write the heights and the layers of the shaped land as rasters named after the chosen file."""
+        """Return no kernels, and a function that writes heights and layers as rasters named after the chosen file."""
 
         def write(on_progress) -> str:
             """Write the files, and return their names."""
@@ -192,7 +192,10 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
             column.prop(self, name)
 
     def prepare(self, obj, depsgraph, field):
-        """Prepare to write the height tiles, the masks and their JSON beside the chosen file."""
+        """Return the kernels of heights and masks, and a function that writes tiles, masks and their JSON.
+
+        They are named after the chosen file, in its folder.
+        """
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}  # 0: one tile
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
@@ -238,6 +241,6 @@ class ExportTileset(LandExport, bpy.types.Operator):
     )
 
     def prepare(self, _obj, _depsgraph, field):
-        """Prepare to write the 3D Tiles beside the chosen file."""
+        """Return no kernels, and a function that writes the 3D Tiles: the chosen file, and tiles in its folder."""
         path, options = Path(self.filepath), (self.error_m, self.triangles)
         return [], lambda on_progress: tileset_line(path.name, export_tileset(field, path, *options, on_progress))

@@ -145,8 +145,8 @@ def make_folder(path: Path) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise TerrainError if a file cannot be written to `path`: its folder is missing, or a folder or device has
-    its name.
+    """Raise TerrainError if a file must not be written to `path`: its folder is missing, a folder or device has its
+    name, or it would replace the description of a terrain's store.
     """
     if path.parent.is_file():
         raise TerrainError(
@@ -165,7 +165,10 @@ def check_target(path: Path) -> None:
 
 @contextmanager
 def named_failures(path: Path):
-    """Turn errors of the `with` block, which writes `path`, into a TerrainError that names the file and the reason."""
+    """Turn errors of the `with` block, which writes `path`, into a TerrainError that names the file and the reason.
+
+    These are OSError, and RuntimeError of Blender's exporters. `check_target` is called before the block.
+    """
     check_target(path)
     try:
         yield
@@ -195,8 +198,8 @@ def write_text(path: Path, text: str) -> None:
 def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
     """Write small files, such as those of a report, into a folder; contents: UTF-8 text or bytes by file name.
 
-    They are written to private folders first and renamed at the end, so an error while writing changes no file.
-    Raises TerrainError.
+    They are written to private folders first and renamed at the end, so an error while writing changes no file; one
+    while renaming may leave some replaced. Raises TerrainError.
     """
     with ExitStack() as stack:
         for path, content in ((folder / name, content) for name, content in contents.items()):
@@ -242,7 +245,7 @@ def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
 
 
 def figures(piece: Piece) -> dict:
-    """Return the figures of one terrain for the summary of its frame: counts, bounds and times."""
+    """Return the figures of one terrain for the summary of its frame: counts after the clean-up, bounds and times."""
     update = piece.update
     return {
         "name": piece.name,
@@ -255,7 +258,7 @@ def figures(piece: Piece) -> dict:
 
 
 def write_piece(piece: Piece, path: Path) -> None:
-    """Write one terrain to `path`; the suffix is the format."""
+    """Write one terrain to `path`; the suffix is the format. Raises TerrainError."""
     format_of(path).call("write", [piece], path)
 
 

@@ -29,7 +29,8 @@ def redirected_outputs(scene, folder: Path) -> Iterator[None]:
 
     Each writes to its usual absolute path, moved below `folder`; `publish_outputs` moves the files to their places.
     Blender still fills in the names in braces of a node's path. From 5.0 on it leaves the frame's number out of the
-    names while it renders one frame; here they get it, as in a render of all frames.
+    names while it renders one frame; here they get it, as in a render of all frames. Raises TerrainError for a name
+    that leads out of its folder, and for a path that becomes too long.
     """
     nodes = output_nodes(scene)
     for node in nodes:
@@ -57,7 +58,8 @@ def redirected_outputs(scene, folder: Path) -> Iterator[None]:
 def publish_outputs(scene, folder: Path) -> list[Path]:
     """Move the files that nodes wrote below `folder` to the nodes' own paths; return the final paths.
 
-    Raises TerrainError.
+    Call it after the block of `redirected_outputs`. Files with these paths are replaced. Raises TerrainError; all paths
+    are checked before the first file is moved.
     """
     moves = []
     for drive in sorted(
@@ -82,7 +84,7 @@ def output_nodes(scene) -> list:
     else:
         trees = [scene.node_tree if scene.use_nodes else None]
     trees, nodes = [tree for tree in trees if tree], []
-    for tree in trees:
+    for tree in trees:  # which grows by groups
         nodes += [node for node in tree.nodes if node.type == "OUTPUT_FILE"]
         inner = (getattr(node, "node_tree", None) for node in tree.nodes)
         trees += [tree for tree in inner if tree and tree not in trees]
@@ -90,7 +92,7 @@ def output_nodes(scene) -> list:
 
 
 def output_folders(scene) -> list[Path]:
-    """List the folders that File Output nodes write to, as far as they are the same for all frames."""
+    """List the folders that File Output nodes write to, each once and absolute, up to a placeholder in their path."""
     found = []
     for node in output_nodes(scene):
         path = os.path.abspath(absolute_path(node_folder(node)))

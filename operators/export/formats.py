@@ -64,7 +64,7 @@ def parse_frames(text: str) -> tuple[int, ...]:
 
 
 def _frame_range(part: str) -> range:
-    """Parse one part of a list of frames."""
+    """Parse one part of a list of frames: A, A-B or A-B:S, both ends included. Raises TerrainError."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
         raise TerrainError(f"The frames {_quote(part)} cannot be read", expected="A, A-B or A-B:S")
@@ -95,7 +95,7 @@ def parse_formats(text: str) -> tuple[str, ...]:
 
 
 def format_of(path: Path) -> ExportFormat:
-    """Return the format that a file's suffix names. Raises TerrainError."""
+    """Return the format that a file's suffix names, in upper or lower case. Raises TerrainError for another one."""
     found = FORMATS.get(path.suffix[1:].lower())
     if found is None:
         raise TerrainError(f"{path.name!r} has no known format", expected=f"one of {', '.join(FORMATS)}")

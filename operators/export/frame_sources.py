@@ -77,8 +77,9 @@ class StoreFrames:
     ):
         """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale.
 
-        in_blender: whether the format needs a Blender object. has_anchor: positions are about a point near the path
-        instead of the raster's middle.
+        in_blender: whether a format needs a Blender object; its empty file takes the place of the open one. detail:
+        displacement, or None. has_anchor: positions are about a point near the path instead of the raster's middle.
+        resolution: pixels. Raises TerrainError.
         """
         self.files = [Path(store), Path(path)]
         self.path = read_camera_path(path)
@@ -125,8 +126,9 @@ class StoreFrames:
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `overrides` replace settings of all objects. `with_scatters`: their points are
-    written too.
+    The file is opened, and its scene stays at the last frame. `camera` names another camera; `resolution`: pixels, None
+    for the scene's; `overrides` replace settings of all objects. `with_scatters`: their points are written too. Raises
+    TerrainError.
     """
 
     def __init__(
@@ -224,8 +226,9 @@ def baked_piece(
     """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
 
     `budget`: largest number of triangles, None for any; it may make the error larger. `in_blender`: whether the format
-    needs a Blender object. `detail`: displacement, or None. `fitted`: vertices leave the surface to save triangles,
-    which `on_progress` follows (0 .. 1); the info then has the measured maximum.
+    needs a Blender object; its empty file takes the place of the open one. `detail`: displacement, or None. `fitted`:
+    vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the measured
+    maximum.
     """
     from ...cbt_terrain.fit.fit import bake, check_interpolation
 
@@ -262,7 +265,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         **({"anchor": anchor} if any(anchor) else {}),
         "crs": field.crs,
         "height_field": str(field.key),
-        **detail_of(field),
+        **loading_note(field),
         "interpolation": field.interpolation,
         "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
     }
@@ -284,7 +287,7 @@ def bounds_of(bounds: ReportedBounds) -> dict:
     }
 
 
-def detail_of(field) -> dict:
+def loading_note(field) -> dict:
     """Return the detail to which an incomplete store is loaded, for JSON; {} for a complete one."""
     text = loaded_text(field.provenance)
     return {"loaded": text} if text else {}

@@ -53,7 +53,10 @@ class MapExtent:
 
 
 def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float | None = None, with_sun: bool = False):
-    """Make the scene's camera an orthographic one over the terrain `obj`, north up; return it. Raises TerrainError.
+    """Make an orthographic camera over the terrain `obj`, north up, the scene's, and return it.
+
+    It is the scene's Map Camera, or a new one. The render gets the size of the map; `leave_map` restores the size
+    before. Raises TerrainError for a sheared or mirrored terrain, and for too many or too narrow pixels.
 
     Args:
         obj: the terrain, in any location, rotation and scale.
@@ -133,7 +136,7 @@ def _camera_state(scene) -> list[float]:
 
 
 def is_unchanged(scene) -> bool:
-    """Return whether the map camera and the picture's aspect are those of its extent."""
+    """Return whether the scene's camera and the picture's aspect are those of its map; True for one without numbers."""
     now, location = np.array(_camera_state(scene)), slice(7, None, 4)  # the last number of each row of the matrix
     stored, pixel = np.array(scene.camera.get(STATE, now)), now[0] / scene.render.resolution_x  # side in metres
     allowed = np.full(len(now), 1e-6)
@@ -151,7 +154,7 @@ def _sun_rotation() -> Matrix:
 
 
 def _find_or_add(scene, name: str, make: Callable, kind: str):
-    """Return the scene's object with this name and type, or a new one.
+    """Return the scene's object with this name and type, unless it is linked from a library, or a new one.
 
     make: creates its data.
     """

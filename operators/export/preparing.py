@@ -35,7 +35,7 @@ def store_folder_of(obj) -> Path:
 
 
 def is_missing(store: Path) -> bool:
-    """Return whether a folder has no complete store yet."""
+    """Return whether a folder has no complete store yet; False for a damaged one: opening it reports the damage."""
     if not (store / JSON_NAME).exists():
         return True
     with suppress(TerrainError):  # who opens a damaged store reports it
@@ -46,7 +46,7 @@ def is_missing(store: Path) -> bool:
 def import_store(obj, _frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
     """Import a terrain's height map into the store that its settings name, unless the complete store exists.
 
-    say: prints a line. on_progress: takes the fraction done.
+    say: prints a line. on_progress: takes the fraction done. Raises TerrainError, also for a damaged store.
     """
     store = store_folder_of(obj)
     if is_missing(store):
@@ -59,6 +59,8 @@ def import_store(obj, _frames: Sequence[int], say: Say, on_progress: OnProgress)
 
 def shape_land(obj, frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
     """Shape a terrain's land, and bake the maps that its materials show; existing ones are reused.
+
+    A terrain that is hidden in renders needs none.
 
     Depending on its settings this is done for the whole terrain, or for the ground that the camera sees in `frames`.
     say: prints a line. on_progress: takes the fraction of the maps that is done.

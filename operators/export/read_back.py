@@ -49,7 +49,7 @@ def count_in_ply(file, size: int) -> int:
 
 
 def count_in_obj(file, size: int) -> int:
-    """Count the lines of faces in an .obj: every exported face is a triangle."""
+    """Count the lines of faces in an .obj: every exported face is a triangle. A file that was cut is not noticed."""
     count, last = 0, b"\n"
     while block := file.read(BLOCK):
         block = last + block
@@ -59,14 +59,17 @@ def count_in_obj(file, size: int) -> int:
 
 
 def count_in_stl(file, size: int) -> int:
-    """Return the number of triangles by an .stl header, if the file's size agrees with it."""
+    """Return the number of triangles by a binary .stl's header. Raises ValueError if the file's size disagrees."""
     [count] = struct.unpack("<I", file.read(STL_HEAD)[-4:])
     _check_size(size, STL_HEAD + count * STL_TRIANGLE)
     return count
 
 
 def count_in_glb(file, size: int) -> int:
-    """Count triangles by the JSON header of a .glb: those of a mesh once for every node that shows it."""
+    """Count triangles by the JSON header of a .glb: those of a mesh once for every node that shows it.
+
+    Raises ValueError if the file's size disagrees with its header.
+    """
     magic, _version, length, json_length, _kind = struct.unpack("<4s4I", file.read(GLB_HEAD))
     if magic != b"glTF":
         raise ValueError("it does not begin with glTF")
@@ -80,7 +83,7 @@ def count_in_glb(file, size: int) -> int:
 def count_in_usda(file, size: int) -> int:
     """Count triangles by the lists of face sizes in a .usda, which must all be 3.
 
-    Raises ValueError if its end is missing.
+    Raises ValueError if one is not, or if the file's end is missing.
     """
     count = 0
     for line in file:

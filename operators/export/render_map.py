@@ -49,7 +49,9 @@ def map_steps(
     with_geotiff: bool = True,
     job: jobs.BackgroundJob | None = None,
 ) -> Generator[None, None, list[Path]]:
-    """Render the map of the scene's camera in `tiles` across and down; return the files. Raises TerrainError.
+    """Render the map of the scene's camera in `tiles` across and down; return the files, the first picture first.
+
+    Raises TerrainError, and JobStopped if `job` was cancelled; complete pictures stay.
 
     Each picture gets a world file and, with `with_geotiff`, becomes a GeoTIFF, too. All tiles show the mesh of the
     whole map, so they fit together.
@@ -104,7 +106,7 @@ def _check_keeps_sources(scene, files: set[Path]) -> None:
 
 
 def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: list[int], job) -> Iterator[None]:
-    """Render the pixels x[0] .. x[1], y[0] .. y[1] (from the top) of the frame into a file. Raises TerrainError.
+    """Render the columns x[0] .. x[1] - 1 and rows y[0] .. y[1] - 1, from the top, into a file. Raises TerrainError.
 
     size: pixels of the whole frame. job: yield while Blender renders beside the window; None to render before
     returning.
@@ -126,7 +128,7 @@ def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: l
             raise TerrainError(f"Blender wrote no picture into {picture.parent}", fix="check the disk")
         os.replace(folder / picture.name, picture)
     if job is None:
-        yield
+        yield  # once a picture, so that a caller can stop between two
 
 
 def _start_render(scene, *how: str) -> None:

@@ -24,7 +24,7 @@ from ..session.record import Record
 from ..terrain.request import RENDER
 from .exporting import check_room, check_target, write_frames
 from .file_outputs import escape_braces, publish_outputs, redirected_outputs
-from .frame_sources import SceneFrames, bounds_of, detail_of
+from .frame_sources import SceneFrames, bounds_of, loading_note
 from .summaries import file_sizes
 
 # Blender does not report that a disk was too full for a picture. So a file of this size is tried afterwards: more than
@@ -43,7 +43,7 @@ def render_frames(
     """Render every frame of the open scene into `out`: `frame_FRAME` with the suffix of the scene's format.
 
     resume: skip frames that are complete. on_frame: called with the frame, its summary and whether it was skipped.
-    Raises TerrainError if a frame would show a stale mesh.
+    Raises TerrainError if a frame would show a stale mesh, or the scene's format is a movie.
     """
     render = source.scene.render
     if render.is_movie_format:
@@ -61,7 +61,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
     """Render one frame: a picture for each of its views, and those of the compositor's File Output nodes.
 
     Returns the sizes in bytes of its files, the terrains' figures and the time. Pictures get their final names only
-    when all are complete.
+    when all are complete. The scene stays at the frame, with another output path. Raises TerrainError.
     """
     start = time.perf_counter()
     scene = source.scene
@@ -139,4 +139,4 @@ def _figures(name: str, record: Record) -> dict:
     status = record.status
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
     figures = {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}
-    return figures | detail_of(record.field)
+    return figures | loading_note(record.field)

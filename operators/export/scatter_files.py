@@ -18,8 +18,8 @@ SAME = 1e-5  # float32 matrices are no better
 def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
     """Write the points of a scatter as CSV in the world: metres, z up, a quaternion, and the scale of an instance.
 
-    placement: matrix from the points' space to the world, float64 [4, 4]. Raises TerrainError if it does not scale
-    all axes alike.
+    points: their sizes are those of the world. placement: matrix from the points' space to the world, float64 [4, 4].
+    Raises TerrainError if it mirrors or does not scale all axes alike, and OSError.
     """
     linear = placement[:3, :3]
     scale = np.cbrt(determinant(linear))

@@ -140,7 +140,7 @@ def _image_users(image) -> Iterator[tuple]:
 def _image_number(user, frame: int) -> int:
     """Return the number of the file that Blender shows at a frame (BKE_image_user_frame_get).
 
-    user: the ImageUser with start, length and offset of the sequence.
+    It is 0 for an empty sequence. user: the ImageUser with start, length and offset of the sequence.
     """
     length = user.frame_duration
     if not length:
@@ -151,7 +151,7 @@ def _image_number(user, frame: int) -> int:
 
 
 def _volume_number(volume, frame: int) -> int | None:
-    """Return the number of the file that Blender shows at a frame; None outside the sequence."""
+    """Return the number of the file that Blender shows at a frame; None if it shows none."""
     length, position = volume.frame_duration, frame - volume.frame_start + 1  # in the sequence, from 1
     if not length or (volume.sequence_mode == "CLIP" and not 1 <= position <= length):
         return None
@@ -164,7 +164,10 @@ def _volume_number(volume, frame: int) -> int | None:
 
 
 def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
-    """Return the files of the numbered sequence that `path` is in: those with `numbers`, or all that exist (None)."""
+    """Return the files of the numbered sequence that `path` is in: those with `numbers`, or all that exist (None).
+
+    Files with `numbers` may be missing. The result is [path] if its name has no number, or if none of all exists.
+    """
     folder, name = os.path.split(path)
     stem, suffix = os.path.splitext(name)
     parts = _NUMBER.fullmatch(stem)
@@ -181,7 +184,7 @@ def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
 def _cache_folders() -> Iterator[str]:
     """Yield the folders of baked caches, "" for none: simulations, oceans, geometry nodes.
 
-    Caches that are not baked are left out, since a render may write them itself.
+    Caches that are not baked are left out, except those of geometry nodes, since a render may write them itself.
     """
     for obj in bpy.data.objects:
         points = [system.point_cache for system in obj.particle_systems]

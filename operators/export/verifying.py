@@ -61,7 +61,7 @@ def _describe_stale_frames(summaries: list[dict], out: Path) -> list[str]:
 
 
 def _describe_odd_frames(summaries: list[dict]) -> list[str]:
-    """Return a text for each frame with other settings than most frames have."""
+    """Return a text for each frame with other settings than the most frequent ones; [] if all have the same."""
     counts = Counter(summary["settings"] for summary in summaries)
     if len(counts) < 2:
         return []

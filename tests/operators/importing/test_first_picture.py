@@ -20,7 +20,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.sandbox.store_job import JobProgress
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.export import preparing
-from adaptive_terrain.operators.export.frame_sources import SceneFrames, detail_of
+from adaptive_terrain.operators.export.frame_sources import SceneFrames, loading_note
 from adaptive_terrain.operators.export.rendering import render_frames
 from adaptive_terrain.operators.farm.submit import submit
 from adaptive_terrain.operators.importing import import_terrain, incomplete, view_tiles
@@ -247,7 +247,7 @@ def test_tiles_in_view_are_shown_before_the_rest(terrain, scene, monkeypatch):
         finish(operator, context, obj, result)
         session.update_object(obj)
         field = session.record_of(obj).field
-        finished.append((loaded_text(obj.adaptive_terrain), field.lattice.width, detail_of(field).get("loaded")))
+        finished.append((loaded_text(obj.adaptive_terrain), field.lattice.width, loading_note(field).get("loaded")))
 
     monkeypatch.setattr(import_terrain.ImportTerrain, "finish", finish_and_look)
     assert to_the_end(running(import_terrain.ImportTerrain, terrain)) == {"FINISHED"}

@@ -5,7 +5,7 @@ from .export.blend_files import import_bpy
 
 
 def need_bpy(what: str):
-    """Return the bpy module with this extension registered, or raise a TerrainError that names `what` needs it."""
+    """Return the bpy module with this extension registered. Raises TerrainError. what: as of `import_bpy`."""
     bpy = import_bpy(what)
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         from . import registration

@@ -60,7 +60,8 @@ def _note_scene_change(depsgraph) -> None:
 def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
     """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns the errors.
 
-    A render needs the terrains in its dependency graph: rendered objects and their inputs.
+    A render needs the terrains in its dependency graph: rendered objects and their inputs. In a viewport those are
+    updated that are live, or whose mesh is still that of a render.
     """
     failed = []
     for obj in session.terrains_of(scene):
@@ -131,7 +132,7 @@ def on_frame_change(scene, depsgraph) -> None:
 def _settle_objects(scene, depsgraph) -> list[TerrainError]:
     """Move objects that are kept on the ground to it (keep_ground.py).
 
-    Return the errors: an object that a render needs could not be placed.
+    Notes are printed. Return the error in a list, [] without one: an object that a render needs could not be placed.
     """
     waits = depsgraph.mode == RENDER or pauses.is_paused() or _mesh_is_needed_now()
     try:
@@ -148,7 +149,9 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     """Update the terrains after a change of frame: for a render at its frame, for the viewport now or at the
     timer's next turn.
 
-    `failed`: errors of `_settle_objects`, to which others are added. A render with errors is handled as a stale frame.
+    At another time of a render, as of motion blur, the mesh stays. If the wait for an import was ended, no terrain is
+    updated. `failed`: errors of `_settle_objects`, to which others are added. A render with errors is handled as a
+    stale frame.
     """
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):

@@ -16,9 +16,10 @@ from .session.polls import cancelled_by_errors, invoke_with_file, on_terrain
 class JobOperator:
     """Base of operators that run a job: beside the window when they are invoked, at once when a script calls them.
 
-    A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work; and `finish(context, obj, result)`,
-    which puts the result into the file. `context` is that of the first step only. One that leaves the terrain as it is
-    has `shows_error_on_panel = False`: its errors are only reported, and the panel keeps that of the last update.
+    A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work and returns a result that is not None;
+    and `finish(context, obj, result)`, which puts the result into the file. `context` of `steps` is that of the first
+    step only. One that leaves the terrain as it is has `shows_error_on_panel = False`: its errors are only reported,
+    and the panel keeps that of the last update.
 
     Attributes:
         job: the BackgroundJob, from the first step on.
@@ -51,7 +52,10 @@ class JobOperator:
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Advance the job at each tick of the timer, redraw progress bars, and report the result at the end."""
+        """Advance the job at each tick of the timer, redraw progress bars, and report the result at the end.
+
+        Escape cancels it if `stops_on_escape`; a terrain that is gone does, too.
+        """
         if event.type == "ESC" and event.value == "PRESS" and self.stops_on_escape():
             self.job.stop()
             return {"RUNNING_MODAL"}
@@ -95,7 +99,7 @@ class JobOperator:
         return context.object
 
     def fail(self, obj, message: str):
-        """Report an error, and keep it for the panel of the terrain, if there is one."""
+        """Report an error, and keep it for the panel of the terrain, if there is one; return Blender's result set."""
         if obj is not None and self.shows_error_on_panel:
             session.record_of(obj).status.error = message
         self.report({"ERROR"}, message)

@@ -155,7 +155,10 @@ class BackgroundJob:
         self.fraction, self.message = fraction, message
 
     def call_on_main(self, function: Callable):
-        """Return `function()`, called on the main thread while the job's thread waits. Raises JobStopped."""
+        """Return `function()`, called on the main thread while the job's thread waits, or raise its exception.
+
+        Raises JobStopped once the job is to end; the function may then be running still.
+        """
         answer = Future()
         self._calls.put((answer, function))
         while not wait([answer], timeout=CALL_S).done:
@@ -201,7 +204,8 @@ def is_rendering() -> bool:
 def draw_progress(layout, job: BackgroundJob, text: str = ""):
     """Draw a row with the progress bar of a job and its cancel button; return the row.
 
-    While the job renders there is no button, since only Esc ends a render at once.
+    text: in the bar, by default the job's message. While the job renders there is no button, since only Esc ends a
+    render at once.
     """
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
@@ -234,7 +238,8 @@ def redraw_panels() -> None:
 def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
     """Run `work()` on a thread; yield until it has returned, and return its result or raise its exception.
 
-    The main thread stays free for the window between the yields.
+    The main thread stays free for the window between the yields. If these steps are closed before, the job is stopped,
+    and they wait for the end of the thread.
     """
     outcome = Future()
 
@@ -261,7 +266,8 @@ def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
 def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
     """Yield until a child process has ended, and show its progress; return its report.
 
-    Raises JobStopped if it was cancelled, and the child's TerrainError.
+    Raises JobStopped if it was cancelled, and the child's TerrainError. If these steps are closed before, the child is
+    cancelled.
     """
     job.child = child
     try:
@@ -281,7 +287,8 @@ def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
 def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
     """Advance a generator that visits the frames of the scene, a few at a time so that the window responds.
 
-    visits: yields a float after each frame, the fraction done, and as its last item the result, which this returns.
+    visits: yields a float after each frame, the fraction done, and as its last item the result, which this returns. It
+    is closed in any case. Raises JobStopped if the job was cancelled, or undo has replaced the scene.
     """
     with closing(visits):  # the scene is at its frame again
         turn_ends = time.monotonic() + TURN_S
@@ -299,7 +306,10 @@ def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
 
 
 def wait_for_kernels(job: BackgroundJob) -> Steps:
-    """Yield until the kernels that an update needs are compiled. Raises JobStopped if the job's terrain is gone."""
+    """Yield until the kernels that an update needs are compiled, and load them.
+
+    Raises JobStopped if the job's terrain is gone; another cancellation takes effect after these steps.
+    """
     while warmup.preparing():
         if job.is_orphan:
             raise JobStopped
@@ -308,7 +318,7 @@ def wait_for_kernels(job: BackgroundJob) -> Steps:
 
 
 def prepare_kernels(job: BackgroundJob, modules: Iterable[ModuleType]) -> Steps:
-    """Yield until child processes have compiled some modules of kernels, and show their progress."""
+    """Yield until child processes have compiled some modules of kernels, and show their progress. Raises JobStopped."""
     while not warmup.prepare_modules(modules):
         job.progress(warmup.progress() or 0.0, PREPARING)
         yield

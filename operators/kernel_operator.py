@@ -23,7 +23,7 @@ class KernelOperator:
         raise NotImplementedError
 
     def invoke(self, context, event):
-        """Execute the operator, or start a timer that does once the kernels are ready."""
+        """Execute the operator, or start a timer that does once the kernels are ready, unless one waits already."""
         if self.bl_idname in _waiting:
             return {"CANCELLED"}
         if self._has_kernels(context):
@@ -39,7 +39,10 @@ class KernelOperator:
         self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
 
     def modal(self, context, event):
-        """Execute the operator once the kernels are ready; the timer calls this until then."""
+        """Execute the operator once the kernels are ready; the timer calls this until then.
+
+        Cancel it if its object is gone or `poll` refuses it by then.
+        """
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         try:
@@ -59,7 +62,7 @@ class KernelOperator:
         context.window_manager.event_timer_remove(self.timer)
 
     def _has_kernels(self, context) -> bool:
-        """Return whether the kernels are loaded; if not, start to prepare them."""
+        """Return whether the kernels are loaded, or the settings invalid; if not, start to prepare them."""
         if warmup.preparing():
             return False
         try:

@@ -61,7 +61,7 @@ class JobOperator:
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if time.monotonic() - self.looked >= jobs.POLL_S / 2:
+        if time.monotonic() - self.looked >= jobs.POLL_S / 2:  # not at each tick of a fast timer
             self.looked = time.monotonic()
             self._stop_if_terrain_is_gone()
         ended = self.job.advance()

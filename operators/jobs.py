@@ -68,7 +68,7 @@ class JobStopped(Exception):
 
 
 class BackgroundJob:
-    """Work that runs beside the window.
+    """Work that runs beside the window. It is in `running` from its creation until its steps have ended.
 
     Attributes:
         uid: session_uid of the job's terrain, None for a job of the whole file.
@@ -318,7 +318,10 @@ def wait_for_kernels(job: BackgroundJob) -> Steps:
 
 
 def prepare_kernels(job: BackgroundJob, modules: Iterable[ModuleType]) -> Steps:
-    """Yield until child processes have compiled some modules of kernels, and show their progress. Raises JobStopped."""
+    """Yield until child processes have compiled some modules of kernels, and show their progress.
+
+    modules: a collection, no iterator, because it is passed on at each step. Raises JobStopped.
+    """
     while not warmup.prepare_modules(modules):
         job.progress(warmup.progress() or 0.0, PREPARING)
         yield
@@ -342,7 +345,7 @@ class CancelJob(bpy.types.Operator):
         return bool(running)
 
     def execute(self, context):
-        """Stop the job of this kind on the active object, or report that it has ended."""
+        """Stop the job that `find` returns for this kind and the active object, or report that it has ended."""
         job = find(KINDS[self.kind], context.object)
         if job is None:
             self.report({"INFO"}, f"{KINDS[self.kind].title} has ended already")

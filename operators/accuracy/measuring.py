@@ -26,7 +26,7 @@ class MeasuringOperator(JobOperator):
     """
 
     kind = jobs.MEASURE
-    poll_s = jobs.CALL_S
+    poll_s = jobs.CALL_S  # its thread may ask for calls on the main one between timed runs
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Prepare the measurement, wait for kernels, and measure on a thread; return its result.

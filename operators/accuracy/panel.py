@@ -120,7 +120,9 @@ def _bound_label(value: float, unit: str, digits: int) -> str:
 
 
 def summary_lines(status, sees_nothing: bool = False, is_behind: bool = False) -> list[tuple[str, str]]:
-    """Return the three lines at the panel's top, also before the first update.
+    """Return the three lines at the panel's top, also before the first update: triangles, a bound, and the time.
+
+    The bound is the first one of BOUNDS that the update has; the time is that of engine, overlay and mesh.
 
     sees_nothing: whether the camera has no view of the terrain, so that its bound in pixels means nothing. is_behind:
     whether an update is under way, so that the last one may be of a camera without a view.
@@ -136,7 +138,7 @@ def summary_lines(status, sees_nothing: bool = False, is_behind: bool = False) -
 
 
 def statistics_lines(status) -> list[tuple[str, str]]:
-    """Return names and figures of the last update, each figure with its unit."""
+    """Return names and figures of the last update, each with its unit: errors, counts, and a time for each step."""
     if not status.mode:
         return [("No update yet", "")]
     unit = requested_unit(status.request.criterion)

@@ -46,6 +46,7 @@ def draw_crops(subject: AccuracySubject) -> None:
 
 def check_bounds(subjects: Sequence[AccuracySubject]) -> None:
     """Raise TerrainError if a measured error exceeds its bound."""
+    # `not <=`: an error that is not a number holds no bound.
     if broken := [(subject, row) for subject in subjects for row in subject.rows if not row.error <= row.bound]:
         subject, row = broken[0]
         raise TerrainError(

@@ -211,7 +211,7 @@ def omission_notes(criterion: Criterion) -> list[str]:
 
 
 def whole_view(heights: HeightField, resolution: tuple[int, int]) -> View:
-    """Return a view from three quarters above that shows the whole terrain, without vertical scaling."""
+    """Return a perspective view from LOOK_FROM that shows the whole terrain without vertical scale and offset."""
     lattice = heights.lattice
     x, y = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     radius = 0.5 * math.hypot(x, y, heights.max_height - heights.min_height)

@@ -62,7 +62,7 @@ def check_report_name(obj) -> None:
 def copied_scene(scene, view_layer):
     """Yield a copy of the scene and its view layer, for a `with` block that visits other frames.
 
-    The scene itself stays at its frame, with changes that have no keyframe.
+    The scene itself stays at its frame, with changes that have no keyframe. The copy is removed after the block.
     """
     copy = scene.copy()
     try:

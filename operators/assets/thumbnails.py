@@ -15,7 +15,10 @@ HILL, HILL_SIDE = 300.0, 65  # metres across, and samples a side, of the ground 
 
 
 class Studio:
-    """A scene with sun, grey sky and an orthographic camera that frames the objects in it. `file`: the last picture."""
+    """A scene with sun, grey sky and an orthographic camera that frames the objects in it. `file`: the last picture.
+
+    The given scene gets these, and settings for small pictures; `folder` gets the picture.
+    """
 
     def __init__(self, scene, folder: Path):
         self.scene, self.file = scene, folder / "preview.png"

@@ -119,7 +119,7 @@ def statuses(
 
 
 def _note_on(step: AttributeRequest, heights: HeightField) -> str:
-    """Return why an attribute is 0 where one may not expect it, or ""."""
+    """Return why an attribute, or a layer in it, is 0 where one may not expect it, or ""."""
     if why := why_missing(heights, step.name):
         return f"0, since {why}"
     parameters = dict(step.parameters)
@@ -139,7 +139,7 @@ def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
     A reader of everything counts for each attribute, and one of the active colours for the attributes that are active.
     """
     demand = kept.demand_of(obj, depsgraph, mode)
-    found = Demand({name: list(readers) for name, readers in demand.items()})
+    found = Demand({name: list(readers) for name, readers in demand.items()})  # a copy: `demand` may be cached
     everything = {name: demand.get(ALL, []) for name in ATTRIBUTES}
     colours = {obj.data.attributes.active_color_name, obj.data.attributes.default_color_name}
     found.merge(Demand(everything | {name: demand.get(ACTIVE_COLOR, []) for name in colours if name}))

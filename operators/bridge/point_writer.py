@@ -17,7 +17,10 @@ ATTRIBUTES = (
 
 
 def write_points(mesh, points: ScatterPoints) -> None:
-    """Replace the content of a mesh by the points of a scatter, with their attributes. Raises TerrainError."""
+    """Replace the content of a mesh by the points of a scatter, with their attributes.
+
+    Raises TerrainError for a mesh in edit mode or with shape keys.
+    """
     check_writable(mesh)
     mesh.clear_geometry()
     mesh.vertices.add(len(points))

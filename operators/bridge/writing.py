@@ -38,6 +38,7 @@ def allow_writing(function):
 
     @wraps(function)
     def allowed(*arguments):
+        """Call the function, at once or inside the update function; return its result or raise its exception."""
         global _run
         if may_write() or _wait_for_drawing():
             return function(*arguments)

@@ -45,7 +45,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
         is_degrees: whether that system counts angles.
 
     Raises:
-        TerrainError: the content is no such table; the message names the line.
+        TerrainError: the content is no such table; the message names the line, or the columns.
     """
     text = _decode(content)
     first, _, rest = text.partition("\n")

@@ -44,7 +44,7 @@ def run_tiles(arguments) -> None:
     field = open_store(arguments.store)
     make_folder(arguments.out)
     names = arguments.masks
-    if names is None:
+    if names is None:  # auto
         names = tuple(name for name in ATTRIBUTES if name in field.layers)
     settings = HeightTiles(
         form=arguments.format,

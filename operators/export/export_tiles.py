@@ -38,7 +38,7 @@ SIZES = (
 
 
 def mask_requests(obj, depsgraph, field) -> tuple:
-    """Return requests for the attributes that tiles get as masks: the layers of the store, and the splat layers."""
+    """Return requests for the attributes that tiles get as masks: layers of the store, and splats; () for none."""
     num_splats = -(-len(obj.adaptive_terrain.layers) // 4)  # an attribute holds the weights of four layers
     names = [*(name for name in ATTRIBUTES if name in field.layers), *SPLATS[:num_splats]]
     evaluated = obj.evaluated_get(depsgraph)

@@ -88,22 +88,25 @@ def write_frames(
         settings: what all frames have in common, as JSON.
         inputs: returns the files that a frame is made of. They are read once, before the first frame that needs
             them: Blender keeps them, too, and a later change is none of these frames'.
+        formats: suffixes, without dots, of which a complete frame has a file each; () if any files complete it.
         resume: leave frames that are complete with the same settings, inputs and formats.
         on_frame: called after each frame with its number, its summary, and whether it was complete before.
+
+    Raises TerrainError, and Stopped between two frames.
     """
     make_folder(out)
-    settings, contents = settings_digest(settings), cache(content_digest)
+    settings_key, contents = settings_digest(settings), cache(content_digest)
     for frame in frames:
         stopping.check()
         summary_path = out / summary_name(frame)
         digests = {input_name(path, out): contents(path) for path in inputs(frame)}
-        existing = complete_summary(out, frame, settings, digests, formats)
+        existing = complete_summary(out, frame, settings_key, digests, formats)
         if existing is not None and resume:
             on_frame(frame, existing, True)
             continue
         if existing is None:  # a summary of other files must not stay while these are written
             _remove_summary(summary_path)
-        summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
+        summary = {"frame": frame, "settings": settings_key, "inputs": digests, **write(frame)}
         summary = close_summary(summary, out)
         write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
         on_frame(frame, summary, False)

@@ -107,7 +107,7 @@ class StoreFrames:
         return self.files
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """Yield the terrain as the path's camera sees it at `frame`."""
+        """Yield one Piece: the terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view], self.placement)
         tree, tree_settings = self.terrain.saved()
@@ -171,7 +171,7 @@ class SceneFrames:
         return [*self.files, *color_config(), *scene_files([frame])]
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """Yield every terrain of the scene at `frame`, with its mesh written."""
+        """Yield a Piece of every terrain of the scene, which stays at `frame`. Each mesh is written before."""
         import bpy
 
         with paused():  # an export updates each terrain once, for the render
@@ -277,7 +277,7 @@ def counts(surface: Surface) -> dict:
 
 
 def bounds_of(bounds: ReportedBounds) -> dict:
-    """Return the bounds of an update and their terms for JSON; a bound that was not requested is None."""
+    """Return bounds, or those of an Update, and their terms for JSON; one that was not requested is None."""
     return {
         **{name: getattr(bounds, name) for name in BOUNDS},
         "terms_px": bounds.terms_px and asdict(bounds.terms_px),

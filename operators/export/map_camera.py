@@ -202,7 +202,7 @@ class MapCamera(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
-        """Add or update the camera over the active terrain and set the scene's resolution."""
+        """Add or update the camera over the active terrain, set the scene's resolution, and report it."""
         obj, metres = context.object, self.metres if self.use_metres else None
         add_map_camera(obj, context.evaluated_depsgraph_get(), self.pixels, metres, self.sun)
         size = "{:,} x {:,} pixels".format(*render_resolution(context.scene))

@@ -33,7 +33,7 @@ FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tif
 
 
 def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff: bool = True) -> list[Path]:
-    """Render the map of the scene's camera before returning, with the arguments of `map_steps`; return the files."""
+    """Render the map of the scene's camera before returning, with arguments, files and errors as of `map_steps`."""
     steps = map_steps(scene, path, tiles, with_geotiff)
     try:
         while True:
@@ -212,6 +212,7 @@ class RenderMap(FileJobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the scene's camera is a map camera and no map is being rendered; otherwise set the reason."""
         cls.poll_message_set("The scene's camera is no map camera: use Map Camera first")
         if context.scene.camera is None or EXTENT not in context.scene.camera:
             return False

@@ -68,7 +68,8 @@ def _files_in(folder: str) -> list[str]:
 def _numbered_files(frames: Sequence[int]) -> dict[str, list[str]]:
     """Map the path of each image, clip, volume and cache to the files that `frames` read in its place.
 
-    The file of a sequence's path is its first one; a clip's files are numbered from it on.
+    The file of a sequence's path is its first one; a clip's files are numbered from it on. Data-blocks without a file
+    are under "".
     """
     found: dict[str, list[str]] = {}
     for image in bpy.data.images:
@@ -95,7 +96,7 @@ def _path_of(block) -> str:
 
 
 def _image_files(image, frames: Sequence[int]) -> list[str]:
-    """Return the files of an image that `frames` read: of its sequence, its tiles, or the one file."""
+    """Return the files of an image that `frames` read: of its sequence, its tiles, or the one file, which may be ""."""
     path = _path_of(image)
     if image.source == "SEQUENCE":
         return _sequence_files(path, _image_numbers(image, frames))

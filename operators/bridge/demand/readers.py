@@ -13,7 +13,7 @@ POINTERS = {
 
 
 def note_reads(walk, node, output, context: tuple) -> None:
-    """Add to a walk the attributes that a node reads for one of its outputs.
+    """Add to a walk the attributes that a node reads for one of its outputs, and data-blocks that a geometry node gets.
 
     context: enclosing group nodes, the innermost last.
     """

@@ -60,8 +60,8 @@ def _note_scene_change(depsgraph) -> None:
 def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
     """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns the errors.
 
-    A render needs the terrains in its dependency graph: rendered objects and their inputs. In a viewport those are
-    updated that are live, or whose mesh is still that of a render.
+    mode: VIEWPORT or RENDER. A render needs the terrains in its dependency graph: rendered objects and their inputs. In
+    a viewport those are updated that are live, or whose mesh is still that of a render.
     """
     failed = []
     for obj in session.terrains_of(scene):

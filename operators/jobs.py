@@ -83,6 +83,7 @@ class BackgroundJob:
     """
 
     def __init__(self, kind: JobKind, uid: int | None, steps: Callable[["BackgroundJob"], Steps]):
+        """Create a job whose first step is run by the first `advance`. steps: returns the generator of the steps."""
         self.kind, self.uid = kind, uid
         self.fraction, self.message = 0.0, STARTING
         self.result, self.error = None, ""

@@ -75,7 +75,10 @@ def as_csv(subjects) -> str:
 
 
 def as_json(subjects, machine: dict[str, str]) -> str:
-    """Return the report as JSON, with the cost curves and all figures of each row."""
+    """Return the report as JSON, with the cost curves and all figures of each row.
+
+    subjects, machine: as of `report_files`.
+    """
     terrains = [
         {
             "name": s.name,
@@ -94,7 +97,10 @@ def as_json(subjects, machine: dict[str, str]) -> str:
 
 
 def build_page(subjects, machine: dict[str, str]) -> list:
-    """Return the page as blocks: figures and plots of all terrains first, then their tables, definitions last."""
+    """Return the page as blocks: figures and plots of all terrains first, then their tables, definitions last.
+
+    subjects, machine: as of `report_files`.
+    """
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Result and cost of the last update, its measured errors, and the cost of other errors."""
+"""Result and cost of the last update, its measured errors, and the cost of other errors.
+
+`status` is the terrain's Status of session/record.py.
+"""
 
 import os
 
@@ -92,7 +95,7 @@ class AccuracyReportPanel(TerrainSubpanel):
 
 
 def _draw_measuring(column, operator: str, icon: str) -> None:
-    """Draw the button of a measurement, or the progress of the one that runs."""
+    """Draw the button of a measurement, or the progress of the one that runs. operator: the measurement's bl_idname."""
     job = jobs.find(jobs.MEASURE)
     if job is None:
         column.operator(operator, icon=icon)

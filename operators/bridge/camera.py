@@ -111,7 +111,10 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
 
 
 def view_from_region(space, region, region_3d) -> View:
-    """Return the view of a 3D viewport, camera view and its zoom included."""
+    """Return the view of a 3D viewport, camera view and its zoom included.
+
+    space: the area's. region, region_3d: as of `viewports`.
+    """
     kind = PERSPECTIVE if region_3d.is_perspective else ORTHOGRAPHIC
     projection = np.array(region_3d.window_matrix, np.float64)
     seen_through = space.camera if region_3d.view_perspective == "CAMERA" else None
@@ -191,7 +194,8 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
     """Return the smallest angle that a pixel of a panorama spans, in radians, as Cycles projects.
 
     For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side along the meridians
-    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less.
+    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less. data, resolution,
+    aspect: as of `_projection`.
     """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.
@@ -242,7 +246,7 @@ def _stereo_views(view: View, stereo) -> list[View]:
     """Return the views of the left and the right eye, moved along the camera's x about the pivot.
 
     They converge by a turn, or by a shift of the projection if the camera is perspective; otherwise they are parallel.
-    stereo: Blender's stereo settings of the camera.
+    view: that of the camera itself. stereo: Blender's stereo settings of the camera.
     """
     distance, convergence = stereo.interocular_distance, stereo.convergence_distance
     offsets = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))

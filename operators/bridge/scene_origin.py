@@ -75,7 +75,10 @@ def is_in_degrees(place: Place) -> bool:
 
 
 def coordinates_text(place: Place | None, crs: str, position: np.ndarray) -> str:
-    """Return the coordinates of a position in a terrain's space, float64 [2 or 3]; "" without a system or a place."""
+    """Return the coordinates of a position in a terrain's space, float64 [2 or 3], as text.
+
+    place: affine map from that space to the system. crs: name of the system. The result is "" without one of them.
+    """
     if not crs or place is None:
         return ""
     ((x, y),) = to_crs(place, np.asarray(position, np.float64)[None, :2]).tolist()

@@ -45,7 +45,7 @@ def run_render(arguments) -> None:
 def run_verify(arguments) -> None:
     """Run the verb `verify`: check the frames of a job, and print their number and largest bound.
 
-    Raises TerrainError if one is missing or differs from its summary.
+    Raises TerrainError if one is missing, damaged, stale or of another scene than the others.
     """
     from ..export.verifying import verify_frames
 

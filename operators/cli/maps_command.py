@@ -76,7 +76,7 @@ def subjects_of_store(
 def views_along(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
     """Return the views along a camera path at `frames`; None or () for all its whole frames.
 
-    Raises TerrainError for more than MAX_FRAMES.
+    resolution: pixels. Raises TerrainError for more than MAX_FRAMES.
     """
     flight = read_camera_path(path)
     if not frames:

@@ -298,7 +298,7 @@ def largest_bound(terrains: list[dict]) -> str:
 def print_fields(fields: dict, indent: str = "") -> None:
     """Print a line for each field that is not None or "", and a dict as indented lines below its name.
 
-    Control characters are escaped (`shown`), because texts may come from a file.
+    Control characters are escaped (`shown`), because texts may come from a file. indent: spaces before each line.
     """
     for name, value in fields.items():
         if isinstance(value, dict):

@@ -45,8 +45,8 @@ MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, int], criterion):
     """Build the scene with the terrain of `store` and a camera that follows `flight`, and save `out`/island.blend.
 
-    It begins with an empty file, which takes the place of the open one. flight: a CameraPath. criterion: of the
-    terrain's detail. Returns the scene and the terrain's object.
+    It begins with an empty file, which takes the place of the open one. flight: a CameraPath. frames: those of
+    the shot. resolution: pixels. criterion: of the terrain's detail. Returns the scene and the terrain's object.
     """
     open_empty_file()
     scene = bpy.context.scene

@@ -25,8 +25,8 @@ _driven: dict[int, tuple] = {}  # key of its drivers at the last update of a dat
 def demand_of(obj, depsgraph, mode: str) -> Demand:
     """Return the attributes that a terrain's scene reads, in a viewport from the cache if nothing has changed.
 
-    Do not change the result, which the cache holds. A render's demand is never cached: a script may have changed
-    anything since the last reported update.
+    mode: "VIEWPORT" or "RENDER". Do not change the result, which the cache holds. A render's demand is never cached: a
+    script may have changed anything since the last reported update.
     """
     if mode == RENDER:
         return find_demand(obj, depsgraph, mode)

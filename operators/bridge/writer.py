@@ -82,7 +82,7 @@ def add_attribute(mesh, name: str, kind: str, domain: str) -> None:
 def _write_geometry(mesh, surface: Surface) -> None:
     """Write vertices, edges, faces, UV map and attributes of a surface, but no normals.
 
-    Raises TerrainError for the name of an attribute that Blender changes; the mesh is then without content.
+    Raises TerrainError for the name of an attribute that Blender changes; the mesh then has elements without values.
     """
     triangles = len(surface.triangles)
     named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}

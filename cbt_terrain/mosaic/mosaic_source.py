@@ -23,6 +23,7 @@ from .target_grid import TargetGrid, choose_grid, footprints
 
 BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
 MAX_WARNINGS = 3  # of files
+STEP_TOLERANCE = 0.01  # steps that differ by less count as equal, as those of degrees in neighbouring zones
 BLENDING = 1  # increased when the same insets blend to other heights
 
 
@@ -90,7 +91,11 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         scale=composite.scale,
         offset=composite.offset,
         roundings=composite.all_roundings(),
-        warnings=[*file_warnings(composite.tiles), *mirror_warnings(file_grid, grid.width, grid.height)],
+        warnings=[
+            *hidden_warnings(composite),
+            *file_warnings(composite.tiles),
+            *mirror_warnings(file_grid, grid.width, grid.height),
+        ],
         details=_surface_entry(composite),
         sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
         method=BLENDING if composite.insets else 0,
@@ -151,6 +156,23 @@ def _surface_entry(composite: Composite) -> dict:
     width = blend_metres(composite)
     blended = f", finer files blended to coarser ones over {width:.4g} m at most" if width else ""
     return {"bounds_against": against + blended}
+
+
+def hidden_warnings(composite: Composite) -> list[str]:
+    """Return a warning if coarser files of higher priority cover finer ones whole; [] otherwise."""
+    boxes, steps, hidden = composite.boxes, composite.steps, np.zeros(len(composite.tiles), bool)
+    for rank in np.flatnonzero(steps > steps.min() * (1 + STEP_TOLERANCE)):
+        is_finer = steps[:rank] * (1 + STEP_TOLERANCE) < steps[rank]
+        low, high = boxes[:rank, :2] >= boxes[rank, :2], boxes[:rank, 2:] <= boxes[rank, 2:]
+        hidden[:rank] |= is_finer & low.all(axis=1) & high.all(axis=1)
+    if not hidden.any():
+        return []
+    name = shown(Path(composite.tiles[int(np.argmax(hidden))].path).name)
+    which = f"{name} lies" if hidden.sum() == 1 else f"{hidden.sum():,} files, such as {name}, lie"
+    return [
+        f"{which} below coarser files, so only gaps in those show it. Name the coarser files first, or set Overlaps "
+        "to Finest File (--priority resolution)."
+    ]
 
 
 def file_warnings(tiles: Sequence[SourceTile]) -> list[str]:

@@ -292,3 +292,19 @@ def test_copied_samples_have_the_bits_of_interpolated_ones(tmp_path, monkeypatch
         wanted, largest = open_composite(settings_of(*files), None).read(*window)
         assert np.array_equal(heights, wanted, equal_nan=True) and error == largest == 0.0
     assert np.isnan(found[0][0]).sum() == (12 + 90 if gap else 12)
+
+
+def test_a_finer_file_below_a_coarser_one_is_named(tmp_path):
+    """Files of a folder come in the order of their names, so a city may lie below its country."""
+    country, city = sheet(UTM32, EAST, NORTH, 8.0, 8.0, 40, 30), sheet(UTM32, EAST + 80, NORTH - 80, 1.0, 1.0, 60, 50)
+    warned = {}
+    for folder, names in {"below": ("b", "a"), "above": ("a", "b")}.items():
+        for item, name in zip((country, city), names, strict=True):
+            item.write(tmp_path / folder / f"{name}.tif")
+        for priority in ("order", "resolution"):
+            settings = ImportSettings(source=str(tmp_path / folder), priority=priority)
+            warnings = run_mosaic_import(settings, tmp_path / f"{folder}_{priority}")["warnings"]
+            warned[folder, priority] = [text for text in warnings if "coarser files" in text]
+    [text] = warned.pop(("below", "order"))
+    assert text.startswith("a.tif lies below") and "--priority resolution" in text
+    assert not any(warned.values())

@@ -34,7 +34,7 @@ def band_notes(dataset: DatasetReader, band: int, driver: str) -> list[str]:
     if others and band == 1 or (is_picture and dataset.count > 1):  # another band than 1 was chosen by the user
         what = f"The PNG has {dataset.count} channels" if is_picture else f"The file has {dataset.count} bands"
         notes.append(f"{what}; band {band} is taken as the height. If another one is, give its number (--band).")
-    if len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):
+    if notes and len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):
         notes[-1] += " If heights are coded in its colours, name the encoding (--encoding terrarium or mapbox)."
     if dataset.colorinterp[band - 1] == ColorInterp.palette:
         notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Attributes that modifiers, geometry nodes and particle systems read, and the objects whose geometry they use."""
 
+import re
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -111,7 +112,7 @@ COORDINATES = "texture_coords", "mask_tex_mapping"
 def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
     """Return a geometry-nodes modifier's constant input values by identifier, and (input, attribute) names.
 
-    An input whose value is animated is in neither; nor is Socket_1 among the values if that of Socket_12 is.
+    An input whose value is animated is in neither.
     """
     values, attributes = {}, []
     for item in modifier.node_group.interface.items_tree:
@@ -128,8 +129,8 @@ def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
             attributes.append((item.name, modifier.get(key + "_attribute_name", "")))
         elif key in modifier:
             values[key] = modifier[key]
-    animated = _animated(modifier)
-    return {key: value for key, value in values.items() if not any(key in path for path in animated)}, attributes
+    animated = {name for path in _animated(modifier) for name in re.findall(r"\w+", path)}
+    return {key: value for key, value in values.items() if key not in animated}, attributes
 
 
 def _animated(modifier) -> list[str]:

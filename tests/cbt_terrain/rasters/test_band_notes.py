@@ -33,6 +33,7 @@ def test_another_band_is_named_as_a_choice(tmp_path):
 
 def test_colours_that_may_hold_packed_heights_warn(tmp_path):
     colours = [np.full((30, 40), value, np.uint8) for value in (1, 134, 160)]
+    assert "8 bits" in imported(tmp_path, write_bands(tmp_path / "a.tif", *colours), band=2, **SIZE)[1]["warnings"][0]
     for name in ("a.png", "a.tif"):
         warning = imported(tmp_path, write_bands(tmp_path / name, *colours), **SIZE)[1]["warnings"][0]
         assert "coded in its colours" in warning and "--encoding terrarium or mapbox" in warning

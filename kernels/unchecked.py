@@ -113,7 +113,7 @@ def place_legs(
     """Write `count` vertices to out[at] on: apex + (a left + b right) >> bits, with (a, b) from legs[first] on.
 
     left, right: vectors from the apex to the other two corners of the triangle, lattice units. They are multiples of
-    2^(bits - 1), and are divided by it first, so that no product overflows.
+    2^(bits - 1), and are divided by it first, so that no product overflows. bits: at least 1 unless `count` is 0.
     """
     ...
 
@@ -151,5 +151,5 @@ def count_same_vec3s(
 def count_same_floats(
     a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, max_count: wp.int32
 ) -> wp.int32:
-    """Return how many items from a[i] on equal those from b[j] on, at most `max_count`."""
+    """Return how many items from a[i] on equal those from b[j] on, at most `max_count`; NaN equals no item."""
     ...

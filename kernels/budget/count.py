@@ -148,7 +148,7 @@ def judge(
 
 @wp.func
 def fetch_quadrants(domain: Domain, p: CellDiamond):
-    """Prefetch the errors two levels below a diamond into the cache.
+    """Prefetch the errors two levels below a diamond into the cache if they begin another tile of the array.
 
     Without this, reading them takes three quarters of the time.
     """
@@ -162,9 +162,11 @@ def fetch_quadrants(domain: Domain, p: CellDiamond):
 
 @wp.kernel
 def count(domain: Domain, criterion: CriterionArrays, w: Count):
-    """Count the diamonds of the slice by the last step at which they are split.
+    """Count the triangles of the slice by the last step at which they are split, into `w.last_steps`.
 
-    Whenever more than `max_splits` triangles are split at the finest step, the next step becomes the finest.
+    Whenever more than `max_splits` triangles are split at the finest step, the next step becomes the finest. That step
+    at the end goes to `w.from_step`; behind `w.coarsest` the count ends early. `w.marks` and `w.measured` receive the
+    cells and the number of measured diamonds, by which the next count is divided among threads.
     """
     none = wp.float64(0.0)
     criterion.limit = w.limit_factors[w.coarsest]
@@ -192,6 +194,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                     if p.code >= w.first_cell:
                         total += count_last_split(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(newly_measured)
+                    # Behind MARKS marks, the rest of the slice is one part.
                     if measured >= wp.int64(num_marks + 1) * w.spacing and num_marks < MARKS:
                         w.marks[w.slot * MARKS + num_marks] = p.code
                         num_marks += 1

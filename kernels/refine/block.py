@@ -9,7 +9,7 @@ import warp as wp
 
 from ..unchecked import copy_codes, item_at, place_legs
 
-MAX_BISECTIONS = wp.constant(8)
+MAX_BISECTIONS = wp.constant(8)  # the table has blocks of 0 to this number of bisections
 
 
 @wp.struct
@@ -47,7 +47,8 @@ def write_block(
     """Write the words of a block's leaves and its new vertices, in curve order, copied from the table.
 
     state: the curve's state in the triangle (left, apex, right), lattice units. bisections: their number, the same for
-    all leaves. extra: bits for each leaf's word. Leaves go to code[first_code] on, vertices to point[first_point] on.
+    all leaves, at most MAX_BISECTIONS. extra: bits of each leaf's word besides its state. Words go to code[first_code]
+    on, vertices to point[first_point] on.
     """
     entry = 6 * bisections + state
     first = item_at(blocks.first_leaf, entry)

@@ -56,7 +56,7 @@ class Subtree:
 
 @wp.struct
 class Motion:
-    """The movement of the view since subtrees were cached."""
+    """The movement of the view since the last frame, which has cached all subtrees or updated their margins."""
 
     eye: wp.vec3d  # before, as in LocalView
     depth: wp.vec4d
@@ -79,9 +79,10 @@ def camera_length(view: LocalView, v: wp.vec3d) -> wp.float64:
 def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     """Return bounds (lower, upper) of the growth of depth or distance in any box inside this one, metres, and validity.
 
-    The third result is 1 if the bounds are valid, else 0. motion: movement of the view since the subtree was cached.
-    low, high: the box, metres. A footprint is proportional to the larger of two values: the least depth in a box, and
-    the least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an
+    The third result is 1 if the bounds are valid, and 0 if an eye is near the box or in it. motion: movement of the
+    view since the last frame. low, high: the box, metres. The view is not orthographic. A panorama's footprint is
+    proportional to the least distance in a box, a perspective's to the larger of two values: the least depth, and the
+    least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an
     amount that varies over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
     """
     half = wp.float64(0.5)
@@ -93,7 +94,7 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     now = camera_length(view, centre - view.eye)
     apart = before + now - wp.float64(2.0) * radius  # at most |p - a| + |p - b| for any point of it
     nearest = smaller(before, now) - radius
-    valid = wp.int32(1)  # not if an eye is near the box or in it
+    valid = wp.int32(1)
     if nearest <= radius or nearest * nearest <= NEAR * view.near2:
         valid = 0
     spread = wp.float64(2.0) * radius * motion.step / apart
@@ -131,7 +132,8 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
     """Return bounds (lower, upper) of the factor by which the squared largest slant times depth has changed in any box.
 
-    The boxes are all inside (low, high), metres; the change is that since the subtree was cached (motion).
+    The boxes are all inside (low, high), metres; the change is that since the last frame (motion). If the product may
+    have been 0, the lower bound may be -infinity and the upper one infinity.
     """
     low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
@@ -165,11 +167,11 @@ def footprint_factors(
 ):
     """Return (lower, upper, squared gain, valid): bounds of the factor on pixel footprints in any box inside this one.
 
-    low, high: corners of the box. fall, rise: least and largest growth of depth or distance in it since the subtree was
-    cached, metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is
-    known. A footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest
-    gain. If it is the first or the last in all boxes, before and now, its squared gain is returned and the factors
-    exclude the change of depth; otherwise the returned gain is 0.
+    low, high: corners of the box. fall, rise: least and largest growth of depth or distance in it since the last frame,
+    metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is known.
+    A footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest gain. If it
+    is the first or the last in all boxes, before and now, its squared gain is returned and the factors exclude the
+    change of depth; otherwise they include it and the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -223,8 +225,8 @@ def footprint_factors(
 def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     """Return (bounds, valid): bounds of the factor by which the frustum's fringe coarsens footprints in this box.
 
-    They hold in any box inside this one. bounds: of the factor's change since the subtree was cached (lower, upper) and
-    of its value now (smallest, largest). valid: 1, or 0 if nothing is known. The factor is (1 + fade * f)^4, where f (0
+    They hold in any box inside this one. bounds: of the factor now over that in the last frame (lower, upper), and of
+    the factor now (smallest, largest). valid: 1, or 0 if nothing is known. The factor is (1 + fade * f)^4, where f (0
     to 1) is the distance beyond the planes over the width of the fringe. The distance changes linearly with the
     position, the width linearly with the depth.
     """
@@ -266,8 +268,8 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
     """Return (lower, upper, valid): bounds of the change of pixel footprints in any box of a subtree, metres.
 
-    The change is that since the subtree was cached. measures_edges: 1 if the criterion limits edges. valid: 1, or 0 if
-    nothing is known.
+    The change is that since the last frame. measures_edges: 1 if the criterion limits edges. valid: 1, or 0 if nothing
+    is known.
     """
     one = wp.float64(1.0)
     min_growth = wp.float64(0.0)
@@ -293,6 +295,7 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
     fall = motion.ratio * min_factor * faded[0] - one
     rise = motion.ratio * max_factor * faded[1] - one
     zero = wp.float64(0.0)
+    # From here on the growths are those of footprints.
     min_growth = min_growth * wp.where(min_growth < zero, faded[3], faded[2])
     max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
     # Footprints drift, and so do those at which verdicts change.
@@ -306,7 +309,8 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
 def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
     """Return how the box low .. high of a subtree stands to the frustum: CLEAR, OUTSIDE, FADED, or CROSSED.
 
-    FADED: a part or all of it is in the fringe. CROSSED: it cannot be cached.
+    FADED: a part or all of it is in the fringe. CROSSED: it cannot be cached. view: the only one of the frame, since
+    frames with several views cache nothing.
     """
     frustum_class = classify_box_steadily(view, low, high)
     if frustum_class == CROSSED and view.fade > wp.float64(0.0):
@@ -316,9 +320,10 @@ def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32
 
 @wp.func
 def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
-    """Return the subtree with its margins updated for the moved view, and 1 if all its verdicts stay the same, else 0.
+    """Return the subtree with margins and footprints of the moved view, and 1 if all its verdicts certainly stay.
 
-    The subtree's leaves are then copied instead of found again. in_frame: 1 if the frustum is known to contain it.
+    Its leaves are then copied instead of found again. The second result is 0 if a verdict may change; the returned
+    subtree is then of no use. in_frame: 1 if the frustum is known to contain it.
     """
     min_growth, max_growth, holds = footprint_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth

@@ -18,13 +18,13 @@ from .stored_errors import change_limits, is_beyond, reach_of
 
 @wp.func
 def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return the smaller value; `b` if `a` is NaN. wp.min takes four instructions instead of one."""
+    """Return the smaller value; `b` if either is NaN. wp.min takes four instructions instead of one."""
     return wp.where(a < b, a, b)
 
 
 @wp.func
 def larger(a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return the larger value; `b` if `a` is NaN."""
+    """Return the larger value; `b` if either is NaN."""
     return wp.where(a > b, a, b)
 
 
@@ -40,9 +40,10 @@ class Diamond:
 
 @wp.func
 def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32):
-    """Return the lowest and highest metres, before scaling, over the raster cells from (i0, j0) to (i1, j1).
+    """Return the lowest and highest metres, before scaling, over the raster cells from (i0, j0) to (i1, j1) inclusive.
 
-    They are those of the samples or, if the surface is bicubic, of the control heights of its patches.
+    They are those of the samples or, if the surface is bicubic, of the control heights of its patches, which are stored
+    as codes that are rounded outwards. Displacement is not included.
     """
     low = wp.float64(0.0)
     high = wp.float64(0.0)
@@ -71,12 +72,12 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 
 
 @wp.func
-def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp.int64:
-    """Return the index of a diamond's height range.
+def range_entry(domain: Domain, x: wp.int32, y: wp.int32, levels_up: wp.int32) -> wp.int64:
+    """Return the index of the lower code of a diamond's height range in `domain.ranges`; the upper one follows.
 
-    finer: bisections above the finest diamonds that have stored ranges, so a larger number is a coarser diamond.
+    (x, y): where the diamond is split. levels_up: bisections above the finest diamonds that have stored ranges.
     """
-    group = finer >> 2
+    group = levels_up >> 2
     shift = domain.unit_bits - domain.levels + 1 + 2 * group
     entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
     return wp.int64(2) * (item_at(domain.range_first, group) + entry)
@@ -84,9 +85,12 @@ def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp
 
 @wp.func
 def leaves_range_tile(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether the ranges of diamonds below those of `depth` are in other tiles: every four bisections."""
-    finer = 2 * domain.levels - 2 - depth
-    return (finer & 3) == 0 and finer > 0
+    """Return whether the ranges of diamonds below those of `depth` are in other tiles: every four bisections.
+
+    It is false if no ranges are stored below `depth`.
+    """
+    levels_up = 2 * domain.levels - 2 - depth
+    return (levels_up & 3) == 0 and levels_up > 0
 
 
 @wp.func
@@ -97,22 +101,22 @@ def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 
 @wp.func
 def intersect_range(
-    domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, in_tiles: wp.bool, r: wp.vec2i
+    domain: Domain, x: wp.int32, y: wp.int32, levels_up: wp.int32, in_tiles: wp.bool, r: wp.vec2i
 ) -> wp.vec2i:
     """Return the intersection of range r (codes) with the stored range of the diamond split at (x, y).
 
-    A diamond outside the domain leaves r unchanged. finer: see `range_entry`. in_tiles: the range is that of a finer
-    tile.
+    A diamond outside the domain leaves r unchanged. levels_up: bisections above the finest diamonds with stored ranges.
+    in_tiles: the range is that of a finer tile; without a tile there, r is unchanged, too.
     """
     if in_tiles:
         shift = domain.unit_bits - domain.levels - domain.finer[0].bits
-        at = range_in_tile(domain.finer[0], x >> shift, y >> shift, finer >> 2)
+        at = range_in_tile(domain.finer[0], x >> shift, y >> shift, levels_up >> 2)
         if at >= wp.int64(0):
             low = wp.int32(item_at(domain.finer[0].ranges, at))
             high = wp.int32(item_at(domain.finer[0].ranges, at + wp.int64(1)))
             r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
     elif x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
-        index = range_entry(domain, x, y, finer)
+        index = range_entry(domain, x, y, levels_up)
         low = wp.int32(item_at(domain.ranges, index))
         high = wp.int32(item_at(domain.ranges, index + wp.int64(1)))
         r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
@@ -126,16 +130,18 @@ def range_at(
     """Return the lowest and highest height code in the box of a diamond that is coarser than the cells.
 
     Ranges of the two finest depths are not stored. They are the intersection of the nearest stored ancestors' ranges,
-    which is nested, too. levels: a root square has 2^levels cells a side. in_tiles: the cells are those of finer tiles.
+    which is nested, too. levels: a root square has 2^levels cells a side; of 2 or fewer cells no range is stored, and
+    the result is all codes. in_tiles: the cells are those of finer tiles. The lowest code is above the highest if no
+    height is in the box.
     """
     r = wp.vec2i(0, 65535)
-    finer = 2 * levels - 2 - depth
-    if finer >= 0:
-        r = intersect_range(domain, x, y, finer, in_tiles, r)
+    levels_up = 2 * levels - 2 - depth
+    if levels_up >= 0:
+        r = intersect_range(domain, x, y, levels_up, in_tiles, r)
     elif levels > 1:
         u = wp.int32(1) << (domain.unit_bits - levels)
         # The middles of sides of 4 x 4 cells are 2 u apart along both axes, where the sum of their numbers is odd.
-        if finer == -1:  # the centre of a cell of 2 x 2: two of its corners
+        if levels_up == -1:  # the centre of a cell of 2 x 2: two of its corners
             turned = ((((x - u) + (y - u)) / (2 * u)) & 1) == 0
             v = wp.where(turned, -u, u)
             r = intersect_range(domain, x - u, y - v, 0, in_tiles, r)
@@ -174,7 +180,10 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
 
 @wp.func
 def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Return the lowest and highest metres of finer tiles, before scaling, in the box of the diamond at (x, y)."""
+    """Return the lowest and highest metres of finer tiles, before scaling, in the box of the diamond at (x, y).
+
+    Tiles must cover the box (`meets_tiles_alone`).
+    """
     levels = domain.levels + domain.finer[0].bits
     shift = domain.unit_bits - levels
     low = wp.float64(0.0)
@@ -224,7 +233,7 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
     """Return box, largest height difference along an edge, and border state of the diamond split at (x, y).
 
-    The box contains all vertices of its descendants.
+    The box contains all vertices of its descendants. If it has only padding (border 2), its heights have no meaning.
     """
     half = (depth - 1) >> 1
     odd = depth & 1
@@ -304,10 +313,10 @@ def rest_of(domain: Domain, d: Diamond) -> wp.float64:
 def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float64:
     """Return the squared metres of height that the criterion compares for a diamond's stored error.
 
-    The total error is the sum of the stored (geometric) error e, float32 rounding (`rest`), and the source's rounding.
-    Refinement reduces e only. If float32 rounding comes near the tolerance, e is required to meet a quarter of it, not
-    less; if the source's rounding does, four fifths. If e is at most `domain.enough`, a quarter of the two roundings,
-    refining gains nothing, and the result is 0.
+    error: metres before scaling. rest: metres, from `rest_of`. The total error is the sum of the stored (geometric)
+    error e, float32 rounding (`rest`), and the source's rounding. Refinement reduces e only. If float32 rounding comes
+    near the tolerance, e is required to meet a quarter of it, not less; if the source's rounding does, four fifths. If
+    e is at most `domain.enough`, a quarter of the two roundings, refining gains nothing, and the result is 0.
     """
     e = wp.float64(error) * domain.error_scale
     with_rest = smaller(e + rest, wp.float64(4.0) * e)
@@ -317,7 +326,7 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
 
 @wp.func
 def max_error_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
-    """Return the largest stored error (metres) whose weighed error `metres2_of` is at most metres^2.
+    """Return the largest stored error, metres after scaling, whose weighed error `metres2_of` is at most metres^2.
 
     rest: metres that float32 rounding adds.
     """

@@ -63,7 +63,8 @@ class Triangle:
 def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d: Diamond, t: Triangle):
     """Return the squared finest pixel footprint on a triangle in all views, metres; and whether it is nearly constant.
 
-    of_edges: footprints of edges instead of heights. d: the triangle's diamond. The footprint is infinite out of view.
+    of_edges: footprints of edges instead of heights. d: the triangle's diamond. The footprint is infinite out of view
+    and beyond the raster's border.
     """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -263,8 +264,9 @@ def find_largest(
 ):
     """Find the largest value of a quantity (FIXED .. METRES) among leaves at depth `leaf_depth`, or all leaves (ANY).
 
-    found [3]: its square, rounded up, and the `fixed` and `total` metres of its Triangle, -1 if no square is above
-    `min2`. With ANY, `min2` is the squared tolerance. squares: the tree's node for the first square. stack: scratch.
+    found [3]: its square, rounded up, and the `fixed` and `total` metres of its Triangle; `min2`, -1 and -1 if no
+    square is above `min2`. With ANY, `min2` is the squared tolerance. squares: the tree's node for the first square.
+    stack [STACK]: scratch.
     """
     bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)

@@ -22,7 +22,7 @@ from .tight_box import heights_between
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
 FEW_CELLS = wp.constant(8)  # along a rectangle: up to this size cells are read, beyond it blocks
 MAX_BLOCKS = wp.constant(6)  # ... along a side
-NOTHING = wp.constant(wp.float64(-1e30))
+NOTHING = wp.constant(wp.float64(-1e30))  # a slope below all rays: nothing is hidden
 OUTWARD = wp.constant(wp.float64(2e-7))  # relative: above the rounding of float32
 
 
@@ -183,7 +183,7 @@ def min_of_windows(
 def steady_min(
     domain: Domain, blocks: HorizonBlocks, margin_units: wp.int32, corner: wp.vec2d, size: wp.vec2d
 ) -> wp.float64:
-    """Return a lower bound of the ground, metres, over a lattice rectangle and `margin_units` lattice units around it.
+    """Bound the ground from below, metres after scaling, over a lattice rectangle and `margin_units` units around it.
 
     corner, size: the rectangle's south-west corner and size, lattice units. The bound is continuous in the rectangle's
     position: the exact minimum over few bilinear cells, else `min_of_windows`.
@@ -223,7 +223,7 @@ def max_mesh_offset(
 
     relaxation: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise:
     its height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error
-    criteria bound this height.
+    criteria bound the difference; without one it is infinite.
     """
     part2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxation * relaxation * criterion.metres2
@@ -247,8 +247,9 @@ def ground_near(
 ):
     """Return an upper bound of the ground's height in a square with the eye in its middle.
 
-    In metres after vertical scaling. x, y: the eye, lattice units. reach: half of the square's side; the result is
-    infinite if the square crosses the raster's border. margin_units: lattice units to add on each side.
+    In metres after vertical scaling, with displacement. x, y: the eye, lattice units. reach: half of the square's side,
+    lattice units; the result is infinite if the square crosses the raster's border or is outside. margin_units: lattice
+    units to add on each side.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)

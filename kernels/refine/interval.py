@@ -100,7 +100,8 @@ def measure_diamond(
 ) -> MeasuredDiamond:
     """Return the diamond at `depth` that is split at (x, y) as all views see it: footprints, error and edge lengths.
 
-    error: stored error, metres before scaling. in_frame: 1 if all frustums are known to contain its box.
+    error: stored error, metres before scaling. in_frame: 1 if all frustums are known to contain its box. `verdict` is
+    left to the caller.
     """
     m = MeasuredDiamond()
     m.middle = wp.vec2i(x, y)
@@ -159,7 +160,7 @@ def unknown_interval() -> LodInterval:
 def predict(interval: LodInterval, depth: wp.int32, min_error: wp.float64, error_m: wp.float64) -> wp.int32:
     """Return the verdict on a diamond at `depth` below an interval: SPLIT, LEAF, or DOUBT if it must be measured.
 
-    min_error, error_m: limits of the diamond's stored error, metres.
+    min_error, error_m: metres between which the diamond's error is; both 0 if depths alone decide.
     """
     verdict = wp.int32(LEAF)
     if depth < interval.split_depth or min_error > interval.split_above:
@@ -177,7 +178,7 @@ def first_within(
 
     Bisection turns the legs into the longest edge; the new legs are half the old longest edge. Twice the area of a
     triangle is the square of its legs, so that its limit is one of squared legs. climb2: squared height difference
-    along an edge, metres. pixel2: squared pixel footprint, metres.
+    along an edge, metres. pixel2: squared pixel footprint of edges, metres.
     """
     max_long2 = limits.edge2 * pixel2 - climb2
     max_legs2 = limits.area2 * pixel2 - climb2

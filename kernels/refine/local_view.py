@@ -69,7 +69,8 @@ def min_over_box(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 def max_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the minimum over all frustum planes of the innermost corner's distance inside the plane, metres.
 
-    It is negative if the box is outside the frustum, and infinite without planes.
+    It is negative only if the box is outside the frustum, but not always then: each plane alone may cross a box that
+    the frustum does not meet. It is infinite without planes.
     """
     inside = wp.float64(wp.inf)
     planes = view.planes  # here, or Warp copies all of them for each
@@ -108,7 +109,10 @@ def classify_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.floa
 
 @wp.func
 def fringe_at(view: LocalView, depth: wp.float64) -> wp.float64:
-    """Return the width, metres, of the fringe beyond a frustum plane at a depth (metres)."""
+    """Return the width, metres, of the fringe beyond a frustum plane at a depth (metres).
+
+    It is constant but in a perspective, where it grows with the depth and is 0 behind the eye.
+    """
     wide = view.fringe
     if view.kind == PERSPECTIVE:
         wide = wide * larger(depth, wp.float64(0.0))

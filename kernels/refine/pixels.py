@@ -146,7 +146,7 @@ def max_range2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, min_depth: wp.float64):
-    """Return the squared finest footprints of heights and of edges, metres, anywhere in a box.
+    """Return the squared finest footprints of heights and of edges, metres, anywhere in a box, as if it was in view.
 
     min_depth: the smallest depth in the box, metres.
     """
@@ -163,7 +163,7 @@ def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, min_depth: wp
 
 @wp.func
 def farthest_pixel2(view: LocalView, d: Diamond):
-    """Return the squared coarsest footprints of heights and of edges in any box inside this one, metres."""
+    """Return the squared coarsest footprints of heights and of edges in any box inside this one, metres, as in view."""
     edge2 = view.pixel2
     gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
@@ -193,9 +193,10 @@ def cover_of(
 
 @wp.func
 def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, fraction: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints are coarser on ground of which a `fraction` (> 0) is hidden.
+    """Return the squared factor by which footprints are coarser where nearer ground hides a `fraction` (`cover_of`).
 
-    hidden2: the squared factor of wholly hidden ground. occlusion_fade: how fast the factor grows, as in LocalView.
+    fraction: above 0, up to 1. hidden2: the squared factor of wholly hidden ground. occlusion_fade: how fast the factor
+    grows, as in LocalView.
     """
     coarser2 = hidden2
     if fraction < wp.float64(1.0):
@@ -269,8 +270,8 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
 def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Compute the squared finest footprints of heights and of edges, metres, of all views on a diamond.
 
-    They are infinite beyond the raster's border. The first view is read from the struct, not from the array: most
-    terrains have only one. in_frame: 1 if all frustums are known to contain the diamond's box.
+    They are infinite beyond the raster's border and without views. The first view is read from the struct, not from the
+    array: most terrains have only one. in_frame: 1 if all frustums are known to contain the diamond's box.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)

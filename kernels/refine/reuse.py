@@ -33,7 +33,7 @@ LAST_LEVELS = wp.constant(6)  # levels above the deepest leaves in which a subtr
 def move_cursor(r: Reuse, slot: wp.int32, after: wp.int64):
     """Move the cursor of slice `slot` to the subtree that follows entry `after` in the last frame's lists.
 
-    after: -1 for the first subtree.
+    after: -1 for the first subtree. Behind the last one, the cursor's cell is NOWHERE.
     """
     i = after + wp.int64(1)
     last_slot = wp.int32(i / r.last_room)
@@ -58,7 +58,7 @@ def begin_reuse(r: Reuse, slot: wp.int32):
 
 @wp.func
 def end_reuse(r: Reuse, slot: wp.int32):
-    """Write the number of subtrees, leaves and runs of points that slice `slot` has cached and reused."""
+    """Write how many subtrees slice `slot` has cached, and how many leaves and runs of points it has reused."""
     r.cached_counts[slot] = r.cursor[slot].count
     r.reused[slot] = r.cursor[slot].reused
     r.point_run_counts[slot] = r.cursor[slot].point_runs
@@ -86,7 +86,10 @@ def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, poin
 
 @wp.func
 def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
-    """Append the leaves and points of a cached subtree, as the last frame wrote them, to this frame's arrays."""
+    """Append the leaves and points of a cached subtree, as the last frame wrote them, to this frame's arrays.
+
+    Nothing happens beyond the slice's capacity: `count_reused` counts them, and the caller walks again with more room.
+    """
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
@@ -107,8 +110,8 @@ def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
 def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
     """Copy the leaves below the cursor's triangle from the last frame if they are cached and still valid.
 
-    Returns REUSED, or DOUBT if they are not. The copied subtree is also cached for the next frame, or narrows the
-    margins of the open subtree that contains it.
+    Returns REUSED, or DOUBT if they are not or if the slice ends within them. The copied subtree is also cached for the
+    next frame, or narrows the margins of the open subtree that contains it. `count_reused` then adds its counts to n.
     """
     slot = w.slot
     cell = q.base + c.cell
@@ -153,7 +156,8 @@ def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Wri
 def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
     """Return whether a cached subtree may begin at the cursor's triangle, so that its diamond must be measured.
 
-    None begins inside an open subtree, nor above one of FEW_LEAVES or more leaves that the last frame has cached.
+    None begins inside an open subtree, above one of FEW_LEAVES or more leaves that the last frame has cached, at the
+    depth limit, or without room in the list.
     """
     slot = w.slot
     may = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room and c.depth < w.max_depth
@@ -176,8 +180,9 @@ def open_subtree(
 ):
     """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
 
+    Nothing happens in an open subtree, without room in the list, or if a leaf may have special bits (`can_copy_block`).
     m: its diamond. interval: the one below it. Margins begin at the slack of the interval's verdicts; `narrow_margins`
-    narrows them, and `close_subtree` completes the entry.
+    narrows them, and `close_subtree` completes the entry. Until then the slice's STOPPED is that of the subtree alone.
     """
     slot = w.slot
     opens = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room
@@ -210,7 +215,7 @@ def open_subtree(
 
 @wp.func
 def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
-    """Limit the open subtree's margins to footprints at which the measured diamond m gets the same verdict.
+    """Limit the open subtree's margins, if one is open, to footprints at which diamond m gets the same verdict.
 
     A leaf stays one until footprints fall, a split diamond until they rise; one that metres split has no limit.
     """

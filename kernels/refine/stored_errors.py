@@ -215,9 +215,9 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
 
 @wp.func
 def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2f:
-    """Return the largest magnitude (metres) and slope of the finer tiles' change in the box of a diamond.
+    """Return the largest magnitude (metres) and slope (metres a metre) of the finer tiles' change in a diamond's box.
 
-    (x, y): where it is split. The result is nested, as boxes are.
+    Both are before scaling. (x, y): where it is split. The result is nested, as boxes are.
     """
     reach = reach_of(domain.unit_bits, depth)
     shift = domain.unit_bits - domain.levels - domain.finer[0].bits
@@ -317,5 +317,5 @@ def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
 
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Prefetch the errors around the diamond split at (x, y) into the processor's cache."""
+    """Prefetch the error of the diamond split at (x, y), and with it those of its tile; above the raster's cells."""
     prefetch(domain.error, error_index(domain, x, y, depth))

@@ -29,7 +29,8 @@ NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; round
 def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
     """Return the lowest and highest metres, before scaling, of the bilinear surface over a lattice rectangle.
 
-    In each cell the extremes are at corners of the intersection of cell and rectangle.
+    In each cell the extremes are at corners of the intersection of cell and rectangle. The result is (infinity,
+    -infinity) beyond the raster's border.
     """
     bits = domain.unit_bits - domain.levels
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
@@ -119,8 +120,8 @@ def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
 def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
     """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
 
-    of_edges: whether footprints of edges are measured, or those of heights. The finest is infinite if the box is out of
-    view. The coarsest is scaled for the comparison with NEARLY_EQUAL.
+    of_edges: whether footprints of edges are measured, or those of heights. Out of view they are infinity and 0. The
+    coarsest is scaled for the comparison with NEARLY_EQUAL.
     """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)

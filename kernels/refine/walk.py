@@ -59,9 +59,10 @@ def judge(
 ):
     """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the index of its children's interval.
 
-    The index is that in `w.intervals`. limits: the criterion. The interval from above decides if it can; otherwise the
-    diamond is measured, unless it was measured just before, for its other triangle. A measured diamond and its interval
-    are stored in `w`.
+    The index is that in `w.intervals`. limits: the criterion with the margins of the intervals. The interval from above
+    decides if it can; otherwise the diamond is measured, unless it was measured just before, for its other triangle. A
+    measured diamond and its interval are stored in `w`, and a subtree may be opened or its margins narrowed in `r`. A
+    diamond that is too coarse at `w.max_depth` is a LEAF and sets STOPPED of the slice.
     """
     middle = middle_of(c)
     above = w.intervals[c.interval_index]
@@ -112,7 +113,10 @@ def judge(
 
 @wp.func
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
-    """Prefetch the errors or height ranges of a triangle's grandchildren, one step ahead."""
+    """Prefetch the errors or height ranges of a split triangle's grandchildren if they begin another tile of the array.
+
+    c: at the triangle, with the interval for its children, which decides whether errors or ranges will be read.
+    """
     interval = w.intervals[c.interval_index]
     x = (c.left[0] + c.right[0]) >> 1
     y = (c.left[1] + c.right[1]) >> 1
@@ -130,7 +134,8 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
     """Refine one slice of the curve: list the leaves whose first deepest cell belongs to it.
 
-    Leaves beyond the capacity are only counted.
+    Leaves beyond `w.leaf_capacity` are only counted, and the caller walks again with more room. Above `w.leaf_limit`
+    leaves the walk ends early with incomplete counts: the frame is then refined again with a coarser criterion.
     """
     limits = limits_of(criterion, r.slack)
     n = Written()

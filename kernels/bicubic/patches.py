@@ -257,9 +257,10 @@ def patch_errors(
 ):
     """Compute bounds, metres, for row `offset + tid` of the cells of a window of the raster.
 
-    distance: that of the bicubic patch from the bilinear one. errors: largest distances of the surface from the cell's
-    two triangles. curvatures: a quarter of the largest second derivative. corner: column and row of the window's first
-    cell. columns: cells in its rows. cells: layout of these three arrays by cells of the window.
+    distance: that of the bicubic patch from the bilinear one. errors: that of the surface from the cell's two
+    triangles, the smaller one of a bound by twist and distance and one by curvature. curvatures: a quarter of the
+    largest second derivative. corner: column and row of the window's first cell. columns: cells in its rows. cells:
+    layout of these three arrays by cells of the window.
     """
     y = offset + wp.tid()
     cy = corner[1] + y

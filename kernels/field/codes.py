@@ -98,7 +98,10 @@ def error_of(
 
 @wp.func
 def code_of(table: wp.array(dtype=wp.float32), group: wp.int32, error: wp.float32) -> wp.uint8:
-    """Return the first code of a group's table that is not below an error in metres; the values of a table rise."""
+    """Return the first code of a group's table that is not below an error in metres, 255 if none is.
+
+    The values of a table rise.
+    """
     code = wp.int32(0)
     step = wp.int32(128)
     while step > 0:
@@ -121,8 +124,8 @@ def encode_errors(
 ):
     """Encode block `offset + tid` of `block` errors of `first` .. `end`: the first code not below the error.
 
-    errors: metres, one group of depths. table: errors of the codes, metres, of all groups. Zeros are not written:
-    `codes` are zero, and holes of a sparse file stay.
+    errors: metres, one group of depths (`group`). table: errors of the codes, metres, of all groups. Zeros are not
+    written: `codes` are zero, and holes of a sparse file stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):

@@ -115,6 +115,7 @@ def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
     up1 = slope_basis(v - fv)
     total = wp.vec3d()
     for b in range(4):
+        # Remainders have the sign of the dividend, and j is above -rows.
         row = layer.pixel + wp.int64((j + b + wp.int32(2) * layer.rows - wp.int32(1)) % layer.rows) * wp.int64(
             layer.columns
         )

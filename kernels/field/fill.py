@@ -21,10 +21,11 @@ def nearest_in_columns(
     block: int,
     nearest: wp.array(dtype=wp.int32),
 ):
-    """Write the row of the nearest valid sample in the same column, -1 if the column has none.
+    """Write to `nearest`, for every sample, the row of the nearest valid sample in its column; -1 without one.
 
     The thread works on block `offset + tid` of `block` columns. missing: 1 at missing samples of `height` rows of
-    `width`, from row `first` on. below, above: nearest valid rows outside these rows, -1 for none.
+    `width`, from row `first` of the raster on. below, above: nearest valid rows outside these rows, -1 for none. All
+    row numbers are those of the raster. Of two rows as near the lower one counts.
     """
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, width)
@@ -64,9 +65,10 @@ def nearest_columns(
 ):
     """Write the column of the nearest valid sample to `column` for each missing one of rows begin .. end - 1.
 
-    nearest: from `nearest_in_columns`: the row of the nearest valid sample in each column. first: row of the raster of
-    their row 0. missing: 1 at missing samples. A row's lower envelope of parabolas has their apexes in the columns
-    `apex`, and each is the lowest from `start` on; both [width] are scratch of this thread.
+    The rows are those of the arrays, whose row 0 is row `first` of the raster. nearest: from `nearest_in_columns`: the
+    row of the nearest valid sample in each column; one column must have one. missing: 1 at missing samples. A row's
+    lower envelope of parabolas has their apexes in the columns `apex`, and each is the lowest from `start` on; both
+    [width] are scratch of this thread.
     """
     for y in range(begin, end):
         count = wp.int32(0)

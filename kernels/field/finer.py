@@ -74,7 +74,7 @@ def finer_at(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32, s: wp
 def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.float32:
     """Return the stored error, metres, of the change at the diamond with its vertex at finer sample (i, j).
 
-    group: of depths, 0 for the finest cells of 2 x 2.
+    It is 0 without a tile. group: of depths, 0 for the finest cells of 2 x 2.
     """
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
@@ -90,7 +90,7 @@ def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
 
 @wp.func
 def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Return the stored error, metres, of the change in finer cell (i, j)."""
+    """Return the stored error, metres, of the change in finer cell (i, j); 0 without a tile."""
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
     if tile >= 0:
@@ -136,9 +136,9 @@ def limits_over(
 ) -> wp.vec2f:
     """Return the largest magnitude (metres) and slope of the change in a lattice rectangle (x0, y0) .. (x1, y1).
 
-    shift: log2 of the lattice units of a finer cell. wide: log2 of lattice units that are at least the rectangle's
-    sides. The tiles are looked up in blocks at least as wide, so 2 x 2 are read at most; blocks are nested, and so is
-    the result of nested rectangles.
+    The slope is along an axis, metres a metre before scaling; both are 0 without tiles. shift: log2 of the lattice
+    units of a finer cell. wide: log2 of lattice units that are at least the rectangle's sides. The tiles are looked up
+    in blocks at least as wide, so 2 x 2 are read at most; blocks are nested, and so is the result of nested rectangles.
     """
     level = wp.clamp(wide - shift - TILE_BITS, 0, finer.top)
     first = wp.int64(0)

@@ -29,7 +29,8 @@ def row_error(
 ) -> wp.float64:
     """Return the largest distance, metres, of `count` samples in a row from a plane.
 
-    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row.
+    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row. NaN
+    samples do not count.
     """
     largest = wp.float64(0.0)
     for i in range(count):
@@ -40,7 +41,7 @@ def row_error(
 
 @wp.func
 def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
-    """Return the height, metres, at sample (x, y); beyond the border that of the nearest sample."""
+    """Return the height, metres, at sample (x, y); beyond the eastern or northern border that of the nearest sample."""
     at = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
     return wp.float64(item_at(raster.floats, at))
 
@@ -63,11 +64,12 @@ def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, s
 def diagonal_inside(
     raster: Samples, x: int, y: int, right: int, up: int, cells: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
-    """Return the largest distance of the bilinear surface from the plane along the diagonals of `cells` cells.
+    """Return the largest distance of the bilinear surface from a plane, between samples on diagonals of `cells` cells.
 
     The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
     border do not count. plane: height of the plane at (x, y); slope: its metres a cell along the diagonal. In a cell
-    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
+    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist. Only a turning point counts, so that the
+    result is 0 without one: `row_inside` measures at the samples.
     """
     h = raster.floats
     to_side = wp.int64(right)  # to the next sample in a row, and in a column
@@ -103,7 +105,7 @@ def diagonal_inside(
 
 @wp.func
 def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Depth, p: wp.vec2i) -> wp.float32:
-    """Return the largest of the `values` of the up to four children of diamond p.
+    """Return the largest of the `values` of the up to four children of diamond p; 0 without any.
 
     finer, coarser: layouts of the depths of the children and of p.
     """
@@ -119,13 +121,14 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Dep
 def corner_error(
     raster: Samples, x: int, y: int, right: int, up: int, legs: int, plane: wp.float64, slope: wp.vec2d
 ) -> wp.float64:
-    """Return the largest distance, metres, of the surface over a right triangle from a plane, in rows and diagonally.
+    """Return the largest distance, metres, of the surface over a right triangle from a plane.
 
-    The plane has the height `plane` at the triangle's corner (x, y). From there legs of `legs` samples run east
-    (`right` 1) or west (-1), and north (`up` 1) or south (-1). slope: metres a sample along x and y.
+    It is measured at the samples and along the longest edge. The plane has the height `plane` at the triangle's corner
+    (x, y) with the right angle. From there legs of `legs` steps between samples run east (`right` 1) or west (-1), and
+    north (`up` 1) or south (-1). slope: metres a sample along x and y.
     """
     largest = wp.float64(0.0)
-    for j in range(legs):  # the last row is a vertex
+    for j in range(legs):  # the last row would be a vertex, which is on the plane
         first = wp.min(right, 0) * (legs - j)
         start = plane + slope[0] * wp.float64(first) + slope[1] * wp.float64(up * j)
         largest = wp.max(largest, row_inside(raster, x + first, y + up * j, legs + 1 - j, start, slope[0]))
@@ -187,7 +190,7 @@ def side_errors(
         return
     x = p[0] * half
     y = p[1] * half
-    flat = p[0] & 1
+    flat = p[0] & 1  # 1: the side runs from west to east
     along = wp.vec2i(flat, 1 - flat)
     begin = vertex_height(raster, x - along[0] * half, y - along[1] * half)
     end = vertex_height(raster, x + along[0] * half, y + along[1] * half)

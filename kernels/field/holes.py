@@ -46,8 +46,8 @@ def raise_borders(
 ):
     """Write which kinds of cells are below diamond `offset + tid`; raise its error if there are both.
 
-    The error becomes at least `longest` metres, so that borders of holes are refined down to cells. coarser: layout of
-    the diamonds' depth. finer: that of the next depth.
+    The error becomes at least `longest`, the metres of the depth's longest edge, so that borders of holes are refined
+    down to cells. coarser: layout of the diamonds' depth. finer: that of the next depth.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):

@@ -170,4 +170,4 @@ def raise_island(offset: int, size: int, first_row: int, seed: wp.uint32, sample
     y = wp.float64(2 * (first_row + row) - (size - 1)) / cells
     for i in range(size):
         x = wp.float64(2 * i - (size - 1)) / cells
-        samples[row * size + i] = wp.float32(island_height(x, y, seed)) + wp.float32(0.0)
+        samples[row * size + i] = wp.float32(island_height(x, y, seed)) + wp.float32(0.0)  # not -0

@@ -18,7 +18,10 @@ REACH = wp.constant(4)
 
 @wp.func
 def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Return the largest code q in 0 .. 65535 with base + q step <= z. per_step: 1 / step."""
+    """Return a large code q in 0 .. 65535 with base + q step <= z; z is not below base. per_step: 1 / step.
+
+    Rounding may make it one less than the largest.
+    """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q > 0 and base + wp.float64(q) * step > z:
         q = q - 1
@@ -29,7 +32,7 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
 def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
     """Return a small code q in 0 .. 65535 with base + q step >= z; z is not above base + 65535 step.
 
-    per_step: 1 / step.
+    Rounding may make it one more than the smallest. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q < 65535 and base + wp.float64(q) * step < z:
@@ -101,7 +104,7 @@ def patches_around(
 def unite_children(offset: wp.int64, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
     """Write the range of diamond `offset + tid` to `ranges`: the union of those of its up to four children.
 
-    finer, coarser: layouts of the depths of the children and of the diamond.
+    Without children it is empty, (65535, 0). finer, coarser: layouts of the depths of the children and of the diamond.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):

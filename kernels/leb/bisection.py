@@ -52,7 +52,10 @@ class LebNode:
 
 @wp.func
 def node_of(grid: SquareGrid, tree_id: wp.uint64) -> LebNode:
-    """Convert a node's heap id in the tree of all squares to its square and the heap id in that."""
+    """Convert a node's heap id in the tree of all squares to its square and the heap id in that.
+
+    The node is a square or below one. A square that only fills the tree up to a power of two has a row beyond the grid.
+    """
     first_id = ONE << wp.uint64(highest_bit(tree_id) - grid.square_bits)  # in the square, at the node's depth
     square = wp.int32(tree_id / first_id) - (1 << grid.square_bits)
     node = LebNode()
@@ -78,7 +81,10 @@ def tree_id_of(grid: SquareGrid, node: LebNode) -> wp.uint64:
 
 @wp.func
 def triangle_of(node: LebNode, unit_bits: wp.int32):
-    """Return left, apex and right of a node's triangle, in lattice units: 2^unit_bits are a square's side."""
+    """Return left, apex and right of a node's triangle, in lattice units: 2^unit_bits are a square's side.
+
+    The node's depth in its square is at least 1.
+    """
     side = wp.int32(1) << unit_bits
     left = wp.vec2i(0, side)
     apex = wp.vec2i(0, 0)

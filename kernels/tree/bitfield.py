@@ -3,10 +3,10 @@
 
 The paper's bitfield has a bit for each *deepest cell*, a node of the deepest level; they are numbered along the curve,
 from 0. A leaf sets the bit of its first cell. At depth 40 that is 128 GiB. Here the bits are the leaves of a tree of
-64-bit words with a fan-out of 64: a word of level L stands for
-64^(L + 1) cells, each of its bits for a part of 64^L cells, and a bit is set if a leaf begins in its part. A leaf of
-2^j cells always sets the first bit of its part on level j // 6, so a word whose first bit alone is set says no more
-than the bit above it, and is not stored: every stored word has two bits or more, and there are fewer words than leaves.
+64-bit words with a fan-out of 64: a word of level L stands for 64^(L + 1) cells, each of its bits for a part of 64^L
+cells, and a bit is set if a leaf begins in its part. A leaf of 2^j cells always sets the first bit of its part on level
+j // 6, so a word whose first bit alone is set says no more than the bit above it, and is not stored: every stored word
+has two bits or more, and there are fewer words than leaves.
 
 The words below a word lie together in a *page* of 64, which is taken from a pool when the first is stored. Beside each
 word stands a mask of the bits below which a word is stored, and its counter: the leaves that begin in the word, without
@@ -101,7 +101,8 @@ def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
 def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
     """Return the page of the words below the word in `slot`; allocate one if it has none.
 
-    The result is 0 if the pool is full, which sets `state[IS_FULL]`.
+    The result is 0 if the pool is full, which sets `state[IS_FULL]`. Of threads that allocate one at once the first
+    wins; the others' pages stay unused.
     """
     page = item_at(t.pages, slot)
     if page == 0:
@@ -159,7 +160,10 @@ def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cel
 
 @wp.func
 def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
-    """Return leaf `number`, counted along the curve. The search descends by the counters, in O(depth)."""
+    """Return leaf `number`, counted along the curve from 0. The search descends by the counters, in O(depth).
+
+    Changed words must have been summed again (reduction.py), and `number` is below that of all leaves.
+    """
     slot = wp.int32(ROOT)
     level = t.top
     cell = wp.uint64(0)
@@ -183,7 +187,8 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
 def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
     """Return the leaf that contains a deepest cell.
 
-    The search descends to the last set bit at or before the cell, in O(depth).
+    The search descends to the last set bit at or before the cell, in O(depth). Changed words must have been summed
+    again (reduction.py).
     """
     slot = wp.int32(ROOT)
     level = t.top

@@ -22,10 +22,10 @@ def place_vertices(
     heights: wp.array(dtype=wp.float32),
     states: wp.array(dtype=wp.uint8),
 ):
-    """Write the lattice position of vertex `offset + tid`, and restore height and state from the mesh before.
+    """Write the lattice position of vertex `offset + tid` to m, and restore height and state from the mesh before.
 
-    positions: metres, of which heights are replaced. heights (metres after vertical scaling), states: by
-    `vertex_index`, from `store_heights`.
+    positions: metres; the height of a vertex that was in that mesh is replaced. heights (metres after vertical
+    scaling), states: by `vertex_index`, from `store_heights`. A vertex that is no sample, inside a cell, is PINNED.
     """
     v = offset + wp.tid()
     d = m.domain
@@ -68,7 +68,10 @@ def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.i
 
 @wp.kernel
 def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
-    """Store height and state of vertex `offset + tid` by its sample, for `place_vertices` of the next mesh."""
+    """Store height and state of vertex `offset + tid` by its sample, for `place_vertices` of the next mesh.
+
+    Vertices inside cells have no sample and are not stored.
+    """
     v = offset + wp.tid()
     d = m.domain
     bits = d.unit_bits - d.levels

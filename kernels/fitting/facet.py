@@ -98,9 +98,9 @@ def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
 
 @wp.func
 def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
-    """Return the twist of the surface over a step (dx, dy) from (x, y), metres before scaling.
+    """Return the twist of the surface over a step (dx, dy) from (x, y), metres before scaling, with its sign.
 
-    The step is along a cell's diagonal, so |dx| = |dy|.
+    The step is in one cell and parallel to a diagonal, so |dx| = |dy|, lattice units.
     """
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
@@ -114,7 +114,8 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
 def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
     """Return (t, r): where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value there.
 
-    It is (0, r0) if the extremum is not between t = 0 and 1.
+    It is (0, r0) if the extremum is not between t = 0 and 1. r0, r1: distances at the ends of a side, metres. twist:
+    see `twist_over`.
     """
     slope = r1 - r0 - twist
     t = wp.float64(0.0)

@@ -149,7 +149,10 @@ def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
 
 @wp.func
 def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
-    """Write triangle t with its corners, the neighbours `beside` it and its level; it counts as not measured."""
+    """Write triangle t with its corners (left, apex, right) and its level; it counts as not measured.
+
+    beside: the neighbours across the edges from each corner to the next, -1 at the border.
+    """
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
         m.beside[3 * t + c] = beside[c]
@@ -182,8 +185,8 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
 def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
     """Bisect triangle t and those that a conforming mesh requires; raise the codes of their diamonds to RAISED.
 
-    `size`: numbers of triangles and vertices; returns the new ones. New vertices are samples, on the surface. New
-    triangles are marked.
+    `size`: numbers of triangles and vertices; returns the new ones, for which the arrays must have room. New vertices
+    are samples, on the surface and not pinned. The triangles around them, all new ones among them, are marked.
     """
     d = m.domain
     triangles = size[0]

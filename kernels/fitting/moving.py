@@ -55,7 +55,8 @@ def push_and_weight(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) 
 def measure_pushes(first: int, end: int, m: FitMesh):
     """Measure listed triangles first .. end - 1: their distance from the surface, and pushes on their corners.
 
-    A triangle is measured only if its corners have moved enough to matter.
+    A triangle is measured only if it never was, or if its corners have moved enough to bring it beyond the aim; then
+    `m.worst`, `m.pushes`, `m.seen` and `m.awake` change.
     """
     d = m.domain
     per_scale = wp.float64(1.0) / d.height_scale
@@ -64,12 +65,12 @@ def measure_pushes(first: int, end: int, m: FitMesh):
         z = corner_heights(m, t)
         aim = AIM * m.bound
         known = m.worst[t]
-        is_measured = known == NOT_MEASURED
-        if not is_measured:
+        must_measure = known == NOT_MEASURED
+        if not must_measure:
             last = m.seen[t]
             moved = wp.max(wp.max(wp.abs(z[0] - last[0]), wp.abs(z[1] - last[1])), wp.abs(z[2] - last[2]))
-            is_measured = moved > wp.float32(0.0) and known + wp.float64(moved) > aim
-        if is_measured:
+            must_measure = moved > wp.float32(0.0) and known + wp.float64(moved) > aim
+        if must_measure:
             left = m.point[m.corner_verts[3 * t]]
             apex = m.point[m.corner_verts[3 * t + 1]]
             right = m.point[m.corner_verts[3 * t + 2]]
@@ -101,10 +102,11 @@ def add_push(m: FitMesh, v: wp.int32, q: wp.vec2f):
 
 @wp.kernel
 def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Move every vertex by the mean of its pushes; `m.active` becomes the list of triangles for the next sweep.
+    """Move the vertices of triangles beyond the bound by STRETCH times the weighted mean of their pushes.
 
-    count: number of listed triangles. triangles: number of all. found [2] receives the length of the new list, and the
-    number of triangles beyond the bound.
+    One thread. Pinned vertices stay. `m.active` becomes the list of triangles for the next sweep: those with a moved
+    corner, and those beyond the aim that push a vertex. count: number of listed triangles. triangles: number of all.
+    found [2] receives the length of the new list, and the number of triangles beyond the bound.
     """
     beyond = wp.int32(0)
     # Triangles beyond the bound decide which vertices move.

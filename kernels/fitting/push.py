@@ -138,9 +138,8 @@ def pushes_of(
     where nothing counts. `z`: the triangle's height there; `corner_climbs`: of the left and of the right corner above
     it. Returns the largest distance, then for the apex, the left and the right corner the sum of the weights of the
     points beyond `aim`, and the weighted sum of their distances beyond it, positive upwards. Heights, distances and
-    `aim` are metres before scaling. Points: samples, and
-    extrema along the diagonals of cells on the triangle's sides. Nearly all time of a sweep passes here, in vectors of
-    eight samples of a row.
+    `aim` are metres before scaling. Points: samples, and extrema along the diagonals of cells on the triangle's sides.
+    Nearly all time of a sweep passes here, in vectors of eight samples of a row.
     """
     ...
 
@@ -170,9 +169,9 @@ def add_point(pushes: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: 
 def pushes_in_cell(d: Domain, facet: Facet, aim: wp.float64) -> Pushes:
     """Return the pushes of a triangle inside one cell: largest distance, then weight and push of each corner.
 
-    Corners: apex, left, right. Points are the corners and the extrema along the diagonal sides. A weight is the sum
-    over the points beyond `aim`, a push the weighted sum of their distances beyond it, metres before scaling, positive
-    upwards.
+    All are 0 beyond the raster's border. Corners: apex, left, right. Points are the corners and the extrema along the
+    diagonal sides. A weight is the sum over the points beyond `aim`, a push the weighted sum of their distances beyond
+    it, metres before scaling, positive upwards.
     """
     if is_beyond_border(d, facet):
         return Pushes()

@@ -15,10 +15,10 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
 
     count: listed triangles. max_depth: level whose triangles are not split. min_share: split only triangles whose
     excess is at least this part of the largest among the triangles that they touch, since one split may help them all.
-    `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place, those in
-    cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles, of triangles and
-    of vertices (which it holds before), of splits, of vertices that are new on the surface, of splits that wait for the
-    next walk, and of triangles too coarse at the deepest level.
+    `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place if there is
+    room, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles, of
+    triangles and of vertices (which it holds before), of all splits, of vertices that are new on the surface, of those
+    splits that wait for the next walk, and of triangles too coarse at the deepest level. One thread.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -84,7 +84,7 @@ def _spread_excess(m: FitMesh, count: int):
 
 @wp.func
 def _max_excess_around(m: FitMesh, t: int):
-    """Return the largest excess that `_spread_excess` has written to a triangle's corners, metres."""
+    """Return the largest excess that `_spread_excess` has written to a triangle's corners, metres; 0 for none."""
     largest = wp.float64(0.0)
     for c in range(3):
         largest = wp.max(largest, m.push[2 * m.corner_verts[3 * t + c]])
@@ -113,7 +113,7 @@ def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     """Return the stored error of triangle t with its vertices on the surface, metres before scaling.
 
     below: bisections below the raster's cells, negative above them; in a cell the error divides by four with each two
-    bisections. cell: the triangle's cell.
+    bisections. cell: the triangle's cell, which is read only there.
     """
     if below < 0:
         middle = _middle(m, t)

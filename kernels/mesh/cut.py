@@ -42,7 +42,7 @@ def list_near(
 ):
     """List triangles first .. end - 1 that have a vertex in `near`, from listed[first] on.
 
-    found[slot] becomes their number. near: 1 for each vertex close to the cut.
+    found[slot] becomes their number. near: 1 for each vertex close to the cut. The caller joins the lists of its slots.
     """
     n = first
     for t in range(first, end):
@@ -64,12 +64,12 @@ def flag_holes(
     valid: wp.array(dtype=wp.uint8),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """Set flags[t] if the middle of triangle t = offset + tid is in a cell with a missing sample.
+    """Set flags[t] to 1 if the middle of triangle t = offset + tid is in a cell with a missing sample.
 
     corner: south-western one of the raster, metres. step: metres between samples. valid: 0 for missing samples.
     """
     t = offset + wp.tid()
-    x = wp.float64(0.0)
+    x = wp.float64(0.0)  # sums over the three corners, from the raster's corner
     y = wp.float64(0.0)
     for c in range(3):
         p = positions[corner_verts[3 * t + c]]
@@ -139,8 +139,9 @@ def next_number(m: Cut, kind: wp.int32) -> wp.int32:
 def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) -> wp.int32:
     """Return the vertex at which edge e from p (positive) to q (negative) is cut.
 
-    The first call makes it and puts it in place of q; the call for the edge's other triangle finds it there. first: the
-    first number of vertices that this cut makes.
+    The first call makes it and puts it in place of q in the edge; the call for the edge's other triangle finds it
+    there. Its position is computed by the caller of the kernel, from `m.ends`. first: the first number of vertices that
+    this cut makes.
     """
     a = m.edges[e][0]
     b = m.edges[e][1]
@@ -168,8 +169,9 @@ def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
 def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
     """Replace triangle t, whose corners have values of both signs, by its non-negative part: one or two triangles.
 
-    This is the polygon clipping of Sutherland and Hodgman (1974). first_vertex, first_triangle: first numbers that this
-    cut makes.
+    This is the polygon clipping of Sutherland and Hodgman (1974). The part is written to t, and the second triangle
+    behind all others and to the list, with t as its parent. first_vertex, first_triangle: first numbers that this cut
+    makes.
     """
     v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
@@ -281,8 +283,8 @@ def renumber(
 ):
     """Replace the numbers of vertices and edges that were moved into gaps, in the listed triangles that remain.
 
-    One thread. vertices, edges: numbers that remain. moved_vertices, moved_edges: new numbers of the elements from
-    there on.
+    One thread. vertices, edges: how many remain. moved_vertices, moved_edges: new numbers of the elements from there
+    on. The ends of edges are renumbered in place: the caller moves the edges and vertices themselves afterwards.
     """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]

@@ -112,7 +112,7 @@ def find_run(
 def next_new(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return the end of the points to prefetch: from `stop` to the next run that is copied, AHEAD at most.
+    """Return the end of the points to prefetch from `stop` on: the next run's first point, at most AHEAD further.
 
     Points are counted in the slice. run, run_end: the next entry of the list of runs and its end. end: end of this
     piece's points. point_base: entry of the slice's point 0 in `points.point`.
@@ -139,7 +139,7 @@ def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.in
 
 @wp.func
 def fetch_samples(domain: Domain, q: wp.vec2i):
-    """Prefetch the samples around lattice point q into the processor's cache."""
+    """Prefetch the samples of the row at lattice point q and of its two neighbours into the processor's cache."""
     bits = domain.unit_bits - domain.levels
     near = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
     prefetch_sample(domain.samples, near)
@@ -151,11 +151,12 @@ def fetch_samples(domain: Domain, q: wp.vec2i):
 def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
     """Return the height (metres before scaling) and its slopes (metres a cell) at lattice point p, without detail.
 
-    Beyond the border the surface is level.
+    Slopes are those for shading, without steps between cells. Beyond the border the result is that of the nearest point
+    on the border.
     """
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
-    x = wp.min(p[0], domain.east)  # beyond the border the surface is level
+    x = wp.min(p[0], domain.east)
     y = wp.min(p[1], domain.north)
     g = wp.vec3d()
     shift = wp.int32(0)

@@ -53,8 +53,9 @@ def resolve(
 ):
     """Write the (edge, vertex) that each import stands for to `found`, slice by slice.
 
-    It also completes the entries of shared sides that later slices import. open, open_level: room for two stacks of
-    `size` entries, the edges that are open at the end of a slice and their levels.
+    It also completes the entries of shared sides that later slices import, and marks slices as TORN. slices: number of
+    slices. open, open_level: room for two stacks of `size` entries, the edges that are open at the end of a slice and
+    their levels.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
@@ -147,8 +148,8 @@ def join(
 ):
     """Join the slices on one thread: they share few elements.
 
-    `open`, `open_level`: room for two stacks of `size` entries, the edges that are open at the end of a slice.
-    `found`: (edge, vertex) of every import.
+    `slices`: number of slices. `open`, `open_level`: scratch for two stacks of `size` entries, the edges that are open
+    at the end of a slice. `found`: scratch for the (edge, vertex) of every import, indexed as `w.imports`.
     """
     resolve(slices, size, w, open, open_level, found)
     for k in range(slices):

@@ -79,8 +79,8 @@ def number_side(
 ):
     """Write the numbers of the points and lines on side s of a leaf to `numbers`, in the template's order.
 
-    The side is edge e of the source, which begins or ends at the leaf's corner v. points, lines: entries in `numbers`
-    where those of the leaf begin.
+    The side begins at the leaf's corner v and is edge e of the source, which has v at either end. points, lines:
+    entries in `numbers` where those of the leaf begin.
     """
     n = t.segments
     first_point = source.vertices + e * (n - 1)
@@ -170,8 +170,8 @@ def find_common_points(
 
     One thread. Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf.
     last_leaves, leaves: number of leaves of either mesh. last_level, level: their levels. points: points inside one
-    leaf. last_first, first: number of the first such point of either mesh. Footprints and the frustum of the runs are
-    not known, so geomorphing computes their points again.
+    leaf. last_first, first: number of the first such point of either mesh. runs: room for one per leaf of the smaller
+    mesh. Footprints and the frustum of the runs are not known, so geomorphing computes their points again.
     """
     i = wp.int32(0)
     j = wp.int32(0)

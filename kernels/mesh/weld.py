@@ -63,7 +63,8 @@ RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # bits of BORDER, FIRST and
 def by_shape(value) -> int:
     """Pack a value of two bits for each shape of a leaf (passage and parity) into one integer.
 
-    Kernels look a value up by shifting the integer by the shape's bits.
+    value: function of the passage (LEG_LEG ..) and the parity (0 or 1) that returns 0 .. 3. Kernels look a value up by
+    shifting the integer by the shape's bits.
     """
     shapes = [(passage, odd) for passage in (LEG_LEG, HYP_LEG, LEG_HYP) for odd in (0, 1)]
     return sum(int(value(passage, odd)) << (passage | odd << PARITY) for passage, odd in shapes)
@@ -72,8 +73,8 @@ def by_shape(value) -> int:
 def first_corner(passage: int, odd: int) -> int:
     """Return the corner (0 .. 2) of the stored triangle in which the front's left vertex is.
 
-    passage: LEG_LEG, HYP_LEG or LEG_HYP. odd: parity of the depth. The order is left, apex, right if it is odd, else
-    mirrored.
+    passage: LEG_LEG, HYP_LEG or LEG_HYP. odd: parity of the depth. Corners are stored left, apex, right if it is 1,
+    else right, apex, left.
     """
     return 2 if passage == HYP_LEG else 1 - odd
 
@@ -199,8 +200,8 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
 def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
     """Return (third, far, grow): the edge that the curve does not cross, its far vertex, and the growth of its stack.
 
-    A new edge or vertex gets the next number. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or
-    if an earlier slice has opened it.
+    A new edge or vertex gets the next number, which the caller counts. Imports are negative numbers. code: the leaf's
+    word. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or if an earlier slice has opened it.
     """
     e = STATE_SIZE * slot
     side = side_of(code)
@@ -211,7 +212,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     third = s.edge
     far = s.vertex
     grow = wp.int32(0)
-    if (code & 1) == 1:
+    if (code & 1) == 1:  # the curve has passed the edge before, in this square
         if top == stack_base(b.room, leaves, side):
             third = import_open_edge(w, b, e, side, level)
             far = third
@@ -268,7 +269,7 @@ def end_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
 
 @wp.kernel
 def weld(slot: wp.int32, w: Weld):
-    """Weld a slice.
+    """Weld slice `slot`: write its triangles, edges and level from its words, with imports from earlier slices.
 
     The inner loop writes a leaf and finds the next leaf's third edge without a branch, which could not be predicted. It
     stops before a rare leaf: the first or last of a square, on a shared side, or with an import.

@@ -131,8 +131,8 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
 def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     """Append an edge to the right side of the current square, for the square to the right.
 
-    level: the edge's. begun: the vertex at which the curve began the edge. far: its
-    other vertex, which becomes the upper right corner at the end.
+    level: the edge's. begun: the vertex at which the curve began the edge. far: its other vertex, which becomes the
+    upper right corner at the end of the side.
     """
     square = w.state[e + SQUARE]
     n = w.side_base[square] + w.state[e + RIGHT]

@@ -105,7 +105,8 @@ def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
 def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
     """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it.
 
-    value: which one of its kind, see the kinds above.
+    kind: of STACK and SIDE, with the edge's level above LEVEL_SHIFT bits. value: which one of its kind, see the kinds
+    above.
     """
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)

@@ -59,11 +59,12 @@ def displace_morphing(
     morphing: Morphing,
     memory: Memory,
 ):
-    """Write positions and normals of points first .. end - 1, moved by the geomorph.
+    """Write positions, normals and UV of points first .. end - 1, moved by the geomorph.
 
-    Points of the last frame are copied in runs; they get new heights and normals unless they were settled (at their
-    final height) and still are. Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and
-    vertex `vertex_base` of the mesh. slot: number of the thread's list of runs.
+    Records for the next frame are written, too. Points of the last frame are copied in runs; they get new heights and
+    normals unless they were settled (at their final height) and still are. Points are counted in the slice: point 0 is
+    entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of the thread's list of
+    runs. memory: the thread's scratch, emptied at first.
     """
     forget_all(memory)
     run, run_end = runs_of(points, slot)

@@ -203,9 +203,10 @@ def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
 def has_settled(
     morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled_above2: wp.float64
 ) -> wp.bool:
-    """Return whether vertex `last` of the last frame was settled and still is; then copy its record to `vertex`.
+    """Return whether vertex `last` of the last frame was settled and still is.
 
-    p: its lattice point. settled_above2: squared error, metres, above which a point has settled, from `settled_above`.
+    Its record is then copied to `vertex` of this frame, and the point remembered in `memory`. p: its lattice point.
+    settled_above2: squared error, metres, above which a point has settled, from `settled_above`.
     """
     known = morphing.last_known[last]
     is_settled = known.is_settled == 1 and known.metres2 > settled_above2
@@ -280,8 +281,8 @@ def morphed_point(
     """Return a vertex at the lattice point p in this frame, and the surface there (zero for one of the last frame).
 
     Its ends must be known first, and theirs before; points that wait for them are on a stack, since kernels cannot
-    recurse. last: its number in the last frame, -1: none. clear_below: depth; the frustums contain the diamonds of all
-    deeper points.
+    recurse. All are remembered in `memory`, and the records of `vertex` are written for the next frame. last: its
+    number in the last frame, -1: none. clear_below: depth; the frustums contain the diamonds of all deeper points.
     """
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait

@@ -14,7 +14,7 @@ from .surface import QueriedSurface, finer_cell, finer_tile, is_ground
 def heights_in(surface: QueriedSurface, p: wp.vec4d, s0: wp.float64, t0: wp.float64, s1: wp.float64, t1: wp.float64):
     """Return the lowest and highest height, metres after scaling, of a part of the bilinear patch with the corners p.
 
-    s0 .. t1: sides of the part, 0 .. 1.
+    s0, t0, s1, t1: its west, south, east and north side, 0 .. 1. Displacement is not included.
     """
     z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1)) * surface.scale
     return wp.min(z) + surface.offset, wp.max(z) + surface.offset
@@ -33,9 +33,11 @@ def row_ranges(
     north: wp.float64,
     found: wp.array(dtype=wp.vec2d),
 ):
-    """Write the lowest and highest height (metres) in row first_row + offset + tid of cells, inside a box.
+    """Write to found[offset + tid] the lowest and highest height in row first_row + offset + tid of cells, in a box.
 
-    west .. north: sides of the box in cells from the raster's corner. Holes do not count.
+    In metres after scaling; (infinity, -infinity) without ground. west .. north: sides of the box in cells from the
+    raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is exact and without
+    displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, displacement included.
     """
     n = offset + wp.tid()
     j = first_row + n

@@ -109,10 +109,11 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment):
-    """Return (t, side): where the ray meets the bilinear patch with the corners p, and its side at the segment's end.
+    """Return (t, side): where the ray meets the bilinear patch with the corners p, and the side on which it is before.
 
-    t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
-    above, -1 below.
+    t is infinite if they meet nowhere; the side is then that at the segment's end, too. They meet where the ray is
+    `part.slack` metres beyond the surface. side: 1 above, -1 below, 0 if it is unknown and the segment begins on the
+    surface.
     """
     zero = wp.float64(0.0)
     first = part.first
@@ -145,7 +146,10 @@ def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment
 
 @wp.func
 def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32):
-    """Return the lowest and highest height of the surface in cell (i, j), metres."""
+    """Return bounds of the surface's height in cell (i, j), lower and upper, metres, displacement included.
+
+    The cell has no finer tiles.
+    """
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if surface.bicubic == 1:
@@ -163,7 +167,7 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 def half_curvature_along(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
 ) -> wp.float64:
-    """Return half of the largest second derivative of the surface along the ray in cell (i, j).
+    """Bound half of the second derivative of the surface along the ray in cell (i, j), displacement included.
 
     Its unit is metres per squared metre of t. finer_twist: of a finer cell there, metres a squared raster cell;
     negative without one.
@@ -188,11 +192,12 @@ def half_curvature_along(
 
 @wp.func
 def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment, finer_twist: wp.float64):
-    """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side at the end.
+    """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side before that.
 
-    t is infinite if they meet nowhere. They meet where the ray is `part.slack` metres beyond the surface. side: 1
-    above, -1 below. The segment is in one raster cell, or in a finer cell with a twist (see `half_curvature_along`).
-    The ray advances by steps in which the bounded second derivative rules out a crossing.
+    t is infinite if they meet nowhere; the side is then that at the segment's end, too. They meet where the ray is
+    `part.slack` metres beyond the surface. side: 1 above, -1 below, 0 if it is unknown and the ray is on the surface.
+    The segment is in one raster cell, or in a finer cell with a twist (see `half_curvature_along`). The ray advances by
+    steps in which the bounded second derivative rules out a crossing.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j, finer_twist)
@@ -254,7 +259,8 @@ def passed(part: RaySegment, on_side: wp.float64):
 def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
     """Return (t, side): where the ray meets the surface in a segment in a raster cell of finer tiles, cell by cell.
 
-    t is infinite if they meet nowhere. side: 1 above the surface at the segment's end, -1 below, 0 on it.
+    t is infinite if they meet nowhere. side: 1 if the ray is above the surface before that or at the segment's end, -1
+    below, 0 on it.
     """
     zero = wp.float64(0.0)
     bits = surface.finer[0].bits
@@ -306,9 +312,9 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
 
 @wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return (t, side): where the ray meets the surface in a segment in one cell, and its side at the end.
+    """Return (t, side): where the ray meets the surface in a segment in one cell, and its side there or at the end.
 
-    t is NOWHERE if they do not meet. side: 1 above, -1 below, 0 on the surface.
+    t is NOWHERE if they do not meet. side: 1 if it comes from above, -1 from below, 0 on the surface.
     """
     hit = NOWHERE
     side = wp.float64(0.0)

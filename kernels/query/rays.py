@@ -69,7 +69,8 @@ def way_out(
     """Return (t, line, i, j): where the ray leaves the block of cell (i, j), by which line, and the cell beyond.
 
     bits: the block has 2^bits cells a side. first: t where the ray enters it. last: end of the ray, which t does not
-    exceed. line: number of the raster's line that is crossed.
+    exceed. line: number of the raster's line that is crossed, a row or a column. (i, j) of the cell beyond may be
+    outside the raster.
     """
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
@@ -102,10 +103,11 @@ def way_out(
 def hit_in_block(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
-    """Return (t, side, done): where the ray meets the surface in a segment in a block, and its side at the end.
+    """Return (t, side, done): where the ray meets the surface in a segment in a block, its side there or at the end.
 
-    t is infinite if they meet nowhere. done: false if the caller has to descend into the block. bits: the block has
-    2^bits cells a side. known: side of a ray behind a hole: 1 above, -1 below, 0 unknown.
+    t is infinite if they meet nowhere. done: false if the caller has to descend into the block; t is then infinite and
+    the side that at the segment's beginning. bits: the block has 2^bits cells a side. known: side of a ray behind a
+    hole: 1 above, -1 below, 0 unknown.
     """
     zero = wp.float64(0.0)
     hit = NOWHERE
@@ -140,7 +142,8 @@ def first_hit(
     """Return the first t in 0 .. end (metres along the ray) where it meets the surface, infinite where it does not.
 
     known: the ray's side at the start and behind a hole: 1 above, -1 below, 0 unknown. slack: metres that the ray has
-    to be beyond the surface. bits: the first block that is tried has 2^bits cells a side.
+    to be beyond the surface. bits: the first block that is tried has 2^bits cells a side: an even number, 0 for a cell,
+    which is fast near the surface.
     """
     part = RaySegment()
     first, last, side = enter(surface, blocks, ray, end, known)
@@ -181,7 +184,7 @@ def first_hit(
 
 @wp.func
 def ray_of(surface: QueriedSurface, p: wp.vec3d, d: wp.vec3d) -> Ray:
-    """Convert a ray from metres to cells: from point p along direction d."""
+    """Convert a ray from metres to cells: from point p along direction d of length 1, so that its t is metres."""
     ray = Ray()
     ray.u = (p[0] - surface.west) / surface.step_x
     ray.v = (p[1] - surface.south) / surface.step_y

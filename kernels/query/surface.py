@@ -117,9 +117,9 @@ def add_detail(
 
 @wp.func
 def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling.
+    """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling, displacement included.
 
-    s, t: position in the cell, 0 .. 1.
+    s, t: position in the cell, 0 .. 1. Slopes have steps between bilinear cells; `shaded_in` has smooth ones.
     """
     g = wp.vec3d()
     tile = finer_tile(surface, i, j)
@@ -140,8 +140,8 @@ def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.f
 def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling, for shading.
 
-    s, t: position in the cell, 0 .. 1. On a bilinear surface the slopes are interpolated between samples, so that
-    shading has no steps.
+    s, t: position in the cell, 0 .. 1. Displacement is included. On a bilinear surface the slopes are interpolated
+    between samples, so that shading has no steps.
     """
     g = wp.vec3d()
     tile = finer_tile(surface, i, j)

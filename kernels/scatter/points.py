@@ -120,7 +120,7 @@ def place_candidates(
     """Write position, unit normal and density of the candidates of runs begin .. end - 1.
 
     A candidate is moved to the nearest lattice point. Density is 1, less at seams of tiles, and 0 where there is no
-    ground. valid: 0 for missing samples, empty without holes.
+    ground; the position there is meaningless. valid: 0 for missing samples, empty without holes.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -222,7 +222,10 @@ def fill_points(
     style: ScatterStyle,
     points: PointArrays,
 ):
-    """Write the chosen points of runs begin .. end - 1 to the output arrays; a run's start at index first[run]."""
+    """Write the chosen points of runs begin .. end - 1 to the output arrays; a run's start at index first[run].
+
+    Size, variant and rotation depend on the style's seed, the tile and the rank alone, so a point keeps them.
+    """
     for t in range(begin, end):
         run = runs[t]
         tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)

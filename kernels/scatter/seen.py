@@ -38,9 +38,10 @@ def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> w
 
 @wp.func
 def density_by_view(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the density that one view wants at point p (metres): 0 outside its frame with the margin.
+    """Return the density that one view wants at point p (metres): 0 outside its frame, which includes the margin.
 
-    full2: squared distance up to which the density is 1. clear: 1 if p is known to be in the frame.
+    full2: squared distance up to which the density is 1. clear: 1 if p is known to be in the frame. Hidden ground
+    counts as visible.
     """
     inside = wp.float64(0.0)  # metres inside the nearest plane of the frustum
     if clear == 0:
@@ -68,8 +69,8 @@ def density_of_views(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
 def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
     """Return bounds (upper, lower) of the density in a box, which is `low` .. `high`, metres.
 
-    The upper bound is 0 if the box is out of all frames or hidden, the lower one if a frame ends in the box or ground
-    may hide a part of it.
+    The upper bound is 0 if the box is hidden or out of sight in all views. A view counts in the lower one only if the
+    box is inside its frame and it has no map of horizons, by which ground may hide a part of the box.
     """
     zero = wp.float64(0.0)
     high_density = wp.where(views.count == 0, wp.float64(1.0), zero)

@@ -23,15 +23,15 @@ class ScatterSquares:
     ranges: Depth  # height ranges of lattice cells at least as large as a square; no columns: `low` and `high` hold
     cell_x: wp.float64  # size of these cells, metres
     cell_y: wp.float64
-    low: wp.float64  # lowest and highest height of the raster, metres before scaling
+    low: wp.float64  # lowest and highest height of the surface with displacement, metres before scaling
     high: wp.float64
 
 
 @wp.func
 def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64):
-    """Return the lowest and highest height in a rectangle of at most a square's size, metres before scaling.
+    """Return bounds of the height, lower and upper, in a rectangle of at most a square's size, metres before scaling.
 
-    x0 .. y1: metres.
+    Displacement is included. x0 .. y1: sides of the rectangle inside the raster, metres.
     """
     low = q.low
     high = q.high

@@ -19,7 +19,8 @@ CANDIDATES, MAX_CANDIDATES = wp.constant(8), wp.constant(2000)  # candidates for
 def best_candidates(count: wp.int32, near: wp.array(dtype=wp.int32), points: wp.array(dtype=wp.vec2i)):
     """Fill `points` with `count` positions in 2^-16 of the side: each the farthest of many random candidates.
 
-    near: squared distance of each pixel of the map to the nearest point, in pixels; at first maximal.
+    near [2^(2 BITS)]: scratch, squared distance of each pixel of the map to the nearest point, in pixels; at first
+    more than any. One thread; the result is always the same.
     """
     side = wp.int32(1) << BITS
     p = wp.vec2i(0, 0)  # pixel of point k

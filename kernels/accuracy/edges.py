@@ -16,11 +16,14 @@ PLACES = wp.constant(8)
 
 @wp.struct
 class Stretch:
-    """Part of a triangle's edge inside one cell, where mesh minus bilinear reference is a parabola."""
+    """Part of a triangle's edge inside one cell, where mesh minus bilinear reference is a parabola.
+
+    A curved reference leaves `turn` and `difference` unset.
+    """
 
     from_: wp.float64  # along the edge, 0 .. 1
     to: wp.float64
-    turn: wp.float64  # where the parabola turns, along the edge
+    turn: wp.float64  # where the parabola turns, along the edge; its middle if it does not turn
     difference: wp.float64  # mesh minus reference at `to`, metres
     line_x: wp.int64  # numbers of the next grid lines that the edge meets
     line_y: wp.int64
@@ -172,7 +175,8 @@ def edge_extremes(
 ):
     """Raise worst[t] of triangles first .. end - 1 to the largest |mesh - reference surface| along their edges, metres.
 
-    Write to rounding[t] the largest distance by which float32 has moved a corner, metres.
+    Write to rounding[t] a bound of the height by which float32 has moved a corner, metres. Triangles that cover nothing
+    keep worst[t] and have a rounding of 0.
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

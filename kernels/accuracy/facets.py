@@ -85,7 +85,8 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
     """Return triangle t of a mesh as a plane with integer corners.
 
-    If float32 rounding has folded the triangle over, the plane goes through the lattice points instead.
+    If float32 rounding has folded the triangle over, the plane goes through the lattice points instead. A triangle that
+    covers nothing has a level plane.
     """
     f = MeasuredFacet()
     u = wp.vec3d()
@@ -155,9 +156,10 @@ def finer_height(finer: PackedTiles, tile: wp.int32, u: wp.float64, v: wp.float6
 
 @wp.func
 def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the reference surface at (u, v), metres.
+    """Return the height of the reference surface at (u, v), metres, with displacement and vertical scale.
 
-    (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner.
+    (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner. A finer tile there
+    replaces the cell's surface.
     """
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
@@ -283,7 +285,7 @@ def differences(
 ):
     """Write mesh minus reference, metres, to `difference` at every sample that triangles first .. end - 1 own.
 
-    Write the largest magnitude of triangle t to worst[t].
+    Write the largest magnitude of triangle t to worst[t], 0 if it owns none. Other samples keep their value.
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

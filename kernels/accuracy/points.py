@@ -52,7 +52,10 @@ def compute_morton_keys(
     y: wp.array(dtype=wp.int64),
     key: wp.array(dtype=wp.int64),
 ):
-    """Write the Morton key of each point. Points on the far borders (end_x, end_y) get keys of squares inside."""
+    """Write the Morton key of point `offset + tid`. Points on the far borders (end_x, end_y) get keys just inside.
+
+    So the last squares of triangles at the border hold them.
+    """
     p = offset + wp.tid()
     key[p] = morton(wp.min(x[p], end_x - wp.int64(1)), wp.min(y[p], end_y - wp.int64(1)))
 

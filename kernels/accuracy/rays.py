@@ -71,7 +71,10 @@ def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
 
 @wp.func
 def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Return the smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t."""
+    """Return the smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t.
+
+    Without such a t the result is 0 or meaningless: the caller looks first.
+    """
     root = wp.sqrt(wp.max(b * b - wp.float64(4.0) * a * c, wp.float64(0.0)))
     t = wp.float64(0.0)
     if b < wp.float64(0.0):
@@ -85,10 +88,11 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 def in_one_cell(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return (t, side): where the ray crosses the bilinear surface in cell (i, j), and its side at the cell's end.
+    """Return (t, side): where the ray crosses the bilinear surface in cell (i, j), and its side before the crossing.
 
-    t is between first and last, which are the ray's t at the ends of the cell, or NOWHERE without a crossing. side: 1
-    above the surface, -1 below, 0 if the ray has been on it so far; the argument is that at `first`.
+    t is between first and last, which are the ray's t at the ends of the cell, or NOWHERE without a crossing; the side
+    is then that at the cell's end, too. side: 1 above the surface, -1 below, 0 if the ray has been on it so far; the
+    argument is that at `first`.
     """
     zero = wp.float64(0.0)
     p = corners_of(ground.samples, i, j)
@@ -169,11 +173,12 @@ def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b
 def in_one_patch(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return (t, side): where the ray crosses the curved surface in cell (i, j), and its side at the cell's end.
+    """Return (t, side): where the ray crosses the curved surface in cell (i, j), and its side before the crossing.
 
     There is no closed form: PLACES + 1 points of the ray between t = first and last are compared with the surface, and
-    a change of sides is bisected. t is NOWHERE without a crossing. side: 1 above, -1 below, 0 on the surface so far;
-    the argument is that at `first`.
+    a change of sides is bisected. t is NOWHERE without a crossing; the side is then that at the cell's end, too. side:
+    1 above, -1 below, 0 on the surface so far; the argument is that at `first`. In a cell whose heights the ray clears
+    the result is its side there, and a crossing at `first` if that is another one.
     """
     hit = NOWHERE
     a, b = height_bounds(ground.samples, i, j)
@@ -201,7 +206,10 @@ def in_one_patch(
 
 @wp.func
 def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64):
-    """Return the first and last t of start .. end where the ray is over the raster and near its range of heights."""
+    """Return the first and last t of start .. end where the ray is over the raster and near its range of heights.
+
+    There is none if first > last.
+    """
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.samples.rows - 1))

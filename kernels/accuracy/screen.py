@@ -76,7 +76,7 @@ def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
 
 @wp.func
 def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
-    """Return whether a point of camera space is inside the clip range and the frame."""
+    """Return whether a point of camera space is inside the clip range and the frame; a panorama's is all around."""
     one = wp.float64(1.0)
     depth = -camera[2]
     if eye.kind == PANORAMIC:
@@ -253,7 +253,10 @@ def seen_points(
 
 @wp.func
 def seen_px(ground: Reference, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the distance in pixels between the reference and a triangle at (u, v) cells; 0 outside the frame."""
+    """Return the distance in pixels between the reference and a triangle at (u, v) cells; 0 outside the frame.
+
+    Hidden points count as visible ones.
+    """
     z = reference_at(ground, u, v)
     truth = to_camera(eye, u, v, z)
     pixels = wp.float64(0.0)
@@ -266,7 +269,10 @@ def seen_px(ground: Reference, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.
 def triangle_px(
     first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, eye: Eye, worst: wp.array(dtype=wp.float64)
 ):
-    """Raise worst[t] of triangles first .. end - 1 to the largest error in pixels at samples and along edges."""
+    """Raise worst[t] of triangles first .. end - 1 to the largest error in pixels at samples and along edges.
+
+    Only points in the frame count, hidden ones among them.
+    """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         largest = worst[t]

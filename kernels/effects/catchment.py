@@ -11,7 +11,7 @@ from .routing import ROOT, DrainageArrays, axis, towards
 def fill_lakes(d: DrainageArrays):
     """Compute `filled`, the lowest surface from which every sample drains: no sample is below its receiver.
 
-    One thread; it visits receivers before donors.
+    One thread; it visits receivers before donors, which `order` lists the other way round.
     """
     n = d.grid.width * d.grid.height
     for q in range(n):
@@ -61,7 +61,7 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
 
 @wp.kernel
 def level_lakes(d: DrainageArrays):
-    """Set the drainage area of all samples under a lake to that of its outlet. One thread."""
+    """Raise the drainage area of all samples under a lake to that of its outlet. One thread."""
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]

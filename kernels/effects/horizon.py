@@ -175,10 +175,11 @@ def horizon(
     lowest: wp.float64,
     enough: wp.float64,
 ) -> wp.float64:
-    """Return the horizon, at least `lowest`, of crossings up to `far` metres away; the walk may stop at `enough`.
+    """Return the horizon, a slope of `lowest` .. `enough`, of crossings up to `far` metres away.
 
-    x0, y0: cells from the first sample, inside the raster; z0: scaled metres. azimuth: unit length, in metres. Lines
-    are crossed in order, of two at the same distance the one that runs north first. A skip ends in the state of a walk
-    that visits every crossing, so that none is lost or added at a corner of cells.
+    The walk stops once the horizon is at least `enough`. x0, y0: cells from the first sample, inside the raster; z0:
+    scaled metres. azimuth: unit length, in metres. Lines are crossed in order, of two at the same distance the one that
+    runs north first. A skip ends in the state of a walk that visits every crossing, so that none is lost or added at a
+    corner of cells.
     """
     ...

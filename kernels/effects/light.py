@@ -20,12 +20,12 @@ def elevation_of(slope: wp.float64) -> wp.float64:
 
 @wp.func
 def open_fraction(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
-    """Return the visible fraction, at most 1, of the sky over one azimuth, cosine-weighted.
+    """Return the cosine-weighted visible part of the sky over one azimuth; the mean over all azimuths is 0 .. 1.
 
-    slope: the horizon's slope, metres a metre. g: gradient of the ground (east, north). azimuth: unit vector. The
-    cosine is relative to the ground's normal n. With w = (cos e azimuth, sin e) the fraction is 2 * integral of max(n .
-    w, 0) cos e de from the horizon's elevation to the zenith, in closed form (Timonen and Westerholm 2010, section 3).
-    The mean over all azimuths is the visible fraction of the sky.
+    slope: the horizon's slope, metres a metre, at least dot(g, azimuth). g: gradient of the ground (east, north).
+    azimuth: unit vector. The cosine is relative to the ground's normal n. With w = (cos e azimuth, sin e) the part is
+    2 * integral of max(n . w, 0) cos e de from the horizon's elevation to the zenith, in closed form (Timonen and
+    Westerholm 2010, section 3).
     """
     one = wp.float64(1.0)
     up = one / wp.sqrt(one + wp.dot(g, g))
@@ -48,8 +48,9 @@ def sky_seen(
 ):
     """Add the visible part of the sky in azimuths first .. end - 1 to out[i], for point i = offset + tid.
 
-    The call with the last azimuth clamps the sum to 0 .. 1. positions: metres. far: metres of ground that can hide sky.
-    lowest: slope below which everything counts as hidden, like everything below the tangent plane.
+    Each part is divided by the number of azimuths. The call with the last azimuth clamps the sum to 0 .. 1. positions:
+    metres. far: metres of ground that can hide sky. lowest: slope below which everything counts as hidden, like
+    everything below the tangent plane.
     """
     i = offset + wp.tid()
     count = azimuths.shape[0]

@@ -203,9 +203,9 @@ def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) ->
 
 @wp.func
 def jet_at(ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
-    """Return the jet at x, y metres in the terrain's space and a fractional level, of displaced heights.
+    """Return the jet at x, y metres in the terrain's space and a fractional level, after vertical scaling.
 
-    Points outside the raster are clamped to its border.
+    Points outside the raster are clamped to its border, and levels to those of the pyramid.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)

@@ -60,10 +60,10 @@ def straight_first(q: wp.int32) -> wp.int32:
 
 @wp.kernel
 def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, draw: Draw):
-    """Write the D8 receiver of each sample of row `offset + tid`, ROOT if no neighbour is lower.
+    """Write the D8 receiver of each sample of row `offset + tid`; ROOT if no neighbour is lower, and at outlets.
 
-    (O'Callaghan and Mark 1984.) inverse_distance: 1 / distance of the neighbours east-west, north-south and diagonally,
-    1/m. draw: noise that breaks straight lines.
+    (O'Callaghan and Mark 1984.) The raster's border is ROOT, too. inverse_distance: 1 / distance of the neighbours
+    east-west, north-south and diagonally, 1/m. draw: noise that breaks straight lines.
     """
     y = offset + wp.tid()
     first = y * d.grid.width
@@ -84,7 +84,7 @@ def route_flats(d: DrainageArrays, end: wp.int32):
     """Route level samples without a receiver towards the samples in the queue, along shortest paths (breadth first).
 
     The queue is the first `end` entries of `order`; samples that are routed join it. Samples of `base` are never
-    routed.
+    routed. The marks WAITING of queued samples are removed.
     """
     next_entry = wp.int32(0)
     while next_entry < end:
@@ -105,7 +105,7 @@ def route_flats(d: DrainageArrays, end: wp.int32):
 def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """Drain flats to their nearest outlet, serially; a flat without one drains to its first sample, a pit.
 
-    Overwrites `order`. pits [1] becomes the number of pits; the pits get the labels 2, 3 .. in this order.
+    Overwrites `order`. pits [1] becomes the number of pits; the pits get the labels 2, 3 .. in the order of samples.
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)

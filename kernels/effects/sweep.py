@@ -203,8 +203,9 @@ def sky_between(
 ):
     """Write to out[offset + tid] the visible part of the sky at a point, 0 .. 1.
 
-    horizons: slopes in metres a metre on a coarser raster, a layer for each of `azimuths`. The slope of the fine ground
-    (occluder) at the point is added to them. positions: metres.
+    horizons: slopes in metres a metre on a coarser raster, a layer for each of `azimuths`. Where the fine ground
+    (occluder) at the point rises more steeply than the horizon, its slope counts instead. positions: metres, clamped to
+    the rasters.
     """
     i = offset + wp.tid()
     east = wp.float64(positions[i][0])

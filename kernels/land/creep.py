@@ -2,7 +2,7 @@
 """Diffusion of heights, dh / dt = D lap h: explicit steps over a few samples, one implicit step over many.
 
 The implicit step goes along the columns and then along the rows and is stable at any length (locally one-dimensional
-scheme, Yanenko 1971). Each line is a tridiagonal system solved by Thomas's algorithm, whose divisors are above 1, for
+scheme, Yanenko 1971). Each line is a tridiagonal system solved by Thomas's algorithm, whose divisors are 1 or more, for
 the change of heights: single precision would lose millimetres of heights of thousands of metres. Boundary: border and
 `base` samples keep their heights.
 """
@@ -21,7 +21,7 @@ class Soil:
     ns: wp.float32  # D dt / dy^2
     base: wp.array(dtype=wp.uint8)  # 1 where heights are constant, which includes the border
     weight: wp.array(dtype=wp.float32)  # factor on the change
-    preserved: wp.array(dtype=wp.float32)  # metres of the change that is left out where it has the same sign
+    preserved: wp.array(dtype=wp.float32)  # of explicit steps: metres of the change left out where the sign is the same
     old: wp.array(dtype=wp.float32)  # heights before the step, metres
     scratch: wp.array(dtype=wp.float32)  # coefficients of Thomas's algorithm
     change: wp.array(dtype=wp.float32)  # change of heights in the implicit step, metres
@@ -131,12 +131,12 @@ def diffuse_row(soil: Soil, y: int):
 
 @wp.kernel
 def creep_along_columns(offset: int, block: int, soil: Soil):
-    """Take an implicit step of diffusion along `block` columns, from column block * (offset + tid) on."""
+    """Take an implicit step of diffusion of `soil.h` along `block` columns, from column block * (offset + tid) on."""
     first = block * (offset + wp.tid())
     diffuse_columns(soil, first, wp.min(first + block, soil.grid.width))
 
 
 @wp.kernel
 def creep_along_rows(offset: int, soil: Soil):
-    """Take an implicit step of diffusion along row `offset + tid`."""
+    """Take an implicit step of diffusion of `soil.h` along row `offset + tid`."""
     diffuse_row(soil, offset + wp.tid())

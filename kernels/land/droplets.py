@@ -86,8 +86,9 @@ def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec
 def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, wider_by: wp.int32):
     """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y).
 
-    x, y: samples of the whole level. wider_by: samples added to `brush_x`, `brush_y`. The weight
-    falls from 1 in the middle to 0 at the brush's radius; samples that must not change get nothing.
+    x, y: samples of the whole level. wider_by: samples added to `brush_x`, `brush_y`. The weight falls from 1 in the
+    middle to 0 one sample beyond the brush's radius. Samples that must not change get nothing, and the others all of
+    the volume; there must be one.
     """
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
@@ -123,7 +124,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     """Run a droplet from (x, y) to its end; return the m3 that it carries over the border of these samples.
 
     Each step goes downhill with inertia; the droplet deposits where it climbs or has more than its capacity, else it
-    erodes. At its end it deposits the rest. x, y: samples of the whole level.
+    erodes. It ends after `rain.steps`, at the sea, on a plain, before ground that must not change, or at the border of
+    these samples; there it takes its load along, elsewhere it deposits the rest. x, y: samples of the whole level.
     """
     none = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -188,7 +190,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
 def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRain, carried: wp.array(dtype=wp.float64)):
     """Run all droplets of tile tiles[offset + tid] that start on this ground, one after the other.
 
-    carried: sediment that they take out of the ground, m3.
+    tiles: of one colour. carried[offset + tid]: m3 of sediment that they carry over the border of these samples.
     """
     slot = offset + wp.tid()
     tile = tiles[slot]

@@ -141,7 +141,10 @@ _MOVE = """
 
 @wp.func_native(_MOVE)
 def move_row(water: FloodStep, y: int):
-    """Update the depths of row y by the fluxes, each times the `part` of the sample that it leaves, and by the rain."""
+    """Update the depths of row y by the fluxes, each times the `part` of the sample that it leaves, and by the rain.
+
+    A depth is at least 0.
+    """
     ...
 
 

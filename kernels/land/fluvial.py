@@ -49,7 +49,10 @@ class River:
     }
 """)
 def rate_of_row(r: River, y: int):
-    """Compute F = K dt (A + A0)^(1/2) / dx in row y: samples that erosion travels upstream in the step."""
+    """Compute F = K dt (A + A0)^(1/2) / dx in row y: samples that erosion travels upstream in the step.
+
+    dx: distance to the receiver. K: with the factor of `erodibility`.
+    """
     ...
 
 
@@ -92,7 +95,8 @@ def cut_down(r: River):
     """Incise all samples, serially from the outlets upstream: h_i = (h_i + F h_r) / (1 + F), r the receiver.
 
     This is the implicit step of Braun and Willett (2013), equation 20, stable at any length. Slopes are then limited by
-    `drop`. Samples below their receiver (lake floors) and samples with zero rate are not eroded.
+    `drop`, as far as the mask's `weight` goes. Samples below their receiver (lake floors) and samples with zero rate
+    are not eroded. `filled` becomes the water's surface if `lakes` is 1.
     """
     cut_samples(r)
 
@@ -139,8 +143,9 @@ def deposit(r: River):
     A channel deposits G / A of its load, A in samples (Davy and Lague 2009; Yuan et al. 2019, equation 7), but at most
     half of its incision plus a twentieth of the load, divided by 1 + F as every height above a receiver. A lake, where
     `filled` is above the ground, deposits up to a quarter of its depth in a step, so that no path through it fills
-    first. load: the inflow of a tile or 0 at first; then metres times samples that came to each sample, and at outlets
-    the sediment that has left. It sums differences of stored heights, so that rounding loses no mass.
+    first. Both are multiplied by the mask's `weight`. load: the inflow of a tile or 0 at first; then metres times
+    samples that came to each sample, and at outlets the sediment that has left. It sums differences of stored heights,
+    so that rounding loses no mass.
     """
     deposit_samples(r)
 
@@ -178,7 +183,8 @@ def settle_samples(
 ):
     """Move sediment between lake samples first .. end - 1 and their four neighbours `apart` samples away.
 
-    rock, old: metres of ground and of sediment on it. deposited: the sediment afterwards. width: samples in a row.
+    These samples must be at least `apart` samples from the raster's border; `settle` explains the rest. rock, old:
+    metres of ground and of sediment on it. deposited: the sediment afterwards. width: samples in a row.
     """
     ...
 

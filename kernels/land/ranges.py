@@ -63,8 +63,8 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0.
 
-    half_side: half of the square's side, metres. The distance from the
-    river, shorter in side canyons, gives the height in its walls.
+    half_side: half of the square's side, metres. The distance from the river, shorter in side canyons, gives the height
+    in its walls.
     """
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
@@ -193,4 +193,4 @@ def raise_land(
             height = canyon_height(x, y, half_side, seed)
         else:
             height = archipelago_height(x, y, half_side, seed)
-        samples[row * size + i] = wp.float32(height) + wp.float32(0.0)
+        samples[row * size + i] = wp.float32(height) + wp.float32(0.0)  # not -0

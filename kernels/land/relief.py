@@ -94,8 +94,8 @@ def gradient_noise(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec3f:
 def slope_and_curvature(w: Window, h: wp.array(dtype=wp.float32), row: wp.int32, column: wp.int32) -> wp.vec2f:
     """Return slope (metres a metre) and curvature (1/m, above 0 where convex) of the ground at sample (row, column).
 
-    h: heights of window w, metres. The slope is Horn's (1981) with the eight neighbours `reach` samples away, the
-    curvature minus the Laplacian. Boundary: the last samples continue beyond the window.
+    h: heights of window w, metres. The slope is Horn's (1981) with the eight neighbours `reach` samples away, at most
+    STEEPEST; the curvature is minus the Laplacian. Boundary: the last samples continue beyond the window.
     """
     west = wp.max(column - w.reach_x, 0)
     east = wp.min(column + w.reach_x, w.width - 1)

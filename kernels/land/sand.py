@@ -79,7 +79,7 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
 def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp.vec2d:
     """Return (height, lee) of a dune `high` metres in waves of `length` metres; its lee is at the angle of repose.
 
-    phase: position in the wave, 0 .. 1 downwind. lee: 1 behind the brink, else 0.
+    phase: position in the wave, 0 .. 1 downwind. lee: 1 behind the brink, else 0. high: below REPOSE * length.
     """
     one = wp.float64(1.0)
     brink = one - high / (REPOSE * length)
@@ -144,4 +144,4 @@ def raise_dunes(
     y = half_side * wp.float64(2 * (first_row + row) - (size - 1)) / cells
     for i in range(size):
         x = half_side * wp.float64(2 * i - (size - 1)) / cells
-        samples[row * size + i] = wp.float32(dunes_height(x, y, seed)) + wp.float32(0.0)
+        samples[row * size + i] = wp.float32(dunes_height(x, y, seed)) + wp.float32(0.0)  # not -0

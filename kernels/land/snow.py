@@ -48,8 +48,8 @@ def fall(
     """Write the metres of snow in row `offset + tid` to `fallen`, and the part that clings to the ground to `stuck`.
 
     snow = fall * cold(T) * (UNDER_COVER + (1 - UNDER_COVER) sky) * drift(lee), T by height and aspect, cold a logistic
-    function; 0 where `bare` is not 0. sky: visible part, 0 .. 1. lee: shelter from the wind. Boundary: slopes are
-    one-sided at the border.
+    function less MELTS, 0 .. 1; 0 where `bare` is not 0. sky: visible part, 0 .. 1. lee: shelter from the wind, above 0
+    where snow gathers; drift is 0.2 .. 1.8. Boundary: slopes are one-sided at the border.
     """
     one = wp.float64(1.0)
     y = offset + wp.tid()
@@ -128,10 +128,11 @@ _SLIDE = """
 
 @wp.func_native(_SLIDE)
 def slide_slab(slides: Slides, y: int, along: int, turn: int):
-    """Move loose snow between pairs of samples in rows y and y + 1, so that a pair differs by at most `slides.falls`.
+    """Move loose snow between pairs of samples in rows y and y + 1 until they differ by `slides.falls` or have none.
 
-    A pair that is settled later may undo that for an earlier one. along: 1 to settle pairs along the rows first, from
-    those whose western column has the parity of `turn`; 0 to settle only pairs across and along the diagonals.
+    Only the upper sample's loose snow moves. A pair that is settled later may undo that for an earlier one. Rows
+    outside the raster are skipped. along: 1 to settle pairs along the rows first, from those whose western column has
+    the parity of `turn`; 0 to settle only pairs across and along the diagonals.
     """
     ...
 
@@ -140,7 +141,6 @@ def slide_slab(slides: Slides, y: int, along: int, turn: int):
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
     """Settle the loose snow of slab `offset + tid`: rows first + 2 * (offset + tid) and the next.
 
-    See `slide_slab`. along: 1 to settle pairs along the
-    rows, too, first those whose western column has the parity of `turn`. Slabs share no row.
+    Slabs share no row. first: -1 or 0. along, turn: see `slide_slab`.
     """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

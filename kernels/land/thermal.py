@@ -174,8 +174,9 @@ def settle_slab(s0: Slope, y: int, along: int, turn: int):
     """Move rock and scree down between samples in rows y and y + 1 where they are steeper than their angles of repose.
 
     Of each pair the scree moves first. Then rock of the upper sample breaks off and becomes scree of the lower one, the
-    less the more scree covers it, and none under 1 m. Beds differ less in faces higher than a bed. along: 1 to
-    settle pairs along the rows, too, first those whose western column has the parity of `turn`.
+    less the more scree covers it, and none under 1 m. Beds differ less in faces higher than a bed. Rows outside the
+    raster are skipped. along: 1 to settle pairs along the rows, too, first those whose western column in the whole
+    level has the parity of `turn`.
     """
     ...
 
@@ -184,7 +185,7 @@ def settle_slab(s0: Slope, y: int, along: int, turn: int):
 def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
     """Settle slab `offset + tid`: the pairs of samples in rows start + 2 * (offset + tid) and the next.
 
-    along: 1 to settle pairs along the rows, too, first those whose western column has the parity of `turn`.
+    start: -1 or 0. along, turn: see `settle_slab`.
     """
     settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 

@@ -64,7 +64,8 @@ def height_bounds(samples: Samples, i: wp.int32, j: wp.int32):
     """Return a lower and an upper bound of the bicubic surface in cell (i, j), metres before vertical scaling.
 
     The surface is a weighted mean of the 4 x 4 samples around. Its negative weights add up to 1/8 at most in one
-    direction, hence to 9/32 in two, so it leaves the samples' range by at most 9/32 of the range.
+    direction, hence to 9/32 in two, so it leaves the samples' range by at most 9/32 of the range. At the border
+    extrapolated samples are sums of those inside, and negative weights are smaller.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)

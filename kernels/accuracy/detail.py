@@ -110,7 +110,8 @@ def image_height(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
 def mask_weight(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return the weight of a displacement layer's mask, 0 .. 1, (x, y) metres from the raster's middle.
 
-    It is interpolated between four samples. first: index of the mask's first byte in `layers.masks`.
+    It is interpolated between four samples; beyond the raster it is that of the border. first: index of the mask's
+    first byte in `layers.masks`.
     """
     s = wp.clamp((x - layers.west) * layers.per_x, wp.float64(0.0), wp.float64(layers.columns - 1))
     t = wp.clamp((y - layers.south) * layers.per_y, wp.float64(0.0), wp.float64(layers.rows - 1))

@@ -11,7 +11,7 @@ import warp as wp
 
 from .facets import DeliveredMesh, MeasuredFacet, Reference, facet_of, plane_at, reference_at
 
-PLACES = wp.constant(8)
+PLACES = wp.constant(8)  # points of a stretch on a curved reference
 
 
 @wp.struct
@@ -159,7 +159,7 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
     bits = wp.cast(wp.abs(position[2]), wp.int32)
     half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(bits + 1, wp.float32)) - wp.abs(z))
     moved = wp.abs(by_plane + by_height)
-    if wp.abs(by_height) > half_ulp * wp.float64(1.001):
+    if wp.abs(by_height) > half_ulp * wp.float64(1.001):  # it was off the surface before, as in a fitted mesh
         moved = wp.abs(by_plane) + half_ulp
     return moved
 

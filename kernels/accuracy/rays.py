@@ -20,8 +20,8 @@ from .cubic import height_bounds
 from .facets import Reference, reference_in_cell
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
-NOWHERE = wp.constant(wp.float64(wp.inf))
-PLACES = wp.constant(8)
+NOWHERE = wp.constant(wp.float64(wp.inf))  # t of a ray that meets nothing
+PLACES = wp.constant(8)  # parts of a ray in a cell of a curved surface, at whose ends it is evaluated
 HALVINGS = wp.constant(44)  # of the way between two places: what float64 holds of it
 
 
@@ -140,7 +140,8 @@ def bisect_crossing(
 ) -> wp.float64:
     """Return the t at which the ray crosses the surface in cell (i, j), between `first` and `last`, by bisection.
 
-    side: 1 if the ray is above the surface at `first`, -1 if below; at `last` it is on the other side.
+    It is the end of the last interval, where the ray is just beyond. side: 1 if the ray is above the surface at
+    `first`, -1 if below; at `last` it is on the other side by more than its tolerance.
     """
     low = first
     high = last

@@ -206,7 +206,7 @@ def point_errors(
 def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> SightRay:
     """Return the ray through point (x, y) of the frame, pixels from its middle; its t is depth, of a panorama distance.
 
-    A panorama's frame is assumed to be equirectangular.
+    Its tolerance is 0. A panorama's frame is assumed to be equirectangular.
     """
     o = eye.origin * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
     d = eye.direction * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
@@ -237,7 +237,8 @@ def seen_points(
 ):
     """Write to (x, y) the point of the reference surface that is seen at point offset + tid of the frame.
 
-    frame_point: pixels from the frame's middle. x, y: units of 2^-(bits + 7) cells; x is -1 where no ground is seen.
+    frame_point: pixels from the frame's middle. x, y: units of 2^-(bits + 7) cells; where no ground is seen x is -1 and
+    y stays as it is.
     """
     p = offset + wp.tid()
     ray = ray_through(eye, frame_point[p][0], frame_point[p][1])

@@ -30,7 +30,8 @@ def value_at(pyramid: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.fl
     """Return a pyramid's value at a point (metres), interpolated between its samples and between its levels.
 
     level: level of the raster, also fractional: log2 of the samples that a pixel covers. coarser_by: level of the
-    raster that is level 0 of this pyramid.
+    raster that is level 0 of this pyramid. Points and levels beyond the pyramid get its border, its first or last
+    level.
     """
     last_x = wp.float64(pyramid.columns[0] - 1)
     last_y = wp.float64(pyramid.rows[0] - 1)

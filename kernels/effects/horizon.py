@@ -39,7 +39,7 @@ class Occluder:
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
     """Return the height, metres, of the bilinear surface times the vertical scale.
 
-    x, y: cells from the first sample.
+    x, y: cells from the first sample, inside the raster.
     """
     i = wp.min(wp.int32(x), g.samples.columns - 2)
     j = wp.min(wp.int32(y), g.samples.rows - 2)

@@ -108,8 +108,8 @@ def from_jets(
 ):
     """Compute the requested values (height, slope, curvatures ..) at point `offset + tid` from the ground's jet there.
 
-    levels: log2 of the samples that a pixel covers at each point. values: the output arrays, and bits for those that
-    are requested.
+    Slopes are radians, curvatures 1/m; the aspect is the unit vector downhill, (0, 0) on level ground. levels: log2 of
+    the samples that a pixel covers at each point. values: the output arrays, and bits for those that are requested.
     """
     v = offset + wp.tid()
     p = positions[v]

@@ -159,8 +159,9 @@ def find_passes(
 ):
     """Count or list the passes of row `offset + tid`: pairs of neighbours in different basins, in directions 5 .. 8.
 
-    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on. key: heights of the passes,
-    metres. edge: 4 * sample + direction - 5. The last row is left out, as both ends of its passes are of `base`.
+    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on, where `start` then has the
+    sums of the rows before and, as the last, of all. key: heights of the passes, metres. edge: 4 * sample + direction -
+    5. The last row is left out, as both ends of its passes are of `base`.
     """
     y = offset + wp.tid()
     if emit == 0:

@@ -112,9 +112,9 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
 
 @wp.func
 def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
-    """Return the layer's noise at (x, y) metres, -1 .. 1; octaves with waves of less than two footprints fade out.
+    """Return the layer's noise at (x, y) metres, -1 .. 1; octaves fade out from two footprints a wave to one.
 
-    footprint: metres that a pixel covers.
+    footprint: metres that a pixel covers. Without a `noise_size` the result is 0.
     """
     total = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
@@ -176,7 +176,8 @@ def rule_weight(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.f
 def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp.float64) -> Weights:
     """Return each layer's cover at point v before layers share the ground: its strength times its rules' weights.
 
-    x, y: position of the point, metres from the raster's south-west corner. footprint: metres that a pixel covers.
+    x, y: position of the point, metres from the raster's south-west corner. footprint: metres that a pixel covers. A
+    rule of kind LAYER reads the cover of a layer before its own. Entries beyond the layers are 0.
     """
     covers = Weights()
     for number in range(s.layer_count):

@@ -81,6 +81,7 @@ def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
     if tile >= 0:
         x = (i & (SIDE - 1)) >> (2 * group)
         y = (j & (SIDE - 1)) >> (2 * group)
+        # Entries of the groups before: 256 x 256 and 64 x 64. The last 16 x 16 have a whole page.
         first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
         at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
         code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + at)
@@ -110,6 +111,7 @@ def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
     if tile >= 0:
         x = (i & (SIDE - 1)) >> (1 + 2 * group)
         y = (j & (SIDE - 1)) >> (1 + 2 * group)
+        # Entries of the groups before: 128 x 128 and 32 x 32. The last 8 x 8 have a whole page.
         first = wp.where(group == 0, 0, wp.where(group == 1, 16384, 17408))
         at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 4, 1))
         found = wp.int64(2) * (wp.int64(tile) * wp.int64(RANGES) + at)

@@ -14,7 +14,7 @@ from .raising import RAISED, raise_ancestors
 # States of a vertex, bits.
 KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
 PINNED = wp.constant(wp.uint8(2))  # on the surface, for good
-NOT_MEASURED = wp.constant(wp.float64(-1.0))
+NOT_MEASURED = wp.constant(wp.float64(-1.0))  # in place of a triangle's distance, until it is measured
 
 
 @wp.struct
@@ -88,7 +88,7 @@ def mark(m: FitMesh, t: wp.int32):
 
 @wp.func
 def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
-    """Return which corner of triangle t is vertex v: 0 left, 1 apex, 2 right."""
+    """Return which corner of triangle t is vertex v, which must be one: 0 left, 1 apex, 2 right."""
     k = wp.int32(0)
     if m.corner_verts[3 * t + 1] == v:
         k = 1

@@ -65,7 +65,7 @@ def height_at(rain: DropletRain, i: wp.int32) -> wp.float64:
 def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
     """Return slopes to the east and north (m/m) and the height (m) of the bilinear surface at (x, y).
 
-    x, y: samples of the whole level.
+    All are NaN if one of the four samples around must not change. x, y: samples of the whole level, inside the ground.
     """
     one = wp.float64(1.0)
     i = wp.int32(x)

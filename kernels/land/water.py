@@ -59,7 +59,8 @@ def slope(rain: SteadyRain, x: wp.int32, y: wp.int32) -> wp.float64:
 def flow_uniformly(offset: int, rain: SteadyRain):
     """Write the depth of uniform flow in row `offset + tid` to `normal`, and the water's surface to `surface`.
 
-    The surface, metres, is that of the sea, the bed of a lake, or that of the flow; dams are not known yet.
+    The surface, metres, is that of the sea, the bed of a lake, or that of the flow; dams are not known yet. A discharge
+    up to MIN_DISCHARGE has depth 0.
     """
     y = offset + wp.tid()
     for x in range(rain.width):

@@ -52,7 +52,10 @@ def step_along(p: wp.vec2i, q: wp.vec2i, n: wp.int32) -> wp.vec2i:
 
 @wp.func
 def expand_edge(e: wp.int32, n: wp.int32, source: WeldedMesh, out: WeldedMesh):
-    """Write the n - 1 points inside edge e of the source, and its n segments, to the expanded mesh `out`."""
+    """Write the n - 1 points inside edge e of the source, and its n segments, to the expanded mesh `out`.
+
+    Vertices of the source keep their numbers; the points follow, edge by edge, and so do segments, from 0 on.
+    """
     ends = source.edges[e]
     p = source.point[ends[0]]
     d = step_along(p, source.point[ends[1]], n)

@@ -47,7 +47,10 @@ def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
 
 @wp.func
 def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
-    """Return lattice point p as a SplitVertex: the depth of its diamond and the ends of the edge that it splits."""
+    """Return lattice point p as a SplitVertex: the depth of its diamond and the ends of the edge that it splits.
+
+    A corner of a root square has depth 0 and no ends.
+    """
     v = SplitVertex()
     v.point = p
     v.depth = depth_of(unit_bits, p)

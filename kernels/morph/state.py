@@ -8,7 +8,7 @@ from ..refine.pixels import CriterionArrays
 
 REMEMBERED = wp.constant(1 << 12)  # points in a table: neighbours on the curve come from the same ones
 PENDING = wp.constant(64)  # points that wait for those they come from: at most one of each depth
-NOWHERE = wp.constant(-1)
+NOWHERE = wp.constant(-1)  # a coordinate of no lattice point
 
 
 @wp.struct

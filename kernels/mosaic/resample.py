@@ -93,6 +93,8 @@ def resample_rows(
 ):
     """Write samples of row `offset + tid` of a window where this lattice has a source of higher rank than `out_ranks`.
 
+    Where a tile of it has no data and `out_ranks` is UNCOVERED, that becomes NO_DATA. All else stays.
+
     Args:
         columns: columns of the window.
         first_column, first_row: first sample of the window, counted from the block's corner.

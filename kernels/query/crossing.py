@@ -17,7 +17,7 @@ from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .surface import QueriedSurface, finer_tile, height_and_slopes
 
-NOWHERE = wp.constant(wp.float64(wp.inf))
+NOWHERE = wp.constant(wp.float64(wp.inf))  # t of a ray that meets nothing
 MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
 CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that is shorter has arrived
 
@@ -81,7 +81,7 @@ def range_at(blocks: HeightRanges, at: wp.int64):
 
 @wp.func
 def side_of(e: wp.float64) -> wp.float64:
-    """Return 1 if a height difference e is above the surface, -1 if below, 0 if it is on it."""
+    """Return the side of a point that is e metres above the surface: 1 above, -1 below, 0 on it."""
     side = wp.float64(0.0)
     if e > wp.float64(0.0):
         side = wp.float64(1.0)

@@ -43,7 +43,7 @@ def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
 def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     """Write the edge through which the curve enters a square; return flags for the first leaf, new vertices, new edges.
 
-    The edge is new, unless the square to the left has it on its right side already.
+    flags: bits of the leaf's word. The edge is new, unless the square to the left has it on its right side already.
     """
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
@@ -126,7 +126,10 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 
 @wp.func
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
-    """Write the leaves below the cursor's triangle if its verdict is LEAF or EVEN_BLOCK; return the new counts."""
+    """Write the leaves below the cursor's triangle if its verdict is LEAF or EVEN_BLOCK; return the new counts.
+
+    A leaf that begins before the slice belongs to the one before and is left out.
+    """
     leaves = wp.int32(0)
     vertices = wp.int32(0)
     edges = wp.int32(0)

@@ -35,7 +35,7 @@ STACK = wp.constant(80)  # triangles: one per level, and both of the last
 # second.
 NEARLY = wp.constant(wp.float64(1.002))
 NEARLY_ON_SCREEN = wp.constant(wp.float64(1.02))
-UNSEEN = wp.constant(wp.float64(-1.0))
+UNSEEN = wp.constant(wp.float64(-1.0))  # bound of a triangle that no view sees
 
 wp.set_module_options(INLINED)
 
@@ -166,7 +166,9 @@ def with_bound(
 ) -> Triangle:
     """Return the triangle t with an upper bound of a quantity (FIXED .. METRES) for its leaves, or the leaf around it.
 
-    tolerance2: the square of the error that all leaves of the tree keep to unless rounding prevents that.
+    The bound is UNSEEN if t is out of view in all views. tolerance2: the square of the error that all leaves of the
+    tree keep to unless rounding prevents that; it is used only if t.leaf_depth is ANY, which a leaf of the tree
+    replaces by its depth.
     """
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1

@@ -92,7 +92,7 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
     """Return the range of dy / dx that a box spans on a side of the eye (0 .. 3: east, north, west, south).
 
     On the north and south side it is that of dx / dy. (1, -1): the box does not meet the side. low, high: the box,
-    metres from the eye. near: its least distance max(|x|, |y|), metres.
+    metres from the eye. near: its least distance max(|x|, |y|), metres, above 0.
     """
     one = wp.float64(1.0)
     zero = wp.float64(0.0)

@@ -90,6 +90,7 @@ def min_over(
 ):
     """Return the minimum of sign * height, metres after scaling, in the lattice rectangle (x0, y0) .. (x1, y1).
 
+    Displacement is included. Of large rectangles the minimum is that of the blocks that they meet, so it may be lower.
     sign: 1 for the lowest height, -1 for the negated highest.
     """
     bits = domain.unit_bits - domain.levels

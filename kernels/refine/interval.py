@@ -69,7 +69,7 @@ class LodInterval:
 
 @wp.func
 def limits_of(criterion: CriterionArrays, slack: wp.float64) -> Limits:
-    """Return the criterion as the limits that intervals compare.
+    """Return the criterion, times its `limit`, as the limits that intervals compare.
 
     slack: fraction by which footprints may change without changing a verdict.
     """

@@ -13,9 +13,9 @@ from .hiding import Rings
 PERSPECTIVE = wp.constant(0)
 ORTHOGRAPHIC = wp.constant(1)
 PANORAMIC = wp.constant(2)
-CLEAR = wp.constant(1)
-OUTSIDE = wp.constant(0)
-CROSSED = wp.constant(-1)
+CLEAR = wp.constant(1)  # the frustum contains a box
+OUTSIDE = wp.constant(0)  # a box is outside one of its planes
+CROSSED = wp.constant(-1)  # neither is known
 MAX_PLANES = wp.constant(6)
 planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 

@@ -34,8 +34,9 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 def enter(w: Walk, q: Square) -> Cursor:
     """Return a cursor at the first of a square's two halves, with the other half on the stack; both are in doubt.
 
-    An entry of `stack` has a triangle's apex and right corner; the left corner is the right one of the triangle before.
-    An entry of `aside` packs its curve state (3 bits), its depth (6 bits) and the index of its interval.
+    A slice that begins later in the square still starts here: `advance` and `emit` leave out earlier triangles. An
+    entry of `stack` has a triangle's apex and right corner; the left corner is the right one of the triangle before. An
+    entry of `aside` packs its curve state (3 bits), its depth (6 bits) and the index of its interval.
     """
     entry = w.slot * STACK
     x0 = q.corner[0]

@@ -193,8 +193,8 @@ def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.in
 def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the maximum, 0 .. 255, of a mask over the box of the diamond split at (x, y).
 
-    It is looked up in blocks of cells at least as wide as the box, so at most 2 x 2 are read. Boxes and blocks are
-    nested, and so is the result.
+    mask: its number among the layers' masks. It is looked up in blocks of cells at least as wide as the box, so at most
+    2 x 2 are read. Boxes and blocks are nested, and so is the result.
     """
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)

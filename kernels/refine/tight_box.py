@@ -60,7 +60,8 @@ def box_between(
 ) -> Diamond:
     """Return the part of a diamond's box over the lattice rectangle (x0, y0) .. (x1, y1).
 
-    Inside a bilinear cell it has the surface's heights there. d: the box. depth: the diamond's depth.
+    Inside a bilinear cell it has the surface's heights there, with a bound of the displacement. d: the diamond; of the
+    result only the box is set. depth: the diamond's depth.
     """
     box = Diamond()
     low = d.low[2]
@@ -76,7 +77,7 @@ def box_between(
         max_height += more
         z0 = min_height * domain.height_scale + domain.height_offset
         z1 = max_height * domain.height_scale + domain.height_offset
-        # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
+        # For nested boxes, margins shrink with each depth by more than rounding can do to the heights of the surface.
         margin = domain.rounding + NESTED * wp.float64(64 - depth) * larger(wp.abs(z0), wp.abs(z1))
         low = larger(low, smaller(z0, z1) - margin)
         high = smaller(high, larger(z0, z1) + margin)

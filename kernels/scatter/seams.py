@@ -68,7 +68,8 @@ def distance_outside(coordinate: wp.int32) -> wp.int32:
 def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, limit: wp.float64) -> wp.float64:
     """Return the squared distance from q to the nearest point of a tile with a rank below `ranks`, at most `limit`.
 
-    Lengths are in units of the tile. shift: displacement of the pattern in that tile, eighths of a side.
+    Lengths are in units of the tile, from its corner; q may be outside. shift: displacement of the pattern in that
+    tile, eighths of a side.
     """
     smallest2 = limit
     bits = UNIT_BITS - SQUARE_BITS

@@ -49,7 +49,10 @@ def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
 
 @wp.func
 def merge(t: Bitfield, heap_id: wp.uint64):
-    """Merge the children of node `heap_id`, which must be leaves. Several threads may merge the same node."""
+    """Merge the children of node `heap_id`, which must be leaves. Several threads may merge the same node.
+
+    Words and pages that are not needed any more are freed by the next sum reduction.
+    """
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top

@@ -38,7 +38,7 @@ def sum_word(t: Bitfield, slot: wp.int32):
 def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
     """Count entry `offset + tid` of the list of changed words again if it is of this level.
 
-    Lower levels are counted before, by earlier launches.
+    Lower levels are counted before, by earlier launches. The caller empties the list at the end.
     """
     entry = t.changed[offset + wp.tid()]
     if (entry >> LEVEL_SHIFT) == level:
@@ -47,7 +47,7 @@ def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
 
 @wp.kernel
 def reduce_words(t: Bitfield):
-    """Count all changed words again, level by level, on one thread: for few words."""
+    """Count all changed words again, level by level, on one thread, and empty their list: for few words."""
     for level in range(t.top + 1):
         for k in range(t.state[NUM_CHANGED]):
             entry = t.changed[k]

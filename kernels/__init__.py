@@ -64,7 +64,8 @@ def has_temporary_cache() -> bool:
 def use_temporary_cache(why: str) -> None:
     """Keep compiled kernels in a temporary folder of this process, which its child processes use, too.
 
-    `why`: why the user's cache cannot be used, for the error. Raises OSError.
+    It is removed when the process ends, or by `remove_temporary_cache`. `why`: why the user's cache cannot be used, for
+    the error. Raises OSError if no temporary folder can be made.
     """
     global _temporary
     try:

@@ -45,7 +45,7 @@ def angles(
     """Write angles to the reference's normal at every sample that triangles first .. end - 1 own, degrees.
 
     facet_deg: angles of the triangle's plane. shading_deg: angles of the interpolated vertex normals, which are
-    rendered.
+    rendered. The reference's normal is by central differences of samples, or of a finer tile's, plus the displacement.
     """
     per_x = ground.scale / ground.step_x
     per_y = ground.scale / ground.step_y

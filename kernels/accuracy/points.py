@@ -28,7 +28,7 @@ class MeasuredPoints:
 
 @wp.func
 def spread_bits(value: wp.int64) -> wp.int64:
-    """Return the lowest 31 bits of a value with a zero bit after each of them."""
+    """Return the lowest 31 bits of a value, spread: bit k becomes bit 2 k, and the others are 0."""
     b = value
     b = (b | (b << wp.int64(16))) & wp.int64(0x0000FFFF0000FFFF)
     b = (b | (b << wp.int64(8))) & wp.int64(0x00FF00FF00FF00FF)

@@ -248,6 +248,7 @@ def first_crossing(
 ) -> wp.float64:
     """Return the first t in start .. end where the ray passes through the surface, NOWHERE if it does not.
 
+    The ray may begin on either side; where it only touches the surface within its tolerance, it does not pass.
     start_level: level of the first block of cells that is tried: 0 near the surface, the highest far from it.
     """
     zero = wp.float64(0.0)

@@ -133,7 +133,7 @@ def is_hidden(
     ray.u = u
     ray.v = v
     ray.z = z
-    end = wp.float64(1.0)
+    end = wp.float64(1.0)  # t of the eye; of an orthographic view t is metres towards it
     if eye.kind == ORTHOGRAPHIC:
         ray.du = eye.toward[0]
         ray.dv = eye.toward[1]

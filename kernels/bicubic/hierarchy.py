@@ -47,9 +47,10 @@ def add_errors(
 ):
     """Compute the error of diamond `offset + tid` on the bicubic surface, metres: never less than that of its children.
 
-    It is the stored error on the bilinear surface plus the largest distance between both surfaces. distance: that
-    distance, metres; the diamond's becomes the largest of its children. whole: layout of `codes`, the bilinear errors
-    of the whole raster, whose metres are in group `group` of `table`. corner: the window's first diamond in the raster.
+    It is the stored error on the bilinear surface plus the largest distance between both surfaces. finer, coarser:
+    layouts of `distance` and `errors` for the children and the diamond. distance: that distance, metres; the diamond's
+    becomes the largest of its children. whole: layout of `codes`, the bilinear errors of the whole raster, whose metres
+    are in group `group` of `table`. corner: the window's first diamond in the raster.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
@@ -98,8 +99,9 @@ def encode_rows(
 ):
     """Encode the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, for the raster.
 
-    values: errors in metres, with the layout `part`. codes: those of the raster, with the layout `whole`. corner: the
-    window's first diamond in the raster. table, group: metres of the codes, and the group of this depth.
+    At depths of sides only every other place of a row has a diamond. values: errors in metres, with the layout `part`.
+    codes: those of the raster, with the layout `whole`. corner: the window's first diamond in the raster. table, group:
+    metres of the codes, and the group of this depth.
     """
     y = first[1] + offset + wp.tid()
     for k in range(columns):

@@ -174,7 +174,7 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
 
 @wp.func
 def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """Return a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
+    """Bound a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
 
     a .. d: control heights (0 .. 3), slopes to the north (4 .. 6) and second derivatives (7, 8) along four columns of
     samples from west to east. The derivatives xx, xy and yy are raised to the degree 3 x 3, so that the norm, which is

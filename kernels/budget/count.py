@@ -141,7 +141,7 @@ def judge(
                 )
                 w.stack[top].interval = interval
                 visits = wp.bool(True)
-                if error_m <= interval.leaf_up_to:
+                if error_m <= interval.leaf_up_to:  # then only edges can split descendants, up to the leaf depth
                     visits = p.depth + 1 < wp.min(interval.leaf_depth, w.max_depth)
     return last, visits, measured
 

@@ -13,7 +13,7 @@ from ..unchecked import item_at
 def with_detail(domain: Domain, layers: PackedLayers, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
     """Return height and gradient `g` of the surface at lattice point p with those of the displacement layers added.
 
-    g: metres before scaling, and metres a cell.
+    g: metres before scaling, and metres a cell. Beyond the raster's border displacement continues level.
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     slope_factor_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding has no slope
@@ -37,7 +37,7 @@ def displace_detail(
     points: DisplacedPoints,
     layers: PackedLayers,
 ):
-    """Write positions and normals of points first .. end - 1, on the surface with all displacement layers.
+    """Write positions, normals and UV of points first .. end - 1, on the surface with all displacement layers.
 
     Like `displace` (kernels/mesh/displace.py), it copies runs of points that the last mesh had. Points are counted in
     the slice: point 0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of

@@ -62,9 +62,9 @@ def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp
 
 @wp.func
 def gradient(g: Occluder, x: wp.float64, y: wp.float64):
-    """Return the slopes to the east and north by central differences of one cell, one-sided at the border.
+    """Return the slopes of `surface` to the east and north, metres a metre, by central differences of one cell.
 
-    x, y: cells from the first sample.
+    They are one-sided at the border. x, y: cells from the first sample, inside the raster.
     """
     one = wp.float64(1.0)
     w = wp.max(x - one, wp.float64(0.0))

@@ -140,8 +140,9 @@ def list_fresh(
 ):
     """List the points whose values have to be computed: those in no run, or with another level than before.
 
-    One thread. runs: (first point, first point of the last surface, count). levels, last_levels: log2 of the samples
-    that a pixel covers at each point, now and before. fresh: the listed points. found[0] becomes their number.
+    One thread. runs: (first point, first point of the last surface, count), ascending; the first `run_count` entries.
+    levels, last_levels: log2 of the samples that a pixel covers at each point, now and before. fresh: the listed
+    points. found[0] becomes their number.
     """
     n = wp.int32(0)
     v = wp.int32(0)

@@ -32,13 +32,13 @@ MIN_SUM = wp.constant(wp.float32(1e-12))
 
 @wp.struct
 class SplatRule:
-    """A rule: the weight of a layer by a value, 1 between `low` and `high`."""
+    """A rule: the weight of a layer by a value, 1 between `low` and `high`, 1/2 at these limits, 0 outside."""
 
     kind: wp.int32  # VALUE .. IMAGE
     at: wp.int32  # row of `Splat.values`, index of the layer, or the image's first pixel in `Splat.images`
     low: wp.float32
     high: wp.float32
-    edge: wp.float32  # width of the soft edges at `low` and `high`, in the value's unit
+    edge: wp.float32  # width of the soft edges with their middles at `low` and `high`, in the value's unit
     per_edge: wp.float32  # 1 / edge
     sine: wp.float32  # of the azimuth of a DIRECTION
     cosine: wp.float32
@@ -154,10 +154,10 @@ def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v:
 
 @wp.func
 def rule_weight(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
-    """Return the weight of a rule, 0 .. 1: 1 if `low` <= q <= `high`, less at the soft edges.
+    """Return the weight of a rule for the value q: 1 between `low` and `high`, 1/2 at these limits, 0 outside.
 
-    q: the value that the rule reads. per_edge: 1 / width of an edge. kind: the rule's kind; edges are linear for LAYER
-    and IMAGE, whose values are weights themselves, and a smoothstep for the others.
+    It changes over the soft edges, whose middles are at the limits. per_edge: 1 / width of an edge. kind: the rule's
+    kind; edges are linear for LAYER and IMAGE, whose values are weights themselves, and a smoothstep for the others.
     """
     a = (q - low) * per_edge + 0.5
     b = (high - q) * per_edge + 0.5

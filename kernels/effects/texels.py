@@ -22,7 +22,8 @@ class Texels:
 def texel_places(offset: int, first: int, ground: Pyramid, texels: Texels, out: wp.array(dtype=wp.vec3f)):
     """Write to out[offset + tid] the position on the ground, metres, of texel `first + offset + tid` of an image.
 
-    Heights are bilinear between samples; texels beyond the raster get its border.
+    Heights are bilinear between samples, scaled and without displacement; texels beyond the raster get its border.
+    Texels are numbered row by row from the north-west.
     """
     i = offset + wp.tid()
     texel = first + i

@@ -57,7 +57,7 @@ class PackedLayers:
 
 @wp.func
 def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return height (metres) and slopes along x and y of all octaves of a layer's noise at (x, y) metres."""
+    """Return height (metres) and slopes (metres a metre) along x and y of all octaves of a layer's noise at (x, y)."""
     total = wp.vec3d()
     a = layer.amplitude
     c = layer.frequency
@@ -134,7 +134,7 @@ def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
 def mask_at(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
     """Return the weight of a mask, 0 .. 1, and its slopes along x and y, 1/m, (x, y) metres from the raster's middle.
 
-    first: index of the mask's first byte in `layers.masks`.
+    Beyond the raster they are those of its border. first: index of the mask's first byte in `layers.masks`.
     """
     s = wp.clamp((x - layers.west) * layers.per_x, wp.float64(0.0), wp.float64(layers.columns - 1))
     t = wp.clamp((y - layers.south) * layers.per_y, wp.float64(0.0), wp.float64(layers.rows - 1))
@@ -157,8 +157,9 @@ def mask_at(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64)
 def detail_at(layers: PackedLayers, x: wp.float64, y: wp.float64):
     """Return height and slopes along x and y of all displacement layers at (x, y) metres in terrain space.
 
-    Height: metres before vertical scaling. Layers begin at the raster's middle, so the result does not depend on the
-    anchor, the origin of the terrain's space.
+    Height: metres before vertical scaling; slopes: metres a metre. A layer adds nothing where its mask is 0, nor the
+    mask's slope there. Layers begin at the raster's middle, so the result does not depend on the anchor, the origin of
+    the terrain's space.
     """
     total = wp.vec3d()
     x += layers.anchor_x

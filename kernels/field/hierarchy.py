@@ -150,8 +150,9 @@ def centre_errors(
 ):
     """Compute the errors of diamonds at the centres of cells of `side` samples (at least 2).
 
-    The thread works on diamond `offset + tid`: the largest distance of samples from its two triangles, and its
-    children's errors. root: 1 if these cells are the root squares. measured: samples, NaN where they do not count.
+    The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
+    largest of its children's errors if that is more. finer, coarser: layouts of the children's depth and of this one.
+    root: 1 if these cells are the root squares. measured: samples, NaN where they do not count.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
@@ -182,8 +183,10 @@ def side_errors(
 ):
     """Compute the errors of diamonds at the middles of cells' sides, `half` samples from the side's ends.
 
-    The thread works on diamond `offset + tid`. Each of the two triangles consists of two right ones with their
-    corners in the middle. measured: samples, NaN where they do not count.
+    The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, each of two
+    right ones with their corners in the middle, or the largest of its children's errors if that is more. At the border
+    there is one triangle. finer, coarser: layouts as in `centre_errors`. measured: samples, NaN where they do not
+    count.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):

@@ -27,7 +27,7 @@ def gradient_at(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
 
 @wp.func
 def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
-    """Return Perlin's gradient noise: (slope x, slope y, value); the value is mostly within +-0.7."""
+    """Return Perlin's gradient noise of lattice spacing 1: (slope x, slope y, value), mostly within +-0.7."""
     fx = wp.floor(x)
     fy = wp.floor(y)
     i = wp.int32(fx)
@@ -58,8 +58,8 @@ def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
 def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
     """Return a sum of octaves of noise at (x, y) with fewer fine ones on steep ground: sharp ridges, smooth valleys.
 
-    `detail` (0 .. 1) scales all octaves after the third, which cost most of the time and do not show on the sea bed.
-    The damping by the summed slope is Quilez' ("more noise", 2008).
+    x, y: in cells of the first octave's lattice. `detail` (0 .. 1) scales all octaves after the third, which cost most
+    of the time and do not show on the sea bed. The damping by the summed slope is Quilez' ("more noise", 2008).
     """
     total = wp.float64(0.0)
     weight = wp.float64(1.0)

@@ -41,7 +41,7 @@ def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
 
 @wp.func
 def diamond(depth: Depth, t: wp.int64) -> wp.vec2i:
-    """Return diamond number `t` of a depth, row by row.
+    """Return diamond number `t` of a depth, row by row; `holds` tells whether it exists.
 
     A row of sides between cells has one more than a row through centres, whose last number is beyond the east end.
     """

@@ -35,7 +35,8 @@ def window_errors(
 ):
     """Raise `largest` of row `offset + tid` to the largest distance, metres, of the surface from a triangle's plane.
 
-    measured: a window of the raster, NaN where samples do not count. (west, south): its first sample.
+    measured: a window of the raster, NaN where samples do not count. (west, south): its first sample. A cell of the
+    longest edge counts only if the window has all four of its samples. The triangle may extend beyond the window.
     """
     row = offset + wp.tid()
     c = corner

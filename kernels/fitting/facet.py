@@ -133,7 +133,8 @@ def farthest_on_diagonal(
     """Return the larger of `known` and the largest distance along a diagonal side of the facet, metres before scaling.
 
     (x0, y0), (x1, y1): ends of the side, lattice units from the apex. A side of whole cells is evaluated at the
-    parabola of each, without those beyond the border; a shorter one is inside a cell and has one parabola.
+    parabola of each, without those beyond the border, and not at the samples between them, as `farthest` does that; a
+    shorter one is inside a cell and has one parabola and two ends.
     """
     bits = d.unit_bits - d.levels
     dx = x1 - x0

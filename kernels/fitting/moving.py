@@ -25,9 +25,9 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 @wp.kernel
 def measure(offset: int, m: FitMesh):
-    """Measure the distance of triangle `offset + tid` from the surface in float64; reset its pushes.
+    """Write to `m.worst` the distance of triangle `offset + tid` from the surface, in float64; reset its pushes.
 
-    The distance is metres after vertical scaling.
+    The distance is metres after vertical scaling; `m.seen` receives the corners' heights.
     """
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale

@@ -42,7 +42,8 @@ def raise_ancestors(
 ):
     """Raise the error codes of the diamond split at (x, y) and all its ancestors to `code`, so that errors stay nested.
 
-    depth: of the diamond, at most that of the raster's cells. codes: errors of all diamonds. stack: scratch.
+    An ancestor that has the code already ends the ascent: those above it have it, too. depth: of the diamond, at most
+    that of the raster's cells. codes: errors of all diamonds. stack: scratch.
     """
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)

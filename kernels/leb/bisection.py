@@ -132,7 +132,8 @@ def child_of(node: LebNode, bit: wp.uint64) -> LebNode:
 def neighbours_of(grid: SquareGrid, node: LebNode):
     """Return the neighbours of the same depth across the edges apex-right, left-apex and left-right.
 
-    They may not be leaves; beyond the grid they have id 0. libleb names them "left", "right" and "edge".
+    They need not exist in the tree, which may be coarser there; beyond the grid they have id 0. libleb names them
+    "left", "right" and "edge". The node's depth in its square is at least 1.
     """
     depth = highest_bit(node.heap_id)
     start = wp.min(depth, 2)  # depth from which on neighbours are mirrored

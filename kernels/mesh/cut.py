@@ -220,7 +220,8 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
 def cut(m: Cut):
     """Cut every listed triangle where the signed values at its vertices are 0; the negative part is removed.
 
-    One thread.
+    One thread. New elements are appended. Elements to be removed are only marked, those still needed among them:
+    `keep_used` follows.
     """
     first_vertex = m.counts[VERTEX]
     first_triangle = m.counts[TRIANGLE]

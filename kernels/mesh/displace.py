@@ -48,8 +48,8 @@ def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
 def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
     """Write position (metres), unit normal and UV of vertex o, which is at lattice point p.
 
-    g: height (metres before scaling) and slopes (metres a cell) there. float64 is cast to float32 last. A value that is
-    not finite sets `not_finite`.
+    g: height (metres before scaling) and slopes (metres a cell) there. UV are fractions of the raster's sides, from its
+    south-west corner. float64 is cast to float32 last. A value that is not finite sets `not_finite`.
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     part = wp.float64(1.0) / units_a_cell  # exact: a power of two
@@ -74,7 +74,10 @@ def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i
 
 @wp.func
 def runs_of(points: DisplacedPoints, slot: wp.int32):
-    """Return first and end index of the runs of points that slice `slot` reuses from the last frame."""
+    """Return first and end index of the runs of points that slice `slot` reuses from the last frame.
+
+    They are equal without runs, as for a slot without a list.
+    """
     run = wp.int64(slot) * points.reused.room
     run_end = run
     if slot < points.reused.lists:

@@ -175,14 +175,15 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
     """Return the strip before a square's first leaf.
 
-    The front is the edge by which the curve enters; no edge is open. s: the strip at the end of the square before.
+    The front is the edge by which the curve enters; no edge is open. The slice's state is that of the new square. s:
+    the strip at the end of the square before, or of the slice before its first leaf.
     """
     e = STATE_SIZE * slot
     for i in range(4):
         w.state[e + LEFT + i] = 0
     w.state[e + SQUARE] = w.state[e + SQUARE] + 1
     w.state[e + RESTARTED] = 1
-    check_level(w, e, 0, s.level)
+    check_level(w, e, 0, s.level)  # not 0: the leaves of the square before do not fill it
     s.level = level_of(code, ENTRY_LEGS)
     s.next0 = stack_base(b.room, leaves, 0)
     s.next1 = stack_base(b.room, leaves, 1)

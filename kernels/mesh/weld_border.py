@@ -61,8 +61,9 @@ def begin_left_side(
     """Begin a square with its left side's first edge, from the upper left corner down.
 
     Returns corner, lower end, edge, and the next free vertex and edge number. Side and corner come from the left
-    neighbour if there is one; they are imports if an earlier slice made them. code: the leaf's word. level: the edge's
-    level. vertices, edges: the next free numbers.
+    neighbour if there is one; they are imports if an earlier slice made them. Otherwise they are new, and the edge is
+    written to `w.edges`. The corner is noted in `w.corners`. code: the leaf's word. level: the edge's level. vertices,
+    edges: the next free numbers.
     """
     square = w.state[e + SQUARE]
     column = square % w.columns
@@ -99,8 +100,8 @@ def begin_left_side(
 def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
     """Return the next (edge, far vertex) of the side shared with the square to the left or below.
 
-    They are imports (negative numbers) if an earlier slice made them. role: TAKE_LEFT or TAKE_BELOW. level: the edge's
-    level, which is checked.
+    They are imports (negative numbers) if an earlier slice made them. The slice's state counts the edge as passed.
+    role: TAKE_LEFT or TAKE_BELOW. level: the edge's level, which is checked.
     """
     square = w.state[e + SQUARE]
     entry = wp.int32(0)

@@ -81,7 +81,7 @@ def ratio2_of(
 def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
     """Return the weight W of a point on the ramp: 0 up to a ratio of 1, a smoothstep, and 1 from the ratio k on.
 
-    ratio2: squared ratio of its diamond's error to the criterion.
+    The smoothstep is one of 1 - 1 / ratio. ratio2: squared ratio of its diamond to the criterion, from `ratio2_of`.
     """
     one = wp.float64(1.0)
     weight = one

@@ -65,7 +65,10 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges."""
+    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges.
+
+    Edges on sides that squares share are counted in `w.sides`, too.
+    """
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # the one through which the curve leaves

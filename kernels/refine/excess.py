@@ -126,7 +126,7 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
     """Return the plane through the surface at a triangle's corners: height at the apex, slopes along x and y.
 
-    Metres before scaling, and metres per lattice unit. The legs are perpendicular.
+    Metres before scaling, and metres per lattice unit. The legs are perpendicular and equally long in lattice units.
     """
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base
@@ -143,8 +143,8 @@ def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
 def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
     """Return the largest distance, metres before scaling, of the surface from the plane of the drawn triangle.
 
-    It is taken over the bounding rectangle of a triangle inside one cell. There the difference is a saddle, whose
-    extremes are at corners.
+    It is rounded up and taken over the bounding rectangle of a triangle inside one cell. There the difference is a
+    saddle, whose extremes are at corners.
     """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))

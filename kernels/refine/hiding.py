@@ -143,7 +143,8 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
     """Return whether nearer ground hides a box from the eye. low, high: the box, metres relative to the eye.
 
     slopes: the map of horizons. In every bin that the box meets, the entry of the last ring before the box must be
-    above the box's highest ray.
+    above the box's highest ray, and the floor not above its lowest. The result is false without such a ring, and for a
+    box that meets more than MAX_BINS bins.
     """
     zero = wp.float64(0.0)
     near = nearest_of(low, high)
@@ -180,7 +181,8 @@ def covered(
 ) -> wp.float64:
     """Return how far a box is hidden: 0 (part of it may be visible) to 1 (a slope of `ramp` below the horizon).
 
-    low, high: the box, metres relative to the eye. slopes: the map of horizons.
+    It is the minimum over all bins near the box, and limited in the same way by how far the lowest ray is above the
+    floor. low, high: the box, metres relative to the eye. slopes: the map of horizons.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)

@@ -69,7 +69,7 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
 def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
     """Return the minimum of up * height in block (i, j) of a level, metres before scaling; level 0 is a cell.
 
-    up: 1 for the lowest height, -1 for the negated highest.
+    Stored bounds, from level FINEST on, are rounded outwards. up: 1 for the lowest height, -1 for the negated highest.
     """
     min_height = wp.float64(0.0)
     if level > 0:
@@ -135,7 +135,8 @@ def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
 def min_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
     """Return the minimum of up * height, metres before scaling, in the rectangle low .. high, in cells.
 
-    In each cell the minimum is at a corner of the intersection of cell and rectangle. up: 1 or -1.
+    The rectangle is inside the raster. In each cell the minimum is at a corner of the intersection of cell and
+    rectangle. up: 1 or -1.
     """
     min_height = wp.float64(wp.inf)
     for j in range(wp.int32(low[1]), wp.int32(high[1]) + 2):
@@ -177,7 +178,7 @@ def min_of_windows(
     a = south[0] + east_weight * (south[1] - south[0])
     b = north[0] + east_weight * (north[1] - north[0])
     largest = larger(larger(south[0], south[1]), larger(north[0], north[1]))
-    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), largest)
+    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), largest)  # rounding must not exceed all four
 
 
 @wp.func

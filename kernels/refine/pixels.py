@@ -71,8 +71,9 @@ def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
 def range2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, depth: wp.float64) -> wp.float64:
     """Return the squared range of a point: its distance from the eye, or its depth in a perspective, metres.
 
-    dx, dy, dz: metres from the eye in terrain space. depth: the point's depth, metres. In the frame a depth is at least
-    the distance times a cosine, which bounds it from below.
+    dx, dy, dz: metres from the eye in terrain space. depth: the point's depth, metres. Distances count as at least
+    those below which nothing is visible (`view.near2`). In the frame a depth is at least the distance times a cosine,
+    which bounds it from below.
     """
     range2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
     range2 = larger(range2, view.near2)
@@ -260,7 +261,7 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
         if outer < wp.float64(0.0):
             inside = 0
             coarser2 = faded2(view, outer, min_over_box(view.depth, d.low, d.high))
-    if view.rings.count > 0:
+    if view.rings.count > 0:  # any box inside may be hidden
         coarser2 = larger(coarser2, view.hidden2)
     pixel2, edge2 = farthest_pixel2(view, d)
     return pixel2 * coarser2, edge2 * coarser2, inside
@@ -289,8 +290,8 @@ def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside a diamond's.
 
     They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
-    in_frame: 1 if that is known, 0 to find out. Footprints are infinite for a diamond that extends beyond the raster's
-    border: some of its descendants are wholly outside, so none is certain to be split.
+    in_frame: 1 if that is known, 0 to find out. Footprints are infinite without views, and for a diamond that extends
+    beyond the raster's border: some of its descendants are wholly outside, so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)

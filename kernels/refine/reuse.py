@@ -68,7 +68,8 @@ def end_reuse(r: Reuse, slot: wp.int32):
 def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, point: wp.int64):
     """List a reused subtree's leaves and points as runs for the tree and the displacement.
 
-    leaf, point: entries where they were copied to. Subtrees beyond the list's room are written and displaced again.
+    leaf, point: entries in `Walk.code` and `Walk.point` where they were copied to. Subtrees beyond the list's room are
+    written and displaced again.
     """
     count = r.cursor[slot].point_runs
     if count < r.room:

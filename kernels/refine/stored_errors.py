@@ -260,9 +260,9 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
-    Of finer tiles it is what leaves at the diamond's own depth do not represent, which is not less.
-    (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
-    border may miss all displacement.
+    Of finer tiles it is what leaves at the diamond's own depth do not represent, which is not less. (x, y): where the
+    diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the border may miss
+    all displacement.
     """
     table_entry = leaf_depth
     if leaf_depth <= domain.border_depth:

@@ -84,7 +84,8 @@ class PointArrays:
 def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> wp.bool:
     """Return whether lattice point p is on the raster and in no hole.
 
-    valid: 0 for missing samples; empty without holes.
+    A point on a side of a cell counts as in the cell to the north or east. valid: 0 for missing samples; empty without
+    holes.
     """
     bits = domain.unit_bits - domain.levels
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
@@ -169,9 +170,9 @@ def choose(
 ):
     """Write to `chosen` the candidates of runs begin .. end - 1 that views want, with their sizes.
 
-    A candidate is wanted if its rank is below GROWING times the density at its position. It has size 0 at that limit
-    and its full size where its rank is below the density. The factor is the same for all ranks, so that the last ones
-    do not appear all at once where the density reaches 1.
+    A candidate is wanted if its rank, as a fraction of all, is below GROWING times the density: the candidate's times
+    the largest of the views. It has size 0 at that limit and its full size where its rank is below the density. The
+    factor is the same for all ranks, so that the last ones do not appear all at once where the density reaches 1.
     """
     for t in range(begin, end):
         run = runs[t]

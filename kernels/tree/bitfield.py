@@ -146,7 +146,7 @@ def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.in
 
 @wp.func
 def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
-    """Return the leaf that begins at a bit of a word; it ends at the word's next set bit.
+    """Return the leaf that begins at a bit of a word; it ends at the word's next set bit, or at the word's end.
 
     slot, level: the word's slot and level. cell: the leaf's first deepest cell. number: the leaf's number.
     """

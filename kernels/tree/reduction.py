@@ -24,7 +24,7 @@ def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64
 
 @wp.func
 def sum_word(t: Bitfield, slot: wp.int32):
-    """Count the leaves of the word in `slot` again, from the words below; free a word with only the first bit set."""
+    """Update counter and mask of the word in `slot` from the words below; free it if only its first bit is set."""
     bits = t.words[slot]
     below = 64 * t.pages[slot]
     t.stored[slot] = stored_words(t.words, below)

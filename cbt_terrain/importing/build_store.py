@@ -64,14 +64,12 @@ def run_import(
 ) -> dict:
     """Import one file in this process and return the report; the store at `path` changes at the very end or not at all.
 
-    This process keeps its rights, so import untrusted files with import_process.py.
+    This process keeps its rights, so import untrusted files with import_process.py. An archive is unpacked first.
 
-    Args:
-        folder: name of the folder for the new arrays; None for a random one.
-        crew: processes that read and measure a large raster; None for this process.
-        part: the part to do of an import by tile; None for all that is not done yet.
-
-    Raises TerrainError.
+    on_progress: gets a fraction and a message; an exception from it stops the import. folder: name of the folder for
+    the new arrays; None for a random one. crew: processes that read and measure a large raster, which the caller
+    closes; None for this process. part: the part to do of an import by tile, which has the report of `do_part`; None
+    for all that is not done yet. Raises TerrainError.
     """
     store_folder.check_target(path)
     settings.check()
@@ -94,9 +92,8 @@ def import_raster(
 ) -> dict:
     """Import the raster of the settings in this process into the store at `path`, and return the report.
 
-    file: the source, or its unpacked height map. folder: name of the new folder of arrays. open_raster: opens the
-    source of the settings. crew: processes that read and measure tiles, None for this process alone. part: the part of
-    the import that this process does, None for all.
+    If the store has the same mosaic already, its report is returned. file: the source, or its unpacked height map.
+    open_raster: opens the source of the settings; its raster is closed here. Others: as of `run_import`.
     """
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
@@ -169,7 +166,7 @@ def import_raster(
 
 
 def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draft, on_progress: Tell) -> HeightField:
-    """Return a field with the finer files of a mosaic in the arrays of a draft. on_progress: as that of `_build`."""
+    """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_SHARE to 0.99."""
     source = reader.raster.finer
     assert source is not None, "the raster has finer files"
     share = COARSE_SHARE, 0.99 - COARSE_SHARE
@@ -184,7 +181,7 @@ def _build(
 ) -> HeightField:
     """Build the height field of a raster in one piece, in the arrays of a draft.
 
-    place: georeference. on_progress: gets 0 to 1 and a message.
+    place: georeference. on_progress: gets 0 to 0.99 and a message. Raises TerrainError, as if all samples are missing.
     """
     raster, settings = reader.raster, reader.settings
     steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
@@ -206,7 +203,7 @@ def _build(
 
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
-    """Return the first picture of a source in the store at `path`. Raises TerrainError if another source is there."""
+    """Return the land of the first picture in the store at `path`. Raises TerrainError if it is of another source."""
     before, picture = dataclasses.replace(settings, loaded_tiles=()), first_picture(path)
     if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
         raise TerrainError(f"The store {path} has no first picture of {settings.name}", fix="import quickly first")
@@ -216,7 +213,7 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
 def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated.
 
-    land: the coarse land around loaded tiles, None if all tiles are loaded.
+    land: the coarse land around loaded tiles, of which LOADED has the step; None if all tiles are loaded.
     """
     values = dataclasses.asdict(settings)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
@@ -231,7 +228,7 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), meth
     """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
 
     sources: files that the source names. method: version of the method that makes the samples, 0 for none. Raises
-    TerrainError for a missing source.
+    TerrainError for a missing source and for settings that cannot be used.
     """
     settings.check()
     values = dataclasses.asdict(settings)
@@ -257,7 +254,7 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), meth
 def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
     """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
 
-    raster: the opened source, which knows the files that it names; None for a source that names none.
+    None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
     """
     complete = dataclasses.replace(settings, quick=0, loaded_tiles=())
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
@@ -269,7 +266,7 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
 
 
 def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
-    """Return the report of an earlier import with the same digest, None if there is none or the store is damaged."""
+    """Return a store's report, with "unchanged", if it has this digest; None otherwise, also for a damaged store."""
     try:
         content = store.read_json(Path(path))
         if content["digest"] != digest:
@@ -281,7 +278,7 @@ def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
 
 
 def describe(path: str | os.PathLike) -> dict:
-    """Return a summary of a store: a flat dict of numbers and texts with units in their names. Raises TerrainError."""
+    """Return a store's report with further facts, a flat dict of numbers, texts and lists. Raises TerrainError."""
     content = store.read_json(Path(path))
     field = store.open_store(path)
     num_bytes = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
@@ -301,7 +298,7 @@ def describe(path: str | os.PathLike) -> dict:
 
 
 def _border(field: HeightField) -> dict:
-    """Return the coordinates of the outermost samples, {} if they are unknown or the raster is rotated."""
+    """Return the entry with the coordinates of the outermost samples, {} without a system or for a rotated raster."""
     place = field.raster.place
     if place is None or not field.crs or place[1] or place[3]:
         return {}
@@ -311,7 +308,10 @@ def _border(field: HeightField) -> dict:
 
 
 def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
-    """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given."""
+    """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given.
+
+    Raises TerrainError if the file's georeference gives a size that no terrain can have.
+    """
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
     width, height = _size(raster, place)
     if settings.extent is None:
@@ -328,7 +328,7 @@ def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
 
 
 def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
-    """Return a raster's samples along x and y of the terrain."""
+    """Return the numbers of a raster's samples along x and y of the terrain."""
     return (raster.height, raster.width) if georeference.transposed else (raster.width, raster.height)
 
 
@@ -348,7 +348,7 @@ def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) 
 
 
 def _read_heights(reader: HeightReader, place: Georeference, heights: np.ndarray, on_progress: Callable) -> None:
-    """Fill `heights` (row 0 south) from a raster."""
+    """Fill `heights` (row 0 south) from a raster; `reader` gets the figures, `on_progress` the fraction of rows."""
     first = 0
     in_file_order = place.in_file_order(heights)
     for share, values in reader.raster.blocks():
@@ -397,6 +397,6 @@ def _import_report(field: HeightField, raster: Raster, place: Georeference) -> d
         "bounds_against": against,
         **finer_entries(field),
         **raster.details,
-        **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),
+        **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),  # replace bounds_against
         "warnings": warnings,
     }

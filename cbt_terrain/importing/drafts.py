@@ -61,11 +61,12 @@ def work_bytes(lattice: Lattice, sample_bytes: int) -> int:
 
 def store_bytes(lattice: Lattice, layers: int) -> int:
     """Return the bytes that a store takes on the disk while it is made in one piece. layers: number of its layers."""
+    # Heights are there as float32 and as 16-bit numbers, errors as float32 and as codes.
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
 
 
 def _check_room(path: Path, lattice: Lattice, needed: int, elsewhere: str) -> None:
-    """Raise TerrainError if a store needs more than the free bytes of its disk; `elsewhere`: remedy in the error."""
+    """Raise TerrainError if the `needed` bytes of a store are not free on its disk. elsewhere: remedy in the error."""
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
@@ -85,7 +86,7 @@ def common_report_entries(field: HeightField) -> dict:
     """Return the report entries that imported and shaped terrains share.
 
     Missing samples count as `cut_out` if the field has holes, otherwise as `filled`. `source_step_m` is the largest
-    rounding error of the source in metres.
+    error, metres, that rounding and resampling of the source make.
     """
     lattice = field.lattice
     return {

@@ -24,9 +24,10 @@ def add_finer_tiles(
     allocate: Allocate,
     on_progress: Callable[[float], None],
 ) -> HeightField:
-    """Return a field with the finer heights of a mosaic's finer files. `reader` gets their figures.
+    """Return the field `plain` of the coarser files with the finer heights of `source`. `reader` gets their figures.
 
-    allocate: as in `with_finer_tiles`.
+    Near the border of all finer tiles they are mixed with the heights of `plain`. allocate, on_progress, errors: as in
+    `with_finer_tiles`.
     """
     bits, lattice = source.bits, plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
@@ -99,7 +100,7 @@ class _Windows:
         return self._kept[key][y : y + box.y1 - box.y0 + 1, x : x + box.x1 - box.x0 + 1]
 
     def _read(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
-        """Read the samples of a box."""
+        """Read the finer samples x0 .. x1 and y0 .. y1, as the heights of `heights`."""
         rows = self._source.window(self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1)
         return self._reader.heights(rows)[::-1]
 

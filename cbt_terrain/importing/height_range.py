@@ -24,9 +24,11 @@ def is_image(source: str, raster: Raster) -> bool:
 
 
 def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tuple[ImportSettings, list[str]]:
-    """Return settings with the scale and offset that give a raster its lowest and highest height, and warnings.
+    """Return settings whose scale and offset give a raster its lowest and highest height, and a warning of a guess.
 
-    width_m: metres from west to east. Raises TerrainError.
+    These heights are those of the settings; for an image without them 0 and RELIEF times `width_m`, its metres from
+    west to east. Settings of any other raster, and of one without a finite sample, are returned as they are. All
+    samples are read to find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None

@@ -12,7 +12,7 @@ from .plausibility import ValueCheck
 
 @dataclass
 class HeightReader:
-    """Conversion of values to heights.
+    """Conversion of values to heights; it collects figures of all values that were converted.
 
     Attributes:
         check: gets all values of a raster that was not resampled.
@@ -32,7 +32,10 @@ class HeightReader:
         self.check = ValueCheck(np.dtype(self.raster.stored))
 
     def heights(self, values: np.ndarray) -> np.ndarray:
-        """Return values as heights, float32 metres with NaN where missing. Raises TerrainError."""
+        """Return values [rows, columns] as heights, float32 metres with NaN where missing or infinite.
+
+        The line of a raster of one row or column is repeated. Raises TerrainError for a height beyond 1e30 m.
+        """
         scale, offset = scaling_of(self.raster, self.settings)
         if self.raster.original is None:
             self.check.add(values)
@@ -63,7 +66,7 @@ class HeightReader:
         }
 
     def add(self, figures: dict, missing: int) -> None:
-        """Add the figures of another reader of the same raster."""
+        """Add the figures and the number of missing samples of another reader of the same raster."""
         self.missing += missing
         self.largest = max(self.largest, figures["largest"])
         self.converted = max(self.converted, figures["converted"])

@@ -28,9 +28,10 @@ class ImportJob(StoreJob):
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
     def __init__(self, settings: ImportSettings, store: str | os.PathLike, part: ImportPart | None = None) -> None:
-        """Start importing into `store` in a child process.
+        """Start importing into `store` in a child process, and remove what ended processes have left there.
 
-        No process starts if the store has this content already. part: the part to do of an import by tile.
+        No process starts if the store has the content of one file already; for several files the child looks. part: the
+        part to do of an import by tile, None for all.
         """
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
@@ -84,9 +85,9 @@ def part_of(request: dict) -> ImportPart | None:
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
-    """Import in the child process, sandboxed, and return the report.
+    """Import one file in the child process, sandboxed, and return the report. Raises TerrainError.
 
-    begin: says that the child is ready, so threads may start.
+    request: settings, part, store and folder of ImportJob. begin: says that the child is ready, so threads may start.
     """
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
     crew = start_crew(settings, "cbt_terrain.importing.tile_crew")  # before the guard: a sandboxed process starts none

@@ -51,7 +51,10 @@ class Placing(NamedTuple):
 
 
 def is_placed(field: HeightField, store: str | os.PathLike) -> bool:
-    """Return whether the origin and the steps of a store's field are those of its coordinate system, named or not."""
+    """Return whether the origin and the steps of a store's field are those of its coordinate system, named or not.
+
+    They are not if the user gave the extent, or if the terrain is rotated or may be.
+    """
     sized = field.provenance.get("settings", {}).get("extent") is not None
     return not sized and rotation_of(store) == 0.0
 
@@ -66,9 +69,9 @@ def rotation_of(store: str | os.PathLike) -> float | None:
 
 
 def unit_lengths(field: HeightField) -> tuple[float, float]:
-    """Return metres of a unit of a placed field's coordinate system along x and y.
+    """Return metres of a unit of a placed field's coordinate system, which has a name, along x and y.
 
-    Loads GDAL: only for child processes.
+    Degrees have their length at the field's middle. Loads GDAL: only for child processes.
     """
     from rasterio.crs import CRS
 
@@ -80,7 +83,10 @@ def unit_lengths(field: HeightField) -> tuple[float, float]:
 
 
 def placing_of(store: str | os.PathLike) -> Placing:
-    """Return the map position and coordinate system of a store's terrain, empty if it has none. Raises TerrainError."""
+    """Return the map position of a store's terrain; metres from the middle if its field is not placed or has no system.
+
+    A child process reads the system's units. Raises TerrainError.
+    """
     store = Path(store)
     field = stores.open_store(store)
     if not field.crs or not is_placed(field, store):

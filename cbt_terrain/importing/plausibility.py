@@ -40,13 +40,19 @@ class ValueCheck:
             self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
 
     def _is_mark(self, value: float) -> bool:
-        """Return whether a value may mark missing samples: 0, a usual mark, an end of the type, or a huge number."""
+        """Return whether a value may mark missing samples: 0, a usual mark, an end of the type, or a huge number.
+
+        Beyond MAX_MARKS marks no further huge number is one.
+        """
         if value == 0.0 or value in MARKS or value in self._ends or value in self.marks:
             return True
         return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but many
 
     def warnings(self) -> list[str]:
-        """Return a warning for each mark that stands apart from all other values, as undeclared no-data does."""
+        """Return warnings about marks that are apart from all other values, as undeclared no-data is.
+
+        There are at most MAX_WARNINGS, and none without other values.
+        """
         spread = self.high - self.low
         if not spread >= 0.0:  # all values are marks
             return []

@@ -42,7 +42,10 @@ def first_picture(store: Path) -> Path:
 
 
 def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
-    """Return the land of a first picture, with the tiles of the settings. Raises TerrainError."""
+    """Return the land of the first picture in the folder `picture`, in which the tiles of the settings are loaded.
+
+    Raises TerrainError if there is none.
+    """
     field = open_store(picture)
     full = _full_raster(field)
     if full is None:
@@ -51,7 +54,10 @@ def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
-    """Return a raster with the samples of a land's finer grid."""
+    """Return a raster with the samples of a land's finer grid: those of `raster` that are nearest to its positions.
+
+    It reads `raster` on demand, and closes it.
+    """
     stride = stride_of(raster.width, raster.height, settings.quick)
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
     columns, rows = (
@@ -69,7 +75,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         left, wide = int(u[0]), int(u[-1] - u[0]) + 1
         if raster.window is None:
             left, wide = 0, raster.width
-        bands = (v - v[0]) // max(1, MAX_READ // wide)
+        bands = (v - v[0]) // max(1, MAX_READ // wide)  # rows that are read together
         parts = []
         for band in np.split(v, np.flatnonzero(np.diff(bands)) + 1):
             top, high = int(band[0]), int(band[-1] - band[0]) + 1
@@ -116,8 +122,9 @@ def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
 def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
     """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
 
-    A tile is needed where the finest stored errors are larger than `error_px` pixels, because samples in between are
-    about as far from the surface. There are none if the source is small, so that its complete import is soon done.
+    They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels,
+    because samples in between are about as far from the surface. There are none if the source has fewer than FEWEST
+    samples, so that its complete import is soon done, or if the field is no first picture.
     """
     full = _full_raster(field)
     if full is None or full[0] * full[1] < FEWEST:
@@ -129,7 +136,7 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
 
 
 def is_fine_enough(store: Path, seen: SeenLand) -> bool:
-    """Return whether views need no more detail than the loaded tiles of a store have, none of them missing.
+    """Return whether views need no more detail than a store with loaded tiles has; False for one without such tiles.
 
     It is judged as in `seen_tiles`. Raises TerrainError.
     """
@@ -138,7 +145,7 @@ def is_fine_enough(store: Path, seen: SeenLand) -> bool:
 
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
-    """Return the numbers of the loaded tiles of a store."""
+    """Return the numbers of the loaded tiles of a store; none for a complete store or a first picture."""
     found = provenance.get("settings", {}).get("loaded_tiles") if REFINED in provenance else None
     return frozenset(number for number in found or () if type(number) is int and number >= 0)
 
@@ -146,7 +153,7 @@ def loaded_tiles(provenance: dict) -> frozenset[int]:
 def loaded_at(field: HeightField, x: float, y: float) -> float | None:
     """Return the step to which a store is loaded at a point, metres; None for a complete store.
 
-    x, y: metres from the raster's middle.
+    x, y: metres from the raster's middle; beyond its border the nearest tile counts.
     """
     steps, tiles = loaded_m(field.provenance), refined_m(field.provenance)
     if steps is None or tiles is None:
@@ -159,9 +166,10 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
 
 
 def _needs(field: HeightField, side: int, seen: SeenLand) -> np.ndarray:
-    """Return the largest errors of the finest vertices, pixels, in seen squares of side x side cells: [rows, columns].
+    """Return the largest errors of the finest vertices, pixels, in squares of side x side cells: [rows, columns].
 
-    Parts of a square are looked at, each by its own distance.
+    Parts of a square are looked at, each by its own distance. Those out of every view have 0, one around an eye has
+    infinity.
     """
     lattice, part = field.lattice, max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()
@@ -178,7 +186,7 @@ def _needs(field: HeightField, side: int, seen: SeenLand) -> np.ndarray:
 
 
 def _full_raster(field: HeightField) -> tuple[int, int] | None:
-    """Return columns and rows of the source of a first picture; None for any other store."""
+    """Return columns and rows of the source of a first picture; None for any other field or damaged entries."""
     if field.path is None or loaded_m(field.provenance) is None or REFINED in field.provenance:
         return None
     full = read_json(field.path)["report"].get("full_raster")

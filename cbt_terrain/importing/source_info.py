@@ -18,7 +18,10 @@ from ..sandbox.store_job import ask, serve
 
 
 def describe_source(settings: ImportSettings) -> dict:
-    """Return a flat dict of a height map's header. Raises TerrainError for a file that cannot be imported."""
+    """Return facts of the header of one file, or of a built-in terrain, as `_fields`, read by a child process.
+
+    Raises TerrainError for a file that cannot be imported.
+    """
     settings.check()
     settings.check_file()
     if settings.source not in LANDS:
@@ -76,7 +79,10 @@ def _describe(settings: ImportSettings) -> dict:
 
 
 def _fields(settings: ImportSettings, raster: Raster) -> dict:
-    """Return the facts of an opened raster, and close it."""
+    """Return a dict of the facts of an opened raster, and close it.
+
+    "step_m", "middle" and "crs" are absent if the file does not place the raster.
+    """
     try:
         place = raster.georeference
         fields: dict[str, object] = {"path": settings.source, "format": raster.format, "stored": raster.stored}

@@ -36,7 +36,8 @@ def files_of(settings: ImportSettings) -> list[Path]:
     """Return the absolute paths of all files and tile indexes that the sources name, in order and once each.
 
     A file that is named twice has its last position. Files of a folder or a pattern are sorted by name. Nothing is
-    opened. Raises TerrainError for a source without a file.
+    opened; a file that is named alone need not exist. Raises TerrainError for a folder or a pattern without a height
+    map, for a built-in terrain, and for more than MAX_FILES files.
     """
     found: dict[Path, None] = {}
     for source in settings.sources:
@@ -54,7 +55,10 @@ def files_of(settings: ImportSettings) -> list[Path]:
 
 
 def holds_height_maps(folder: str) -> bool:
-    """Return whether a folder is no store and holds height maps with a position."""
+    """Return whether a folder is no store and holds height maps that may have a position, by their names.
+
+    Raises TerrainError for a folder that cannot be read.
+    """
     return not os.path.lexists(os.path.join(folder, JSON_NAME)) and bool(_files_in(Path(folder).absolute(), None))
 
 
@@ -70,7 +74,10 @@ def has_archives(settings: ImportSettings) -> bool:
 
 
 def _files_of_one(source: str, step: float | None) -> list[Path]:
-    """Return the files of one source. step: the settings' step."""
+    """Return the absolute paths of the files of one source: a folder, a pattern or a file. step: as of `_files_in`.
+
+    Raises TerrainError for a folder or a pattern without a height map.
+    """
     if _is_folder(source):
         found = _files_in(Path(source).absolute(), step)
         if not found:
@@ -95,6 +102,8 @@ def _files_in(folder: Path, step: float | None) -> list[Path]:
     """Return the height maps of a folder that may have a position, sorted by name.
 
     Inner folders are searched for web map tiles, if there is nothing else. A link counts as the file that it leads to.
+    step: metres of a pixel that decides the zoom level of web map tiles (`_web_tiles`); None for the finest. Raises
+    TerrainError for a folder that cannot be read.
     """
     _check_right(folder)
     try:
@@ -121,6 +130,7 @@ def _web_tiles(folder: Path, step: float | None) -> list[Path]:
     """Return the web map tiles z/x/y.png in a folder, or x/y.png in a folder named z, of one zoom level.
 
     The level is the coarsest one with pixels of at most `step` metres (of web mercator), or else the finest one.
+    Without such tiles the list is empty.
     """
     levels: dict[int, list[tuple]] = {}
     for pattern in ("[0-9]*/[0-9]*/[0-9]*", "[0-9]*/[0-9]*"):
@@ -136,7 +146,10 @@ def _web_tiles(folder: Path, step: float | None) -> list[Path]:
 
 
 def _is_tile(name: str, lower: set[str]) -> bool:
-    """Return whether a file of a folder may hold a part of the terrain. lower: names of all files in small letters."""
+    """Return whether a file of a folder may hold a part of the terrain. lower: names of all files in small letters.
+
+    A picture needs a file that places it. An archive does not count if its content is there, too.
+    """
     suffix = _suffix(name)
     stem = name.lower().removesuffix(suffix)
     if _is_archive(suffix):

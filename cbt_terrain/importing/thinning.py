@@ -49,8 +49,8 @@ def positions(count: int, stride: int) -> np.ndarray:
 def thinned(raster: Raster, settings: ImportSettings) -> Raster:
     """Return a raster of at most `settings.quick` samples of another, or that raster if it needs no quick import.
 
-    Heights of a reprojected raster are within its stated error of those of the complete import, because GDAL's depend
-    on the rows that are read together.
+    It reads the other one, or an overview of its file, and closes both. Heights of a reprojected raster are within its
+    stated error of those of the complete import, because GDAL's depend on the rows that are read together.
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     if stride == 1:
@@ -106,7 +106,7 @@ def scaled(samples: np.ndarray, count: int, coarse_count: int) -> np.ndarray:
 def loaded_steps(raster: Raster, place: Georeference) -> list[float]:
     """Return metres between the samples of a thinned raster, and between those of the complete one.
 
-    place: georeference of the thinned raster.
+    Of the two axes the larger step counts. place: georeference of the thinned raster.
     """
     assert raster.full_size is not None, "the raster is thinned"
     steps = np.array([place.step_y, place.step_x] if place.transposed else [place.step_x, place.step_y])
@@ -128,7 +128,7 @@ def loaded_entries(raster: Raster, provenance: dict) -> dict:
 
 
 def loaded_m(provenance: dict) -> tuple[float, float] | None:
-    """Return the steps of `loaded_steps` from a store's provenance; None for a complete store."""
+    """Return the steps of `loaded_steps` from a store's provenance; None for a complete store or damaged entries."""
     steps = provenance.get(LOADED)
     if not isinstance(steps, list) or [type(step) for step in steps] != [float, float]:
         return None

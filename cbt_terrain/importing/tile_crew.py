@@ -41,9 +41,10 @@ POLL_S = 0.1
 
 
 def start_crew(settings: ImportSettings, module: str) -> Crew:
-    """Return the processes for an import; the calling process alone for one that is probably small.
+    """Return processes for an import, which the caller closes; the calling process alone for a probably small import.
 
-    module: name of a module with the function `idle_main`.
+    The same on a machine with one core, or where no process can be started. module: name of a module with the function
+    `idle_main`. Raises TerrainError for sources that name no file.
     """
     count = launch.default_threads()
     if count < 2 or not _may_be_large(settings):
@@ -55,7 +56,10 @@ def start_crew(settings: ImportSettings, module: str) -> Crew:
 
 
 def _may_be_large(settings: ImportSettings) -> bool:
-    """Return whether the files of an import are large."""
+    """Return whether an import is large enough for processes: a large built-in terrain, or MIN_BYTES of files.
+
+    A tile index counts, whose files are not known yet. A missing file does not.
+    """
     if settings.source in LANDS:
         return settings.size**2 > TILED_SAMPLES
     files = files_of(settings) if names_several(settings) else [Path(settings.source)]
@@ -69,7 +73,7 @@ def _may_be_large(settings: ImportSettings) -> bool:
 
 
 class ProcessCrew(Crew):
-    """Processes that do tasks, one task at a time each."""
+    """Processes that do the tasks of one import, one task at a time each."""
 
     def __init__(self, module: str, count: int) -> None:
         """Start `count` processes that each call the `idle_main` of the module named `module`. Raises OSError."""
@@ -82,9 +86,10 @@ class ProcessCrew(Crew):
     def run(
         self, work: TileWork, source: TileSource, tasks: Sequence[TileTask], on_progress: Callable[[float], None]
     ) -> bool:
-        """Do tasks in the processes. Return False if heights have to be stored as floats.
+        """Do tasks in the processes. Return False, before the rest is done, if heights have to be stored as floats.
 
-        on_progress: called with the fraction of finished tasks.
+        on_progress: called with the fraction of finished tasks. Raises TerrainError for a task that fails. No process
+        works on a task when this returns or raises.
         """
         if tasks and not self._has_begun:
             self._has_begun = True
@@ -108,7 +113,7 @@ class ProcessCrew(Crew):
         return True
 
     def close(self) -> None:
-        """End the processes."""
+        """Let the processes end, without a wait: each reads the end of its stdin."""
         for process in self._processes:
             assert process.stdin is not None
             process.stdin.close()
@@ -136,7 +141,10 @@ class TaskQueue:
         self._answers.put(answer)
 
     def answer(self) -> bool:
-        """Wait for an answer. Return False if heights have to be stored as floats. Raises TerrainError."""
+        """Wait for the next answer. Return False if heights have to be stored as floats.
+
+        Raises TerrainError for a task that failed, and what `stopping.check` raises.
+        """
         while True:
             stopping.check()
             try:
@@ -149,7 +157,10 @@ class TaskQueue:
 
 
 def _do_tasks(process: subprocess.Popen, waiting: TaskQueue) -> None:
-    """Send tasks to a process and collect its answers, until there is no more task or it ends."""
+    """Send tasks to a process and collect its answers, until there is no more task or one fails.
+
+    A process that has ended gives an error as its answer.
+    """
     assert process.stdout is not None
     while (task := waiting.take()) is not None:
         try:
@@ -180,10 +191,10 @@ def serve_tasks(
     guard: Callable[[ImportSettings, Path], None],
     open_raster: Callable[[ImportSettings, Path], Raster],
 ) -> None:
-    """Do tasks from stdin, and answer on stdout.
+    """Do tasks from stdin until it ends, and answer on stdout; the module's docstring has the messages.
 
     Args:
-        line: the settings and the folder of the import.
+        line: the settings and the folder of the import, from `_send`.
         guard: guard(settings, store) drops the rights of this process.
         open_raster: open_raster(settings, folder) opens the source.
     """

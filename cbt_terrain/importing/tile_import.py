@@ -73,7 +73,10 @@ class Crew:
     def run(
         self, work: TileWork, source: TileSource, tasks: Sequence[TileTask], on_progress: Callable[[float], None]
     ) -> bool:
-        """Do tasks. Return False if heights have to be stored as floats. Raises TerrainError."""
+        """Do tasks. Return False, before the rest is done, if heights have to be stored as floats. Raises TerrainError.
+
+        on_progress: called with the fraction of finished tasks.
+        """
         for number, task in enumerate(tasks):
             if not perform(work, source, task, launch.default_threads(), source.coarse):
                 return False
@@ -90,8 +93,9 @@ def open_work(
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
 
-    path: the store's folder. folder: name of the new folder of arrays in it. by_tile: whether work is continued, and
-    left by a block that fails. doubt: a further remedy in errors if the store is implausibly large.
+    That work is moved into the new folder. path: the store's folder. folder: name of the new folder of arrays in it.
+    by_tile: whether work is continued, and left by a block that fails or does not publish. doubt: a further remedy in
+    errors if the store is implausibly large. Raises TerrainError as `open_draft`.
     """
     work = _continued(_work_of(path / folder, source, lattice, digest)) if by_tile else None
     if by_tile and path.exists():
@@ -145,7 +149,8 @@ def do_part(
 ) -> dict:
     """Do a part of an import, and return a report. An import without parts then does the rest. Raises TerrainError.
 
-    BEGIN and FILL need the work alone; several processes may read, or measure, different tiles at a time.
+    BEGIN and FILL need the work alone; several processes may read, or measure, different tiles at a time. The report
+    has the number of "tiles", for these two steps also how many were requested ("done"). doubt: as of `open_work`.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
@@ -165,7 +170,7 @@ def do_part(
     if work is None:
         raise _not_begun(path)
     if part.step == READ_TILES:
-        _read_units(work, source, crew, lambda _share: None, numbers)
+        _read_units(work, source, crew, lambda _share: None, numbers)  # if floats are needed, FILL reads all again
     else:
         _measure_tiles(work, source, tile_steps.limits_of(work), crew, lambda _share: None, numbers)
     return {"tiles": len(work.grid), "done": sum(int(number < len(work.grid)) for number in numbers)}
@@ -206,8 +211,9 @@ def build_by_tile(
         work: an earlier attempt to continue, None for none.
         digest: hash of all settings and sources.
         reader: gets the figures of all samples.
-        source_max: returns the rounding error of the heights of a reader, metres.
+        source_max: returns the largest error of the heights of a reader by rounding and resampling, metres.
         crew: does the tasks.
+        on_progress: gets 0 to 0.99 and a message.
     """
     work = _started(work, draft, source, lattice, digest)
     while not _read_units(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
@@ -230,7 +236,10 @@ def _sample_bytes_of(source: TileSource) -> int:
 
 
 def _steps_of(source: TileSource) -> codes.Steps | None:
-    """Return the conversion of 16-bit samples to heights; None for heights that are stored as floats."""
+    """Return the conversion of 16-bit samples to heights; None for heights that are stored as floats.
+
+    Interpolated heights of coarse land need floats.
+    """
     if source.coarse is not None:
         return None
     return codes.steps_of(np.dtype(source.raster.stored), *scaling_of(source.raster, source.settings))
@@ -257,9 +266,10 @@ def _read_units(
     on_progress: Callable[[float], None],
     numbers: Collection[int] | None = None,
 ) -> bool:
-    """Read the units that have changed. Return False if heights have to be stored as floats.
+    """Read the units that have changed. Return False, before the rest is read, if heights have to be stored as floats.
 
-    numbers: those of the units to read, None for all.
+    numbers: those of the units to read, None for all. Raises TerrainError, and gives the work up, if a unit then has no
+    record.
     """
     before, tasks = work.records(READ), []
     chosen = _chosen(unit_count(work.grid, source), numbers)
@@ -303,9 +313,10 @@ def _measure_tiles(
     on_progress: Callable[[float], None],
     numbers: Collection[int] | None = None,
 ) -> None:
-    """Measure the tiles that have changed. numbers: those of the tiles to measure, None for all.
+    """Measure the tiles that have changed, which `tile_steps.measure` decides.
 
-    Raises TerrainError, and gives the work up, if a tile then has no complete record.
+    numbers: those of the tiles to measure, None for all. Raises TerrainError, and gives the work up, if a tile then has
+    no complete record.
     """
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
@@ -338,8 +349,8 @@ def _completed(
 ) -> HeightField:
     """Join the measured tiles into the draft, and return the height field.
 
-    source_max: largest rounding error of the source's heights, metres. coarse: the land around loaded tiles, None if
-    all tiles are loaded.
+    source_max: largest error of the source's heights, metres. coarse: the land around loaded tiles, None if all tiles
+    are loaded.
     """
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
 

@@ -25,9 +25,10 @@ class TileTask(NamedTuple):
 
     Attributes:
         step: READ or MEASURED.
+        number: of the unit or the tile.
         inputs: digest of the sources of a unit.
         limits: low, high and number of missing samples of the terrain, to measure.
-        before: last record of the tile.
+        before: last complete record of the tile; None for none.
     """
 
     step: str
@@ -51,7 +52,7 @@ def perform(
 ) -> bool:
     """Do one task and write its record. Return False if its heights have to be stored as floats.
 
-    source: not needed to measure. coarse: that of the source. Raises TerrainError.
+    source: None is enough to measure. coarse: that of the source. Raises TerrainError, and OSError of the arrays.
     """
     if task.step == MEASURED:
         low, high, missing = task.limits
@@ -59,7 +60,7 @@ def perform(
         tile_steps.measure(work, task.number, terrain, threads, task.before, coarse=coarse)
         return True
     assert source is not None, "only the measuring of a tile needs none"
-    source.raster.moved = source.raster.shifted = 0.0
+    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this unit alone
     reader = HeightReader(source.raster, source.settings)
     limits: list[float] = []
     for box, heights in _read_heights(work.grid, source, task.number, reader):
@@ -75,7 +76,10 @@ def perform(
 def _read_heights(
     grid: TileGrid, source: TileSource, number: int, reader: HeightReader
 ) -> Iterator[tuple[TileBox, np.ndarray]]:
-    """Yield the boxes of a unit, each with its heights in the order of the terrain."""
+    """Yield the boxes of a unit, each with its heights in the order of the terrain, NaN where missing.
+
+    A unit that is not loaded has the heights of the coarse land.
+    """
     if source.coarse is not None and number not in source.coarse.loaded:
         box = grid.owned(grid.box(number))
         heights = source.coarse.heights(box)
@@ -101,7 +105,10 @@ def _is_by_tile(source: TileSource) -> bool:
 
 
 def _unit_rows(grid: TileGrid, raster: Raster) -> int:
-    """Return the rows of a unit. A resampled raster has one: values depend on the rows that are read together."""
+    """Return the rows of a unit, a multiple of those that are read together.
+
+    A resampled raster is one unit: its values depend on the rows that are read together.
+    """
     at_once = raster.rows_at_once
     return raster.height if raster.original is not None else -(-grid.side // at_once) * at_once
 

@@ -61,7 +61,7 @@ def inner_path(path: Path) -> Path:
 
 
 def read_head(path: Path, count: int) -> bytes:
-    """Return the first bytes of the height map in an archive. Raises TerrainError."""
+    """Return the first `count` bytes of the height map in an archive, or all of a shorter one. Raises TerrainError."""
     member = _member(path)
     try:
         with open_regular(path, links=True) as file:
@@ -130,7 +130,9 @@ class UnpackedFiles:
 def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
     """Yield an UnpackedFiles that unpacks archives into the new folder `folder` on demand; remove it after the block.
 
-    In a TerrainError of the block, paths of unpacked files are replaced by those of their archives.
+    `folder` has the name of a folder of arrays (`store_folder.scratch_name`). Folders above it that were made for it
+    are removed if they are empty. In a TerrainError of the block, paths of unpacked files are replaced by those of
+    their archives. Raises OSError if the folder cannot be made.
     """
     new_folders = store_folder.missing_folders(folder.parent)
     lock = partial_files.make_folder(folder, parents=True)
@@ -161,7 +163,7 @@ def unpacked(path: Path, folder: Path) -> Iterator[Path]:
 
 
 def _unpack(path: Path, folder: Path) -> Path:
-    """Write the height map of an archive, and its sidecars, into a folder; return its path."""
+    """Write the height map of an archive, and its sidecars, into a folder; return its path. Raises TerrainError."""
     member = _member(path)
     target = folder / member.name
     try:
@@ -180,7 +182,10 @@ def _unpack(path: Path, folder: Path) -> Path:
 
 
 def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes: int) -> None:
-    """Copy at most `max_bytes` into a new file. Raises TerrainError for more, or for too little room."""
+    """Copy all of `source` into a new file. Raises TerrainError beyond `max_bytes` or the free bytes of the disk.
+
+    path: the archive, for the error.
+    """
     free, size = shutil.disk_usage(target.parent).free, 0
     with target.open("xb") as file:
         while piece := source.read(PIECE):
@@ -222,7 +227,10 @@ def _member(path: Path) -> Member:
 
 
 def _choose(path: Path, members: list[zipfile.ZipInfo]) -> Member:
-    """Return the only height map of a .zip and its sidecars. Raises TerrainError for unsafe members."""
+    """Return the only height map of a .zip and its sidecars, without those of more than MAX_SIDECAR_BYTES.
+
+    Raises TerrainError for unsafe members, for none or several height maps, and for one of more than MAX_BYTES.
+    """
     for info in members:
         _check_member(path, info)
     maps = [info for info in members if _importable(PurePosixPath(info.filename))]
@@ -256,7 +264,7 @@ def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
 
 
 def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
-    """Return the format of a height map by its name; None for others, for mosaics and for archives."""
+    """Return the format of a height map by its name; None for others, mosaics, archives and hidden files."""
     form = FORMATS.get(name.suffix.lower())
     return None if form is None or form.is_archive or form.driver == "VRT" or name.name.startswith(".") else form
 

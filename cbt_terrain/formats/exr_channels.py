@@ -47,7 +47,7 @@ def channels_by_name(channels: list[ExrChannel], name: str) -> list[ExrChannel]:
     """Return the channels that a user may mean by a name, the likeliest first.
 
     name: CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART. Upper and lower case count only if that finds a
-    channel. A layer or a part stands for its likeliest channel.
+    channel. A layer or a part stands for its likeliest channel, unless a channel has that name. [] without any.
     """
     for fold in (str, str.casefold):
         sought = fold(name)

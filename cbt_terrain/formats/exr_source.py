@@ -23,7 +23,10 @@ DWA_CHANNELS = ("r", "g", "b", "y", "ry", "by", "red", "grn", "green", "blu", "b
 
 
 def open_exr(path: Path, settings: ImportSettings) -> Raster:
-    """Read one channel of one part of an EXR file. Raises TerrainError if it cannot be used."""
+    """Read the channel that the settings name, or the likeliest one, of an EXR file into memory.
+
+    Raises TerrainError for a file, a size or a channel that cannot be used.
+    """
     import OpenEXR
 
     try:
@@ -86,7 +89,7 @@ def _part_size(header: dict) -> tuple[int, int]:
 def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChannel, list[ExrChannel]]:
     """Return the channel with the given name, or the likeliest one, and others that the name may mean.
 
-    Raises TerrainError if there is none.
+    Raises TerrainError if there is none, or if it does not have a sample for every pixel.
     """
     if not channels:
         raise TerrainError(f"{path} has no channels", expected="a channel of heights", fix="get the file again")
@@ -117,7 +120,7 @@ def _read_channel(path: Path, channel: ExrChannel) -> np.ndarray:
 
 
 def _channel_rounding(stored: str, channel: ExrChannel, compression: str) -> SourceRounding:
-    """Return how far a channel's samples may be from those before its compression. stored: dtype's name."""
+    """Return the rounding of a channel's samples by their type and the file's compression. stored: dtype's name."""
     method = compression.removesuffix("_COMPRESSION")
     bits = PXR24_BITS if method == "PXR24" and stored == "float32" else 0
     lossy = (

@@ -11,7 +11,7 @@ HEAD_BYTES = 1024  # the first record of a USGS DEM, which is text
 
 
 def format_of(path: Path) -> SourceFormat | None:
-    """Return the format of a file, None for an unknown suffix."""
+    """Return the format of a file, None for an unknown suffix. For a file that cannot be read the suffix decides."""
     form = FORMATS.get(path.suffix.lower())
     if form is None or not form.others:
         return form
@@ -31,6 +31,6 @@ def inner_format(path: Path) -> SourceFormat | None:
 
 
 def _choose(form: SourceFormat, head: bytes) -> SourceFormat:
-    """Return the format, or one of its others, by the first bytes of a file."""
+    """Return the format, or the first of its others that the first bytes of a file fit: `starts`, or plain text."""
     is_text = head.isascii() and head.decode("ascii").replace("\r", "").replace("\n", "").isprintable()
     return next((other for other in form.others if (head.startswith(other.starts) if other.starts else is_text)), form)

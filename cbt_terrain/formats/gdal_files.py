@@ -39,7 +39,7 @@ OPTIONS = {
 
 
 class OpenedVrt(NamedTuple):
-    """An open VRT.
+    """An open VRT. The dataset has to be closed before the texts.
 
     Attributes:
         dataset: a rasterio dataset.
@@ -64,7 +64,11 @@ def start_gdal() -> None:
 
 
 def open_file(path: Path, form: SourceFormat) -> DatasetReader:
-    """Open the dataset of one file. Raises TerrainError if it, or its smallest readable piece, is too large."""
+    """Open the dataset of one file, which the caller closes.
+
+    Raises TerrainError if it, or its smallest readable piece, is too large, if it is damaged, lacks its header or names
+    files in another folder; and rasterio's errors for other files that GDAL cannot open.
+    """
     import rasterio
 
     if form.max_bytes and path.stat().st_size > form.max_bytes:
@@ -106,7 +110,11 @@ def _check_damage(path: Path, form: SourceFormat) -> None:
 
 
 def open_vrt(path: Path) -> OpenedVrt:
-    """Open a VRT as `read_mosaic` rewrites it."""
+    """Open a VRT as `read_mosaic` rewrites it, after each of its files was opened once and checked.
+
+    From then on GDAL looks for no files beside others in this process. Raises TerrainError, and rasterio's errors for
+    the VRT itself.
+    """
     import rasterio
     from rasterio.env import setenv
 
@@ -142,7 +150,10 @@ def open_vrt(path: Path) -> OpenedVrt:
 
 
 def _check_blocks(path: Path, dataset: DatasetReader) -> None:
-    """Refuse a dataset with too many bands or with too large pieces, and let GDAL's cache hold two pieces."""
+    """Refuse a dataset with too many bands or with too large pieces, and let GDAL's cache hold two pieces.
+
+    Raises TerrainError.
+    """
     from rasterio.enums import Interleaving
     from rasterio.env import setenv
 

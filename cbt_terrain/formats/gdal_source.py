@@ -36,7 +36,7 @@ from .vrt_units import mosaic_notes
 def keep_only_drivers(wanted: set[str]) -> list[str]:
     """Remove all other GDAL drivers from this process, and return those that remain.
 
-    Raises TerrainError if more drivers remain, because files could use them.
+    Raises TerrainError if others remain, because files could use them, or if one of `wanted` is missing.
     """
     import rasterio
     from rasterio import _env
@@ -58,7 +58,10 @@ def keep_only_drivers(wanted: set[str]) -> list[str]:
 
 
 def open_raster(path: Path, settings: ImportSettings) -> Raster:
-    """Open a raster file. Raises TerrainError if GDAL cannot."""
+    """Open the band of the settings of a raster file, which the raster's `close` closes.
+
+    Raises TerrainError if GDAL cannot, or for a name that is no UTF-8 text.
+    """
     form = format_of(path)
     assert form is not None, "the file has the suffix of a format"
     driver = form.driver
@@ -85,7 +88,10 @@ def check_utf8(path: Path) -> None:
 
 
 def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
-    """Open a file with GDAL and return its band `settings.band` as a raster, which its `close` closes."""
+    """Open a file with GDAL and return its band `settings.band` as a raster, which its `close` closes.
+
+    Heights that are coded in colours are one band, decoded in memory.
+    """
     start_gdal()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
@@ -240,9 +246,10 @@ def _window_reader(
 
 
 def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
-    """Open the coarsest overview of a GeoTIFF with samples over at most `max_factor` samples a side; None without one.
+    """Open the overview of a GeoTIFF with samples over 2, 4, 8, ... samples a side, the most up to `max_factor`.
 
-    The file was opened and checked before. width: its columns. stored: type of its samples.
+    None if the file has no such overview, or its overviews have other steps or another type of samples. The caller
+    closes it. The file was opened and checked before. width: its columns. stored: type of its samples.
     """
     import rasterio
 
@@ -269,7 +276,10 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
 
 
 def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Callable:
-    """Return the function `window` of a Raster for the band of the settings, with the mask that applies."""
+    """Return the function `window` of a Raster for the band of the settings, which applies the file's mask or alpha.
+
+    With a no-data value in the settings that alone marks missing samples.
+    """
     from rasterio.enums import MaskFlags
 
     flags, no_data = dataset.mask_flag_enums[settings.band - 1], settings.no_data
@@ -279,7 +289,10 @@ def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> 
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
-    """Return the grid of a dataset, an empty one for an invalid geotransform if the user gives an extent."""
+    """Return the grid of a dataset. Raises TerrainError for one that cannot be used.
+
+    If the user gives an extent, it is then an empty one.
+    """
     try:
         return grid_of(dataset)
     except TerrainError:
@@ -291,7 +304,7 @@ def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
 def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
     """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it.
 
-    It is also None if its place cannot be used and the settings give the extent.
+    It is also None if its place cannot be used and the settings give the extent; without that TerrainError is raised.
     """
     if grid.transform is None:
         return None

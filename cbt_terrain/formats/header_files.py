@@ -57,7 +57,10 @@ def check_header(path: Path) -> Path:
 
 
 def check_length(path: Path, header: Path, dataset: DatasetReader) -> None:
-    """Raise TerrainError for a file that is shorter than its header requires, since GDAL would read zeros."""
+    """Raise TerrainError for a file that is shorter than its header requires, since GDAL would read zeros.
+
+    dataset: the opened file, for its size and type.
+    """
     with open_regular(header, links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)

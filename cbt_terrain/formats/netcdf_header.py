@@ -39,7 +39,7 @@ class _Header:
             self.items(tag, item)
 
     def number(self, code: str = ">I") -> int:
-        """Return the next number."""
+        """Return the next number. code: its type, as of `struct`."""
         return struct.unpack(code, self.file.read(struct.calcsize(code)))[0]
 
     def count(self) -> int:

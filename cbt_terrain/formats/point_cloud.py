@@ -41,7 +41,10 @@ class GroundExtent:
 
 
 def open_points(path: Path, settings: ImportSettings) -> Raster:
-    """Grid the ground points of a file. Raises TerrainError if it has none or cannot be read."""
+    """Grid the ground points of a file into a raster in memory, whose `close` releases it.
+
+    Raises TerrainError if it has none or cannot be read, and for a grid of too few or too many cells.
+    """
     from .gdal_files import start_gdal
 
     start_gdal()
@@ -60,7 +63,7 @@ def open_points(path: Path, settings: ImportSettings) -> Raster:
 def _open(path: Path, settings: ImportSettings) -> Raster:
     """Return the ground points of a LAS or LAZ file as a raster.
 
-    Raises TerrainError for a damaged file or one in degrees.
+    Raises TerrainError for a damaged file, one in degrees or one without ground points.
     """
     from ..rasters.file_grid import FileGrid, unit_of
     from .gdal_source import raster_of
@@ -97,7 +100,10 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _header(path: Path) -> tuple[object, float]:
-    """Return the coordinate system of a file, a rasterio CRS or None, and the step of its heights."""
+    """Return the coordinate system of a file, a rasterio CRS or None, and the step of its heights in its own unit.
+
+    A system that PROJ does not know counts as none.
+    """
     import laspy
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -126,7 +132,10 @@ def _header(path: Path) -> tuple[object, float]:
 
 
 def _pieces(path: Path) -> Iterator[np.ndarray]:
-    """Yield x, y and z of ground points, float64 [3, n], in pieces."""
+    """Yield x, y and z of ground points, float64 [3, n] in the file's units, in pieces; a piece may be empty.
+
+    Points that are marked as withheld, and those with a coordinate that is not finite, are left out.
+    """
     import laspy
 
     with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
@@ -150,7 +159,10 @@ def _extent(path: Path) -> GroundExtent:
 
 
 def _default_cell(extent: GroundExtent) -> float:
-    """Return a cell, in the file's unit, that holds POINTS_A_CELL points in the mean: 1, 2 or 5 times a power of 10."""
+    """Return a cell, in the file's unit, that holds POINTS_A_CELL points in the mean, or more.
+
+    It is 1, 2 or 5 times a power of 10.
+    """
     width, height = np.maximum(extent.high - extent.low, 1e-3)
     side = math.sqrt(POINTS_A_CELL * width * height / extent.count)
     power = 10.0 ** math.floor(math.log10(side))
@@ -161,7 +173,8 @@ def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, fl
     """Return (heights, west, north, filled): mean heights of cells, float32 [rows, columns], row 0 north, NaN for none.
 
     west, north: coordinates of the grid's borders. filled: number of cells without points that were interpolated. cell:
-    side of a cell in the file's unit. Cell borders are at multiples of it.
+    side of a cell in the file's unit. Cell borders are at multiples of it. Raises TerrainError for fewer than 2 x 2 or
+    more than MAX_CELLS cells.
     """
     first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
     columns, rows = (last - first).astype(np.int64) + 1

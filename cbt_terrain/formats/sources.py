@@ -22,7 +22,10 @@ SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likeli
 
 
 def open_source(settings: ImportSettings) -> Raster:
-    """Open the source that the settings name, in the import's child process. Raises TerrainError."""
+    """Open the source that the settings name, in the import's child process; the raster's `close` closes it.
+
+    Raises TerrainError for settings or a file that cannot be used.
+    """
     settings.check()
     settings.check_file()
     if settings.source in LANDS:
@@ -45,7 +48,10 @@ def open_source(settings: ImportSettings) -> Raster:
 
 
 def check_file(path: Path, kind: str = "height map") -> None:
-    """Raise TerrainError unless `path` is a readable, non-empty file. kind: purpose of the file, in errors."""
+    """Raise TerrainError unless `path` is a readable, non-empty file without a pipe next to it (`check_neighbours`).
+
+    kind: purpose of the file, in errors.
+    """
     check_named(path, kind)
     check_neighbours(path)
 
@@ -119,7 +125,7 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
     """Open samples without a header.
 
     Size, type and byte order are those of the settings. A suffix that implies a type, as .r32 does, wins over a type of
-    another length. Raises TerrainError.
+    another length. The file is mapped. Raises TerrainError for a file of another size, and if it is to be reprojected.
     """
     if settings.project:
         raise TerrainError(
@@ -148,7 +154,7 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _byte_order_warnings(values: np.ndarray) -> list[str]:
-    """Return a warning about samples that are far smoother with their bytes in the other order."""
+    """Return a warning about 16-bit integers that are far smoother with their bytes in the other order; else []."""
     if values.dtype.kind not in "iu" or values.itemsize != 2 or values.shape[1] < 2:
         return []
     rows = np.asarray(values[:: -(-len(values) // ORDER_ROWS)])  # at most ORDER_ROWS of them
@@ -165,7 +171,7 @@ def _byte_order_warnings(values: np.ndarray) -> list[str]:
 
 
 def open_npy(path: Path, settings: ImportSettings) -> Raster:
-    """Open an array of numpy. Raises TerrainError."""
+    """Map an array of numpy, [rows, columns] with the north first. Raises TerrainError for any other content."""
     try:
         values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
     except Exception as reason:  # the parser of headers raises errors of many classes

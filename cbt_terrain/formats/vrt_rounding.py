@@ -16,7 +16,10 @@ SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
 
 
 def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: RoundingOf) -> tuple[SourceRounding, ...]:
-    """Return the different roundings of the sources of one band of a mosaic. stored: type of the band's values."""
+    """Return the different roundings of the sources of one band of a mosaic, without unknown ones.
+
+    stored: name of the type of the band's values.
+    """
     found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
     # A value that the VRT's type holds unchanged has its file's rounding alone.
     is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
@@ -50,7 +53,8 @@ def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element 
 def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | int, int, tuple[float, float]]]:
     """Yield the sources of band `band` of text `number`, in order and once.
 
-    Each is a file or the number of a text, its band, and the scale and the offset of its values.
+    Each is a file or the number of a text, its band, and the scale and the offset that the VRT applies to its values.
+    Masks, and sources of other kinds than SOURCES, are left out.
     """
     element = band_element(mosaic, number, band)
     numbers = {f"/vsimem/{mosaic.folder}/{n}.vrt": n for n in range(len(mosaic.texts))}

@@ -94,7 +94,7 @@ class Mosaic:
 
 
 def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
-    """Read a VRT and all nested VRTs. Raises TerrainError.
+    """Read a VRT and all nested VRTs. Raises TerrainError for files, elements and values that are not allowed.
 
     suffixes: those that sources may have.
     """
@@ -104,9 +104,10 @@ def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
 
 
 def _add_file(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
-    """Read a VRT and its nested VRTs into `mosaic`, and return the number of its text.
+    """Read a VRT and its nested VRTs into `mosaic`, unless it has them, and return the number of its text.
 
-    suffixes: allowed formats of sources. outer: VRTs that contain it, by which a cycle is found.
+    suffixes: allowed suffixes of sources. outer: VRTs that contain it, by which a cycle is found. Raises TerrainError,
+    also for an outermost VRT that is too large for a terrain.
     """
     real = real_path(path)
     if real in outer:
@@ -141,7 +142,11 @@ def _within_float32(text: str) -> str:
 
 
 def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:
-    """Return the file that a SourceFilename names. Raises TerrainError unless it is a regular file of a known kind."""
+    """Return the file that a SourceFilename in the VRT `path` names, an absolute path.
+
+    Raises TerrainError unless it is a regular file with one of the suffixes and holds XML only as a VRT, since GDAL
+    would open any other as one.
+    """
     text = (name.text or "").strip()
     source = path.parent / text if name.get("relativeToVRT") == "1" else Path(text)
     source = source if source.is_absolute() else path.parent / source
@@ -167,7 +172,7 @@ def _is_local(source: Path, path: Path) -> bool:
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    """Return the allowed elements of a VRT. Raises TerrainError for elements on neither list."""
+    """Return the allowed elements of a VRT. Raises TerrainError for elements on neither list and for damaged XML."""
     with open_regular(path, links=True) as file:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
@@ -246,7 +251,10 @@ class _Reader:
         self._refuse("a document type, which may define entities")
 
     def _check_value(self, element: str, name: str, value: str) -> None:
-        """Raise TerrainError for a value of an attribute or text that does not match the pattern of its name."""
+        """Raise TerrainError for a value of an attribute or text that does not match the pattern of its name.
+
+        Names without a pattern may have any value; numbers of rectangles are below LARGEST_NUMBER.
+        """
         pattern = _PATTERNS.get(name)
         good = pattern is None or pattern.fullmatch(value) is not None
         if good and name in _RECTANGLE:

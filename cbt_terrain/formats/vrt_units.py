@@ -113,6 +113,7 @@ def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
     if scale.metres is None:
         return f"{start} give the metres in one of its values (--height-scale)."
     factor = (scale.metres if lacks_unit else 1.0) * missing.scale
+    # The height offset is in metres and applies last; the scale applies to values in the VRT's unit, if it has one.
     offset = f" --height-offset {scale.metres * missing.offset:.10g}" if missing.offset else ""
     return f"{start} give --height-scale {factor:.10g}{offset}."
 
@@ -141,9 +142,10 @@ def _crs(text: str) -> CRS | None:
 
 
 def _scales(mosaic: Mosaic, number: int, band: int, scale_of: ScaleOf) -> set[HeightScale]:
-    """Return the conversions to heights of the sources of band `band` of text `number`, completed by the VRTs.
+    """Return the conversions to heights of the sources of band `band` of text `number`.
 
-    Sources that the VRT scales are left out, because it may have converted them.
+    A unit or a scale that a VRT has replaces that of its sources. Sources that the VRT scales are left out, because it
+    may have converted them, and so are unknown ones.
     """
     vrt_scale, found = _vrt_scale(mosaic, number, band), set()
     for source, source_band, scaling in sources_of(mosaic, number, band):

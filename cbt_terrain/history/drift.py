@@ -59,7 +59,8 @@ def _squares(criterion: CriterionArrays) -> list[float]:
 def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
     """Fill in the motion of the view from `before` to `now`, for the kernels that test cached subtrees.
 
-    drift: fraction by which the lengths may differ that footprints are made of, since Blender's matrices are float32.
+    before: the view for which the subtrees were cached. drift: fraction by which the lengths differ that footprints are
+    made of (`CachedSubtrees.drift`).
     """
     motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)

@@ -16,9 +16,10 @@ class Leaves:
     """The leaves of one refinement in curve order, slice by slice.
 
     `counts` int64 [slices, 3]: leaves, vertices, edges. `squares` int32 [slices]: the square where each slice begins.
-    `before` int32 [slices, 4]: edges of that square's sides in earlier slices. `sides` int32 [squares, 4]. `base` int64
-    [slices]: first entry of each slice in the frame's arrays "code" and "point". `slots` int64 [slices]: rows of the
-    walk's lists. `work` float64 [slices]: cost, in leaves that are found anew.
+    `before` int32 [slices, 4]: edges of that square's sides in earlier slices. `sides` int32 [squares, 4]: edges of
+    each square's sides. Sides are left, below, right and above. `base` int64 [slices]: first entry of each slice in the
+    frame's arrays "code" and "point". `slots` int64 [slices]: rows of the walk's lists. `work` float64 [slices]: cost,
+    in leaves that are found anew.
     `stopped`: whether a leaf is too coarse by the criterion and as deep as leaves may be. `changed`: whether the last
     frame has other leaves.
     """

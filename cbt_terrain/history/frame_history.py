@@ -76,7 +76,7 @@ class FrameHistory:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Keep other threads out of the history for the block.
+        """Keep other threads out of the history for the block; they wait.
 
         In a process that was forked while another thread was inside, begin with an empty history. Raises TerrainError
         if the same thread is inside already.
@@ -107,15 +107,18 @@ class FrameHistory:
             raise
 
     def begin(self, key: tuple) -> bool:
-        """Begin a frame; return True if it is the last one again, so that nothing is to be done."""
+        """Empty the next frame; return True if the last one has this key, so that nothing is to be done.
+
+        key: the arguments of the update.
+        """
         self.next = self.next.emptied()
         return key == self.last.key
 
     def commit(self, key: tuple | None = None, result: object = None, keeps_vertices: bool = False) -> None:
-        """Make the next frame the last one.
+        """Make the next frame the last one; the one before it becomes the memory of the next.
 
-        key: the arguments of the update that computed it; result: that update. keeps_vertices: it has the same mesh as
-        the last frame and takes over its vertices.
+        key: the arguments of the update that computed it, None for a frame that is never found again; result: that
+        update. keeps_vertices: it has the same mesh as the last frame and takes over its vertices.
         """
         if keeps_vertices:
             self.next.vertices = self.last.vertices
@@ -124,7 +127,10 @@ class FrameHistory:
         self.last, self.next = self.next, self.last.emptied()
 
     def reuse_subtrees(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> "Motion | None":
-        """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused."""
+        """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused.
+
+        The result is in `scratch` until the next call. Arguments: those of the frame that begins.
+        """
         cached = self.last.subtrees
         if cached is None or (drift := cached.drift(domain, criterion, max_depth)) > MAX_DRIFT:
             return None

@@ -27,13 +27,14 @@ def balance_mass(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return deposits and erosion scaled so that mass is conserved, both float32 [rows, columns] m.
 
-    Mass is conserved exactly for a whole raster, and for a tile within its window. Where too little is deposited
-    nearby, as at a border that all material has left, erosion changes instead.
+    Mass is conserved for a whole raster, to rounding, and for a tile within its window. Where too little is deposited
+    nearby, as at a border that all material has left, erosion changes instead. Arrays are float32 [rows, columns] m and
+    are not written into.
 
     Args:
         deposited: deposits, >= 0, which are scaled first.
         eroded: erosion, >= 0.
-        max_eroded: limit of erosion.
+        max_eroded: largest erosion of each sample.
         change: change of this level before the correction; it includes `deposited`.
         net: the coarser level's change, interpolated to this level. Its sum over that level's samples is 0.
         ground: this level or tile; only its position in the whole level is read.
@@ -65,7 +66,7 @@ def balance_mass(
 
 
 def _fraction(gain: np.ndarray | float, available: np.ndarray | float) -> np.ndarray:
-    """Return the fraction of the available material to remove; negative to add, at most as much again."""
+    """Return the fraction of the available material to remove, at most 1; negative to add, at least -1."""
     return np.clip(gain / np.maximum(available, 1e-12), -1.0, 1.0)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 def limit_at_cliffs(
     heights: np.ndarray, before: np.ndarray, after: np.ndarray, first: tuple[int, int], drop: float
 ) -> np.ndarray:
-    """Clamp `heights` to `drop` metres above or below all surrounding coarser samples.
+    """Return `heights`, at most `drop` metres above or below all surrounding samples of the coarser level.
 
     A sample that was above or below these before the operator may stay so by as much. All float32 [rows, columns] m.
     heights: start of the finer level. before, after: heights at its samples without and with the coarser change; of

@@ -132,7 +132,8 @@ class Land:
 def use(user: int, land: Land) -> None:
     """Note that a user wants this land: it is not removed as old, and is rebuilt if it is damaged.
 
-    user: any number that identifies it, as the session_uid of an object.
+    It replaces the land that this user wanted before. user: any number that identifies it, as the session_uid of an
+    object.
     """
     if _in_use.get(user) != land.folder:
         _in_use[user] = land.folder
@@ -164,16 +165,17 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
         store: folder of the store to open if `land` is None.
         land: land to open instead; its preview if it is not shaped and `land.waits` is False.
         open_field: opens the store in a folder.
-        verified: check all files of a derived store first, as for an export: meshes do not read all of them.
+        verified: check all files of land first, as for an export: meshes do not read all of them.
 
     Raises:
-        TerrainError: with the code DAMAGED where `store` was a derived store and was removed.
+        TerrainError: with the code DAMAGED where `store` was a damaged derived store, which is removed, or where
+            another program has removed the land: call again. Others if nothing can be shaped or opened.
     """
     if land is None:
         return _open(store, open_field)
     if not land.waits and not land.is_shaped:
         return build_preview(land, open_field).field
-    if land.waits and (land.seen or not is_whole(land, open_field)):
+    if land.waits and (land.seen or not is_usable(land, open_field)):
         with _shaping:  # two renders of one land shape it once
             _shape(land, open_field)
     if verified and _remove_damaged(land.folder) is not None:
@@ -192,7 +194,10 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
 
 
 def _shape(land: Land, open_field: OpenField) -> None:
-    """Shape the tiles of a land that its folder lacks, together with those requested earlier."""
+    """Shape the tiles of a land that its folder lacks, together with those requested earlier; wait for them.
+
+    Raises TerrainError, also if `on_shaping` cancels.
+    """
     wanted = wanted_tiles(land, open_field)
     if not has_tiles(land, wanted, open_field):
         wanted = requested_tiles.with_known(land.folder, wanted)
@@ -208,7 +213,7 @@ def _shape(land: Land, open_field: OpenField) -> None:
 def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
     """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs.
 
-    wanted: the requested tiles, from `wanted_tiles`; None for all. gentle: run at low priority.
+    wanted: the requested tiles, from `wanted_tiles`; None for all. gentle: run at low priority. Raises TerrainError.
     """
     wanted = requested_tiles.with_known(land.folder, wanted)
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted
@@ -220,7 +225,7 @@ def finish_shaping(land: Land, wanted: Tiles | None) -> None:
     remove_old(land)
 
 
-def is_whole(land: Land, open_field: OpenField) -> bool:
+def is_usable(land: Land, open_field: OpenField) -> bool:
     """Return whether the derived store is there, can be opened and records this land; remove one that is damaged.
 
     Raises:
@@ -238,7 +243,7 @@ def is_whole(land: Land, open_field: OpenField) -> bool:
 
 def has_tiles(land: Land, wanted: Tiles | None, open_field: OpenField) -> bool:
     """Return whether the derived store is there with these tiles, None for all; remove one that is damaged."""
-    return is_whole(land, open_field) and requested_tiles.has(land.folder, wanted)
+    return is_usable(land, open_field) and requested_tiles.has(land.folder, wanted)
 
 
 def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
@@ -252,7 +257,7 @@ def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
 def build_preview(land: Land, open_field: OpenField) -> Preview:
     """Return the preview of a land, built on first use; the last MAX_PREVIEWS stay in memory.
 
-    open_field: opens a store's height field.
+    open_field: opens a store's height field. Raises TerrainError for a source or a mask that cannot be read.
     """
     found = _previews.pop(land.folder, None)
     if found is None:
@@ -272,7 +277,7 @@ def preview_of(land: Land) -> Preview | None:
 
 
 def remove_old(land: Land) -> None:
-    """Remove derived stores of a source beyond MAX_BYTES, oldest use first, except `land` and land in use."""
+    """Remove derived stores of the land's source beyond MAX_BYTES, oldest use first, except `land` and land in use."""
     found = land_folder.shaped_stores(land.source)
     total = sum(int(size) for _, size in found)
     for folder, size in found:
@@ -282,7 +287,9 @@ def remove_old(land: Land) -> None:
 
 
 def check_after(store: str, error: TerrainError) -> None:
-    """Check a derived store after an error that its damage may have caused.
+    """Check a derived store after an error that its damage may have caused; other stores and whole ones stay.
+
+    A store is checked once; its result counts until the store changes.
 
     Raises:
         TerrainError: with the code DAMAGED if it was damaged and is removed.
@@ -298,7 +305,7 @@ def check_after(store: str, error: TerrainError) -> None:
 def _open(store: str, open_field: OpenField) -> HeightField:
     """Open the height field of a store, with `open_field`.
 
-    Raises TerrainError. Shaped land that is damaged is removed, so that it is shaped again.
+    Shaped land that is damaged is removed, so that it is shaped again. Raises TerrainError, then with the code DAMAGED.
     """
     try:
         return open_field(store)
@@ -312,10 +319,11 @@ def _open(store: str, open_field: OpenField) -> HeightField:
 
 
 def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainError | None:
-    """Remove a damaged derived store, and notify the user; return its fault, None if the store stays.
+    """Remove a damaged derived store, and notify the user; return its fault, None if the store is whole or stays.
 
-    fault: the error of opening it; None to check all its files. Stores that no stack in use makes stay, and so do files
-    of others in its folder.
+    The fault is also returned if another process has replaced the store meanwhile. fault: the error of opening it; None
+    to check all its files. Stores that no stack in use makes stay, those removed MAX_REBUILDS times, and those that
+    this process lacks memory or open files for; so do files of others in its folder.
 
     Raises:
         NotOursError: the store is a link.

@@ -28,7 +28,10 @@ TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
+    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one.
+
+    It is read only on levels finer than FINEST_STEP; other levels are independent of each other.
+    """
     if coarser is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         change = _smooth(coarser.heights, ground.missing)
     elif min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
@@ -112,12 +115,15 @@ def _whole_shape(ground: OperatorGround) -> tuple[int, int]:
 
 
 def _num_steps(values: Mapping[str, float], stride: float) -> int:
-    """Return the number of steps that a droplet takes. stride: metres of a step."""
+    """Return the largest number of steps that a droplet takes. stride: metres of a step."""
     return max(1, int(values["reach"] / stride))
 
 
 def _tile(reach: float, brush: int) -> int:
-    """Return the samples along a tile's side, of which a droplet with its last brush reaches less than half."""
+    """Return the samples along a tile's side, of which a droplet with its last brush reaches less than half.
+
+    reach: of a droplet, in samples. brush: its radius in samples.
+    """
     return math.ceil(2.0 * (reach + brush + 3.0))
 
 
@@ -157,10 +163,10 @@ def _dilate(tiles: np.ndarray) -> np.ndarray:
 
 
 def _halo(values: Mapping[str, float], step: float) -> float:
-    """Return the halo in metres: 4 sides of a droplet tile.
+    """Return the halo in metres: 4 sides of a droplet tile, or more; 2 samples on levels that only smooth.
 
     Droplets that reach the target start within half a side of it, the earlier tiles that affect them are at most two
-    tiles further, and these read half a side beyond.
+    tiles further, and these read half a side beyond. step: metres between samples.
     """
     if step < FINEST_STEP:
         return 2.0 * step

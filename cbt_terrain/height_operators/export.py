@@ -38,8 +38,8 @@ def export_raster(
 ) -> list[Path]:
     """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
-    names: HEIGHTS and names of layers, None for all. on_progress(fraction) is called repeatedly; an exception from it
-    stops the export, and the file that it writes is not left.
+    names: those to write of HEIGHTS and the names of layers, None for all. on_progress(fraction) is called repeatedly;
+    an exception from it stops the export, and the file that it writes is not left; complete files stay.
     """
     file = check_export(file)
     field = open_store(store)
@@ -98,7 +98,7 @@ def _strips(field: HeightField, names: Sequence[str], number: int, on_progress: 
 
 
 def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
-    """Write heights and layers as OpenEXR files. files: the file of each layer, by its name."""
+    """Write heights and layers as OpenEXR files. files: the file of each, by HEIGHTS or a layer's name."""
     for number, path in enumerate(files.values()):
         _write_exr(field, _strips(field, list(files), number, on_progress), path)
 
@@ -106,7 +106,7 @@ def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_pro
 def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> None:
     """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits.
 
-    strips: arrays of LINES rows, from the north; the last may be shorter.
+    strips: arrays of LINES rows, from the north; the last may be shorter. Raises TerrainError.
     """
     lattice = field.lattice
     try:
@@ -125,7 +125,7 @@ def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> 
 def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
     """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
 
-    files: the file of each layer, by its name.
+    files: the file of each, by HEIGHTS or its name. Raises TerrainError.
     """
     request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
     try:
@@ -198,9 +198,9 @@ def _open_raw(path: Path, _shape: RasterShape, dtype: np.dtype, _pool: Executor)
 
 
 def _convert_to_tiffs(paths: Iterable[Path], shapes: Iterable[RasterShape]) -> None:
-    """Replace RAW files of float32 by GeoTIFF files with the same names, in one child process.
+    """Replace RAW files of float32, at least one, by GeoTIFF files with the same names, in one child process.
 
-    shapes: size and georeference of each.
+    shapes: size and georeference of each. Raises TerrainError.
     """
     raws = [{"path": str(path.absolute()), "shape": asdict(shape)} for path, shape in zip(paths, shapes, strict=True)]
     ask(MODULE, {"store": raws[0]["path"], "raws": raws}, "the rows of GeoTIFF files")
@@ -253,7 +253,8 @@ def child_main() -> None:
 def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -> list[str]:
     """Write the requested GeoTIFFs in the child process, since rasterio must not be loaded into Blender.
 
-    A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers.
+    A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers. Return the files
+    of the store that were written, [] for `raws`.
     """
     child.end_with_parent()
     if "raws" in request:

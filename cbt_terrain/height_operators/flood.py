@@ -72,7 +72,7 @@ def still(
     missing: np.ndarray | None = None,
     threads: int = 1,
 ) -> Flood:
-    """Return a flood at rest, with water `surge` metres above the `sea` level over ground below it.
+    """Return a flood at rest, with water `surge` metres above the `sea` level over ground below that level.
 
     bed: heights in metres. metres: between samples, east and north. rough: Manning's coefficient. rain: m/s, one number
     or one for each sample. missing: bool [rows, columns], holes, where water vanishes. Beyond the border is the sea, or
@@ -97,7 +97,8 @@ def still(
 def longest_step(flood: Flood) -> float:
     """Return the longest stable step in seconds: sqrt((1 - 2 s) / (g h (1 / dx^2 + 1 / dy^2))), h the largest depth.
 
-    It is the bound of leapfrog steps for the shortest wave of the grid, where s is the smoothing of fluxes.
+    h is at least MIN_DEPTH. It is the bound of leapfrog steps for the shortest wave of the grid, where s is the
+    smoothing of fluxes.
     """
     dx, dy = flood.metres
     deepest = max(float(flood.water.max()), MIN_DEPTH)
@@ -174,7 +175,7 @@ def speeds(flood: Flood) -> np.ndarray:
 
 
 def _check_time(flood: Flood, seconds: float) -> None:
-    """Raise TerrainError if a flood of `seconds` would take more than MAX_STEPS steps."""
+    """Raise TerrainError if a flood of `seconds` would take more than MAX_STEPS steps at its present depth."""
     steps = seconds / (SAFE * longest_step(flood))
     if steps > MAX_STEPS:
         raise TerrainError(

@@ -85,7 +85,11 @@ class Bed:
     path_level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def drain(self, draw: "Draw | None" = None) -> Drainage:
-        """Route water over the bed with its boundary conditions; `draw`: noise of the receivers."""
+        """Route water over the bed with its boundary conditions; `draw`: noise of the receivers, None for none.
+
+        The `heights` of the result are those of the bed, at the border at least `outlet_level`; only the choice of
+        receivers sees the path.
+        """
         heights = self.heights + np.float32(0.0)
         heights[self.border] = np.maximum(heights[self.border], self.outlet_level)
         chosen = heights.copy()
@@ -97,10 +101,10 @@ class Bed:
 
 
 def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np.ndarray | None:
-    """Advance by `years`; `number` selects the noise of the receivers. values: parameters of rivers.py.
+    """Advance the bed's heights and sediment by `years`; `number` selects the noise of the receivers.
 
-    Return the sediment that reached each sample (at outlets: that has left), float64 [n], metres times samples; None
-    without deposition.
+    values: parameters of rivers.py. Return the sediment that reached each sample (at outlets: that has left), float64
+    [n], metres times samples; None without deposition.
     """
     ground, drainage = bed.heights, bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
@@ -191,9 +195,9 @@ def diffuse(
 ) -> np.ndarray:
     """Return `values`, float32 [n], diffused by stable explicit steps or an implicit one; overwrites them.
 
-    spread: diffusivity times time, m2. still: uint8 [n], 1 where they do not change, which includes the border.
-    weight: float32 [n], factor on the change. preserved: float32 [n], part of the change in metres that explicit steps
-    leave out.
+    The result may be another array than `values`. spread: diffusivity times time, m2. still: uint8 [n], 1 where they do
+    not change; the caller includes the border. weight: float32 [n], factor on the change. preserved: float32 [n], part
+    of the change in metres that explicit steps leave out; None for none.
     """
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2  # diffusion numbers along both axes
     rounds = int(np.ceil((ew + ns) / CREEP))
@@ -221,7 +225,7 @@ def diffuse(
 def _deposit(
     bed: Bed, drainage: Drainage, river: kernels.River, raised: np.ndarray, filled: np.ndarray, years: float
 ) -> np.ndarray:
-    """Deposit sediment along the rivers and in lakes, and return each sample's load, float64 [n].
+    """Deposit sediment along the rivers and in lakes, which raises the bed; return each sample's load, float64 [n].
 
     A load is metres of sediment times samples. raised: heights after uplift, before the incision. filled: water's
     surface. Both are float32 [n] m.
@@ -235,9 +239,10 @@ def _deposit(
 
 
 def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
-    """Spread the sediment in lakes until their beds are level.
+    """Spread the sediment in lakes towards level beds, in SETTLING passes for each distance of APART.
 
-    lake: bool [n], no sample of the border. raised: heights after uplift, before the incision, float32 [n] m.
+    It moves the bed's heights; `step` updates its sediment. lake: bool [n], no sample of the border. raised: heights
+    after uplift, before the incision, float32 [n] m.
     """
     wet = np.flatnonzero(lake)
     before = np.maximum(bed.sediment[wet] + (bed.heights[wet] - raised[wet]), np.float32(0.0))  # metres of sediment
@@ -260,7 +265,7 @@ def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
 
 
 def _inside(lake: np.ndarray, distance: int) -> np.ndarray:
-    """Return the samples of lakes with water all round within a distance, bool [rows, columns]."""
+    """Return the samples of lakes with water all round within a distance in samples, bool [rows, columns]."""
     inside = lake
     for axis in (0, 1) if distance else ():  # no lake touches the border, so that nothing wraps around
         inside = np.logical_and.reduce([np.roll(inside, by, axis) for by in range(-distance, distance + 1)])

@@ -10,10 +10,11 @@ def add_change(
     """Return the source's heights with the change of a coarse level, float32 [rows, columns] m.
 
     The top of a cliff sinks while its foot rises. Added to the source, the change interpolated between them would make
-    a spike and a trench. So a height above the coarse ground gets at most the least change around it, one below it at
-    least the greatest, until it meets the changed coarse ground.
+    a spike and a trench. So a height above the coarse ground gets the smallest change around it, one below it the
+    largest, but neither passes the changed coarse ground.
 
-    before: heights of the coarse level. rows, columns: positions of the source's samples in that level, float64.
+    source: heights at the positions. before, change: heights and their change of the coarse level. rows, columns:
+    positions of the source's samples in that level, float64.
     """
     ground, mean, detail, clipped = _parts(source, before, change, rows, columns)
     return ground + mean + (detail - clipped)
@@ -48,7 +49,10 @@ def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:
 
 
 def interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate a grid bilinearly, float32 [rows, columns]. rows, columns: positions in samples, float64."""
+    """Return a grid, interpolated bilinearly at each of `rows` and `columns`, float32 [rows, columns].
+
+    These are positions in samples, float64 [n] each.
+    """
     low = np.minimum(rows.astype(np.int64), max(len(samples) - 2, 0))
     fraction = (rows - low)[:, None].astype(np.float32)
     lines = interpolate_columns(samples, columns)

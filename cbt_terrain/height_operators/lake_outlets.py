@@ -72,10 +72,10 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
 
 
 def _find_outlets(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np.ndarray) -> Positions:
-    """Return rows and columns of outlets: dry samples beside a lake of their height, with its drainage area.
+    """Return rows and columns of outlets: dry samples next to a lake of their height, which drain more.
 
-    surface: heights of ground and water, metres. wet: bool, samples under a lake. to: direction of the receiver, 4 for
-    none. flow: drainage area in samples.
+    They drain at least MIN_AREA. surface: heights of ground and water, metres. wet: bool, samples under a lake. to:
+    direction of the receiver, 4 for none. flow: drainage area in samples.
     """
     y, x = np.nonzero(~wet & (to != 4) & (flow >= MIN_AREA))
     is_outlet = np.zeros(len(y), bool)

@@ -45,8 +45,9 @@ def is_land_name(name: str) -> bool:
 
 
 def records(provenance: dict, folder: str, source_key: str) -> bool:
-    """Return whether a store records that it is the land its folder is named for, and False for an older record.
+    """Return whether a store records that it is the land its folder is named for.
 
+    Return False for an older record, and for land that is not fine everywhere though its folder is not of views.
     provenance: the store's. folder: where it is. source_key: key of the source, the store beside. Raises TerrainError
     for the store of another terrain, which this program did not make for that folder.
     """
@@ -66,7 +67,7 @@ def records(provenance: dict, folder: str, source_key: str) -> bool:
 def shaped_stores(source: str) -> list[tuple[Path, int]]:
     """List the shaped stores of a source with their bytes, the one that was not used for longest first.
 
-    Raises TerrainError where that folder, or one in it, is a link.
+    Stores that shaping did not make are left out. Raises TerrainError where that folder, or one in it, is a link.
     """
     beside = folder_beside(source)
     owned_files.check_folder(beside)

@@ -126,8 +126,9 @@ class LevelPlan:
     def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:
         """Return the needed tiles of a level where its change may exceed the allowed error.
 
-        max_change: float64 [tiles of the next coarser level], largest change there, metres; finer levels change heights
-        less. uncertain: bool [tiles of the next coarser level], where that does not hold.
+        For a level in one piece these are all. max_change: float64 [tiles of the next coarser level], largest change
+        there, metres; finer levels change heights less. uncertain: bool [tiles of the next coarser level], where that
+        does not hold. Both are None at the coarsest level.
         """
         needed = self.needed[level.number]
         if max_change is None or uncertain is None or level.is_whole:

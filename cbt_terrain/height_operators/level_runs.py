@@ -46,7 +46,10 @@ class TileSums:
         return cls(np.zeros(count), np.zeros(count), np.zeros(count, bool))
 
     def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
-        """Record the masked change of a tile. delta, mask: change in metres and weights in a window around it."""
+        """Record the masked change of a tile. delta, mask: change in metres and weights in a window around it.
+
+        The change is that of the entry beyond its interpolated coarser one. mask: None for weights of 1.
+        """
         inner = within(level.window(tile), window)
         change = delta[inner] if mask is None else delta[inner] * mask[inner]
         self.max_change[tile] = np.abs(change).max()
@@ -67,7 +70,8 @@ def apply_run(
     Changes of level 0 are not returned for a run in tiles, since no finer level reads them.
 
     numbers: the run's entries, by index; a single one if it is applied to the whole level. tiles: tiles to compute
-    otherwise. coarse: each entry's change at the coarser level, None at the coarsest.
+    otherwise. coarse: each entry's change at the coarser level, None at the coarsest. Raises Finished if the caller
+    needs no finer levels.
     """
     entry = shaping.entries[numbers[0]]
     if shaping.plan.how(numbers[0], work.level) != WHOLE:

@@ -85,7 +85,10 @@ class LevelWork:
     threads: int
 
     def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
-        """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]."""
+        """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]; None without.
+
+        land: the window that it is computed for.
+        """
         if entry.mask is None:
             return None
         names = sorted({rule.of for rule in entry.mask.rules})
@@ -140,8 +143,8 @@ class LevelWork:
     def accumulate(self, entry: Entry, change: Arrays, mask: np.ndarray | None, land: LandWindow) -> np.ndarray:
         """Add an entry's layers to those of the land and return its masked change of heights, float32 metres.
 
-        change, mask: in the window of `land`. As little as possible is copied: an array of a fine level takes hundreds
-        of megabytes.
+        The caller adds that change to `land.total`; both are 0 in holes. change, mask: in the window of `land`. As
+        little as possible is copied: an array of a fine level takes hundreds of megabytes.
         """
         missing = None if self.source.missing is None else self.source.missing[land.window]
         result = apply_mask(entry.declaration, unpacked(entry.declaration, change), mask)

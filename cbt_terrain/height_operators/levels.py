@@ -42,7 +42,7 @@ def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray
     return fine[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
 
 
-def finer_change(change: Change, shape: tuple[int, ...]) -> Change:
+def interpolate_change(change: Change, shape: tuple[int, ...]) -> Change:
     """Interpolate all arrays of a change to the next finer level."""
     layers, state = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.state))
     return Change(finer(change.heights, shape), layers, state)
@@ -67,16 +67,17 @@ def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: 
     (rows, columns), change = ground.heights.shape, None
     ground = replace(ground, whole=(rows, columns))
     if max(rows, columns) > COARSEST:
-        change = finer_change(_apply_without_mask(effect, _coarser_ground(ground), values), (rows, columns))
+        change = interpolate_change(_apply_without_mask(effect, _coarser_ground(ground), values), (rows, columns))
     if change is not None and effect.finest and max(rows, columns) > effect.finest:
         return change  # finer levels only interpolate
     return effect.apply(ground, values, change)
 
 
 def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> Change:
-    """Multiply heights and by-products that add up by a mask, unless the operator applies masks itself.
+    """Return the change with heights and by-products that add up multiplied by a mask.
 
-    mask: weights 0 to 1, float32 [rows, columns]; None changes nothing.
+    Return it as it is if the operator applies masks itself. mask: weights 0 to 1, float32 [rows, columns]; None changes
+    nothing.
     """
     if mask is None or effect.masks:
         return change

@@ -176,7 +176,10 @@ def _weigh_ground(
 
 
 def _weigh_interval(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
-    """Return weights, 1 for values from `low` to `high`, falling to 0 over `edge` around both limits."""
+    """Return weights, 1 between the limits and 0 beyond, 0.5 at each limit in the middle of a step of width `edge`.
+
+    Without an edge, values at the limits have the weight 1.
+    """
     half = 0.5 * edge
     return _step(values, low - half, low + half) * _step(-values, -high - half, -high + half)
 
@@ -192,7 +195,8 @@ def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
 def _weigh_mapped(values: np.ndarray, rule: GroundRule, to_value: Callable[[float], float]) -> np.ndarray:
     """Weigh values by limits and edges in degrees or powers of ten, which `to_value` maps to values.
 
-    Each half of an edge is linear in the values, which needs no function whose last bits differ between machines.
+    Only limits are mapped, and each half of an edge is interpolated in the values: functions of all values would have
+    last bits that differ between machines.
     """
     half = 0.5 * rule.edge
     low, high = ([to_value(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
@@ -212,7 +216,7 @@ def _power(exponent: float) -> float:
 
 
 def _tangent(degrees: float) -> float:
-    """Return the slope of an angle in degrees; STEEPEST at 90 and more."""
+    """Return the slope of an angle in degrees; STEEPEST at 90 and more, -STEEPEST at -90 and less."""
     return math.copysign(STEEPEST, degrees) if abs(degrees) >= 90.0 else math.tan(math.radians(degrees))
 
 

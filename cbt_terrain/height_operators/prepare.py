@@ -22,7 +22,7 @@ def kernels_of(stack: Stack) -> list[ModuleType]:
 
 
 def prepare(stack: Stack, on_progress: Callable[[float, str], None] = lambda _fraction, _message: None) -> None:
-    """Load the kernel modules of a stack and report progress for those that have to be compiled."""
+    """Load the kernel modules of a stack and report those that have to be compiled, with a fraction of 0 and a text."""
     modules = kernels_of(stack)
     missing = [module for module in modules if not warmup.compiled_file(module).exists()]
     for number, module in enumerate(missing, 1):

@@ -93,7 +93,8 @@ def preview(
     Leading entries that equal those of a recent preview of the same source are not applied again. A bound on a mesh of
     the preview is relative to these heights.
 
-    images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators.
+    images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators. Raises
+    TerrainError for a mask that reads a missing layer, and for a source with finer tiles.
     """
     check_by_products(stack, source.layers)
     source.raster.check_no_finer("Shaping of land")
@@ -194,6 +195,7 @@ def _apply_entry(before: _Applied, ground: OperatorGround, entry: Entry, key: st
     """Apply an entry and return the state after it.
 
     before: state that it starts from. ground: the same ground, with the entry's mask and seed. key: of the new state.
+    Raises _TooSlow after the time limit.
     """
     start, effect = time.perf_counter(), entry.declaration
     change = apply_mask(effect, effect.apply(ground, entry.values, None), ground.mask)

@@ -78,9 +78,10 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 
 
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
-    """Return these tiles with those of earlier requests, so that one frame keeps what another needs.
+    """Return these tiles with those of earlier requests, so that land stays fine for other frames.
 
-    folder: the shaped land's. wanted: allowed error of each tile, metres, by level; None for all tiles.
+    A tile of both has the smaller error. Requests of other levels do not count. folder: the shaped land's. wanted:
+    allowed error of each tile, metres, by level; None for all tiles, which is returned.
     """
     earlier = read_requested(folder)
     if wanted is None or len(earlier) != len(wanted):
@@ -93,7 +94,10 @@ def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
 
 
 def note(folder: str, wanted: Tiles | None) -> None:
-    """Record the tiles that were requested of a store, if its folder can be written; nothing for None, all tiles."""
+    """Replace the record of the tiles that were requested of a store, if its folder can be written.
+
+    Do nothing for None, all tiles.
+    """
     if wanted is not None:
         with suppress(OSError), written_beside(_record_file(folder)) as partial:
             text = json.dumps([sorted(level.items()) for level in wanted])

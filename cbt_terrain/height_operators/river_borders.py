@@ -115,9 +115,9 @@ class _Ring:
 
 
 def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
-    """Set inflow, closed border samples and outlet levels of a tile's bed from the coarser level.
+    """Set drainage area and sediment that flow in, closed border samples and outlet levels of a tile's bed.
 
-    coarser: its change, interpolated to `ground`.
+    They follow from the coarser level. coarser: its change, interpolated to `ground`.
     """
     if all(ground.rims):  # no side is a cut
         return
@@ -233,7 +233,7 @@ def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
 def _ring(coarse: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
     """Return the ring of border samples, shut where water would flow into the tile from samples without a lake.
 
-    into: whether the coarser level's water flows into the tile, bool.
+    into: bool [rows, columns], whether the coarser sample's water, followed downstream, enters the tile.
     """
     at, cut = _around(coarse.to.shape, ground.rims, inset=1)
     return _Ring(at, cut, (into & ~coarse.wet)[at] & cut, coarse.flow[at])

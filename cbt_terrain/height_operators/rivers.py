@@ -134,6 +134,7 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     origin = np.where(missing, before, np.maximum(before, sea))
     weight = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
     uplift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * weight)
+    # The layer is a factor on `rise`.
     uplift *= (ground.layers["uplift"] if "uplift" in ground.layers else _fade(ground)).reshape(-1)
     for side in sides(shape):
         uplift.reshape(shape)[side] = 0.0

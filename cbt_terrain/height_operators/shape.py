@@ -86,7 +86,7 @@ def shape(
 
 
 def run_levels(shaping: Shaping) -> tuple[LevelState | None, bool]:
-    """Return the state of the last computed level, and whether the run finished early."""
+    """Return the state of the last computed level, None if none was, and whether the run finished early."""
     state: LevelState | None = None
     for level in reversed(shaping.plan.levels):
         max_change = None if state is None else state.max_change
@@ -105,7 +105,7 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
     """Apply all entries to the chosen tiles of a level and return its state.
 
     `chosen`: indices of tiles; their neighbours within the operators' halos are computed too. `coarser`: state of the
-    next coarser level, None at the coarsest. Its arrays are dropped as they are used, to save memory.
+    next coarser level, None at the coarsest. Its arrays are dropped as they are used, to save memory. Raises Finished.
     """
     ground, tiles = LevelGround.of(shaping.heights, level), shaping.plan.with_neighbours(level, chosen)
     work = LevelWork(shaping.cache, shaping.plan, level, ground, shaping.images, shaping.depths, shaping.threads)
@@ -207,9 +207,10 @@ def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
 
 
 def _left_out(shaping: Shaping, state: LevelState) -> tuple[float, float]:
-    """Return the largest and the mean square change over tiles whose finer levels were not computed, metres.
+    """Return the largest change, metres, and the mean square change over tiles whose finer levels were not computed.
 
-    These are all tiles of the last level unless it is the raster's own.
+    These are all tiles of the last level. If that is the raster's own, they are its tiles that were not computed, with
+    the changes of the coarser level; (0, 0) without any.
     """
     if state.level.number:
         return state.max_change.max(), state.mean_square.mean()

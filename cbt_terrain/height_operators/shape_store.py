@@ -56,7 +56,8 @@ def run_shape(
 ) -> dict:
     """Shape the store `source` into the store `path` in this process and return the report.
 
-    Only the last step changes `path`, except for cached tiles. Raises TerrainError.
+    A store that was shaped so before stays, and its report has "unchanged". Only the last step changes `path`, except
+    for cached tiles. Raises TerrainError.
 
     wanted: for each level {tile: allowed error in metres} or None for all of it; None for all levels. finish: called
     now and then; True stops after the complete levels. folder: name of the folder for the new arrays, None for a new
@@ -107,7 +108,10 @@ def run_shape(
 
 
 def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightField:
-    """Open the store to shape. Raises TerrainError if it is the target or lacks a layer that the stack's masks read."""
+    """Open the store to shape. Raises TerrainError if it is the target or lacks a layer that the stack's masks read.
+
+    Likewise if it is damaged or has finer tiles.
+    """
     heights = store.open_store(source)
     if os.path.realpath(source) == os.path.realpath(path):
         raise TerrainError(f"The store {path} would be shaped into itself", fix="choose another folder to write")
@@ -118,7 +122,10 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
-    """Return a digest of everything that determines the content of the store. heights: the source; wanted: as above."""
+    """Return a digest of everything that determines the content of the store.
+
+    heights: the source. wanted: as in `run_shape`.
+    """
     tiles = None
     if wanted is not None:
         tiles = [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
@@ -173,7 +180,10 @@ def _build(
 
 
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:
-    """Write the layers of the source and of the stack as arrays of the draft and return them by name."""
+    """Write the layers of the source and of the stack as arrays of the draft and return them by name.
+
+    Raises TerrainError for a layer that is not finite.
+    """
     written = {}
     for name, layer in merge_layers(heights.layers, shaped.layers, shaped.depths).items():
         if not np.isfinite(layer).all():

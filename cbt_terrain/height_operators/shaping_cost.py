@@ -51,7 +51,8 @@ def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: W
 def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, fraction: float = 1.0) -> bool:
     """Return whether the whole land costs at most as much as a fraction of the tiles with their margins.
 
-    They are equal where a raster is a single tile; the whole land then serves exports, too.
+    They are equal where a raster is a single tile; the whole land then serves exports, too. Land of more than MAX_WHOLE
+    samples a side is not made in one piece, so the result is False.
     """
     if max(lattice.width, lattice.height) > MAX_WHOLE:
         return False
@@ -65,7 +66,7 @@ def lattice_of(source: str) -> Lattice:
 
 
 def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tiles: bool) -> float | None:
-    """Return the seconds that shaping a store will take; None without anything measured.
+    """Return the seconds that shaping a store will take; None without anything measured, and for very large land.
 
     Times of earlier land of this store count, or else those of the preview of the stack. in_tiles: all tiles, which is
     the limit for a shot.

@@ -95,7 +95,7 @@ def _where_bare(ground: OperatorGround) -> np.ndarray:
 
 
 def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Weather:
-    """Return the snow line, temperature gradient, aspect and sun for kernels."""
+    """Return the snow line, the depth of snow, the aspect and the noon sun of an equinox for kernels."""
     weather, latitude = kernels.Weather(), math.radians(values["latitude"])
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
@@ -152,8 +152,8 @@ def _slide_snow(
 ) -> np.ndarray:
     """Return the loose snow after `sweeps` sweeps of slides, float32 [rows, columns] m.
 
-    Overwrites `loose`. clinging: metres that never slide. sweeps: at least 2; each has two halves, slabs of two rows
-    that begin at even and at odd rows.
+    It is the mean after the last four halves of sweeps. Overwrites `loose`. clinging: metres that never slide. sweeps:
+    at least 2; each has two halves, slabs of two rows that begin at even and at odd rows.
     """
     arguments, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     arguments.height, arguments.width = rows, columns

@@ -214,7 +214,10 @@ def read_stack(path: str | os.PathLike) -> Stack:
 
 
 def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
-    """Return a checked stack from parsed JSON. folder: base of relative image paths. Raises TerrainError."""
+    """Return a checked stack from parsed JSON. Raises TerrainError.
+
+    where: subject of errors. folder: base of relative image paths, None if they stay as they are.
+    """
     top = _check_object(where, content, _TOP)
     version = top.get("version")
     if version != VERSION or type(version) is not int:
@@ -250,8 +253,8 @@ def _heights(where: str, content: object) -> tuple[float, float] | None:
 def _parse_entry(where: str, content: object, folder: Path | None) -> Entry:
     """Return the entry that parsed JSON describes.
 
-    Raises TerrainError. where: subject of errors. folder: of relative image names, None if they are relative to the
-    working folder.
+    Raises TerrainError for another type or an unknown name; `Stack.check` has the ranges. where: subject of errors.
+    folder: of relative image names, None if they are relative to the working folder.
     """
     entry = _check_object(where, content, _ENTRY)
     parameters = entry.get("parameters", {})

@@ -88,8 +88,8 @@ def settle_scree(
 ) -> np.ndarray:
     """Return the scree after `times` the sweeps of one level, and update `left`, the rest of the `breakable` rock.
 
-    All are float32 [rows, columns] m, see kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and
-    `scree`.
+    The scree is the mean after the last four halves of sweeps. All are float32 [rows, columns] m, see
+    kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`.
     """
     slope, rest = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width

@@ -60,7 +60,10 @@ class TileCache:
         return array
 
     def trim(self, max_bytes: int = MAX_BYTES) -> None:
-        """Remove least recently used files until the rest fits. Errors are ignored, since the store is complete."""
+        """Remove least recently used tiles until the folder's files have at most `max_bytes`.
+
+        Those that this cache has used stay. Errors are ignored, since the store is complete.
+        """
         if self.folder is None:
             return
         files = []
@@ -91,7 +94,7 @@ def compute_digest(*parts: object) -> str:
 
 
 def read_cached(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return a cached array, mapped, or None if it is missing, damaged or not finite."""
+    """Return a cached float32 array, mapped, or None if it is missing, damaged or not finite; it counts as used now."""
     try:
         verify_array(file, shape, np.float32)
         found = map_checked(file, shape, np.float32)

@@ -207,8 +207,9 @@ def add_coarser(
 ) -> list[dict[int, TileNeed]]:
     """Return the requested tiles and the tiles of coarser levels that contain them, by level.
 
-    wanted: allowed error of each requested tile, metres, by level. halo: rows and columns that the operators read
-    beyond a tile, by level.
+    A coarser tile has the smallest error of itself and its finer ones, and the tiles that these start from. wanted:
+    allowed error of each requested tile, metres, by level. halo: rows and columns that the operators read beyond a
+    tile, by level.
     """
     needs = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):

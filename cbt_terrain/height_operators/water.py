@@ -49,6 +49,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     # Filling the water surface as routing fills the ground raises lakes to the flow at their outlets.
     dammed = replace(drainage, heights=surface).filled()
     rain.surface = flat(dammed, wp.float32)
+    # It replaces the surface in `dammed` by the depth.
     launch.spread(kernels.measure_water, count, [rain], step="water", threads=threads, cost=2)
     layers = {DEPTH.name: dammed, SPEED.name: speed, DISCHARGE.name: discharge}
     return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})

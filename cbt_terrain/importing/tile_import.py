@@ -150,7 +150,8 @@ def do_part(
     """Do a part of an import, and return a report. An import without parts then does the rest. Raises TerrainError.
 
     BEGIN and FILL need the work alone; several processes may read, or measure, different tiles at a time. The report
-    has the number of "tiles", for these two steps also how many were requested ("done"). doubt: as of `open_work`.
+    has the number of "tiles"; to read or to measure, also how many of them were requested: "done". doubt: as of
+    `open_work`.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):

@@ -106,7 +106,7 @@ class _Shaping(JobOperator):
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
         job.progress(0.0, resting_land.CHOOSING if land.seen else "")
         wanted = yield from jobs.run_on_thread(job, lambda: derived_store.wanted_tiles(land, session.open_field))
-        derived_store.is_whole(land, session.open_field)  # removes damaged land
+        derived_store.is_usable(land, session.open_field)  # removes damaged land
         if not self.needs_shaping(land, wanted):
             return land
         child, wanted = derived_store.begin_shaping(land, wanted)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.height_operators import rivers
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
-from adaptive_terrain.cbt_terrain.height_operators.levels import coarser, finer_change
+from adaptive_terrain.cbt_terrain.height_operators.levels import coarser, interpolate_change
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
 
 VALUES = RIVERS.defaults() | {"years": 1e5, "variety": 0.0}
@@ -33,7 +33,7 @@ def flows(h, coarse):
 @pytest.fixture(scope="module")
 def coarse():
     below = RIVERS.apply(OperatorGround(coarser(bowl()), 20.0, 18.0, whole=(301, 301), level=1), VALUES, None)
-    return finer_change(below, (201, 301))
+    return interpolate_change(below, (201, 301))
 
 
 def test_a_lake_has_the_outlet_of_the_coarser_level(coarse):

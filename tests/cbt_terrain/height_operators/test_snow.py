@@ -170,7 +170,7 @@ def test_a_tile_with_its_halo_is_nearly_the_whole(first):
     coarse = apply_by_levels(
         snow.SNOW, OperatorGround(levels.coarser(heights), 2 * step, 2 * step), VALUES | {"line": 1000.0}
     )
-    up = levels.finer_change(coarse, heights.shape)
+    up = levels.interpolate_change(coarse, heights.shape)
     values = VALUES | {"line": 1000.0}
     whole = snow.SNOW.apply(ground, values, up).layers["snow"]
     halo, side = math.ceil(snow.SNOW.halo(values, step) / step), 64

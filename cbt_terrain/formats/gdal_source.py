@@ -119,7 +119,7 @@ def raster_of(
     The georeference, the unit of heights and the rounding of stored values come from the dataset; roundings of a VRT
     come from its sources. The raster is reprojected if the settings request it or its grid is sheared. driver: GDAL's
     name of the format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises
-    TerrainError for a missing band or complex values.
+    TerrainError for a missing band, complex values and a place that cannot be used.
     """
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     if not 1 <= band <= dataset.count:
@@ -216,15 +216,16 @@ def _window_reader(
 ) -> Callable[[int, int, int, int], np.ndarray]:
     """Return the function `window` of a Raster.
 
-    masked: the file has a mask of missing samples. no_data: value of missing samples, None without. alpha: number of a
-    band that is 0 at missing samples; 0 for none.
+    masked: the file has a mask of missing samples. no_data: value of missing samples, None without; not used with a
+    mask or alpha. alpha: number of a band that is 0 at missing samples and counts instead of the mask; 0 for none.
     """
     from rasterio.windows import Window
 
     def read(first: int, count: int, column: int, columns: int) -> np.ndarray:
         """Return `columns` samples from `column` on of `count` rows from row `first` on; missing samples are NaN.
 
-        Integers of more than 16 bits and float64 stay float64 in a masked raster. Raises TerrainError for damaged rows.
+        In a masked raster integers of more than 16 bits and float64 become float64, others float32. Raises TerrainError
+        for damaged rows.
         """
         window = Window(column, first, columns, count)
         try:

@@ -34,7 +34,7 @@ def las_damage(file: BinaryIO) -> str:
 
 
 def _chunks_damage(file: BinaryIO, first_point: int, size: int) -> str:
-    """Return a clause about the damage of the table of compressed pieces, "" without damage.
+    """Return a clause about the damage of the table of compressed pieces (chunks), "" without damage.
 
     The table's offset is before the points, or at the file's end. first_point: offset of the points. size: of the file.
     """

@@ -131,7 +131,7 @@ def _vrt_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
 
 
 def _crs(text: str) -> CRS | None:
-    """Return the coordinate system of a VRT, None if PROJ knows none of its name."""
+    """Return the coordinate system that a VRT's text names, None without one that PROJ knows."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 

@@ -62,7 +62,10 @@ def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
 
 
 def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
-    """Run all droplets of a level; return the change, float64 [rows, columns] m, and the m3 that left at the border."""
+    """Run the droplets that can affect the target; return the change and the m3 that left at the border.
+
+    The change is float64 [rows, columns] m, complete in the target only. values: the operator's parameters by name.
+    """
     rain = _rain(ground, values)
     heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
     if ground.missing is not None:

@@ -34,7 +34,8 @@ class Flood:
         bed, water: height and depth in metres; rain: m/s.
         metres: spacing of samples to the east and north.
         rough: Manning's coefficient.
-        outlets: int64 [n], indices in C order of border samples and holes, whose depth is always `deep` metres, [n].
+        outlets: int64 [n], indices in C order of border samples and holes; their depth is `deep` metres, [n], after
+            each step.
         left: metres, sum of the depths that left there.
         fluxes: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and north, with a row of 0 before
             and after the raster's. old_fluxes: those of the step before.

@@ -129,18 +129,19 @@ def curvature_of(bed: Bed) -> np.ndarray:
 
 
 def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.ndarray | None) -> None:
-    """Diffuse heights at `rate`, m2 a year, and at least by MIN_CREEP.
+    """Diffuse the bed's heights at `rate`, m2 a year, and at least by MIN_CREEP (less in shorter steps).
 
     The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes. base:
     uint8 [n], 1 where heights stay. filled: float32 [n] m, surface of lakes, or None.
     """
     spread = years * rate
     surplus = max(MIN_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
-    bare = np.clip(1.0 - bed.sediment * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
+    # The fraction of bare ground; below, the change in metres that it preserves.
+    preserved = np.clip(1.0 - bed.sediment * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
     if filled is not None:
-        bare[filled > bed.heights] = 0.0
-    bare *= np.float32(surplus) * bed.curvature
-    bed.heights = diffuse(bed, bed.heights, spread + surplus, base, bed.weight, bare)
+        preserved[filled > bed.heights] = 0.0
+    preserved *= np.float32(surplus) * bed.curvature
+    bed.heights = diffuse(bed, bed.heights, spread + surplus, base, bed.weight, preserved)
 
 
 def vary_rock(bed: Bed, variety: float) -> None:

@@ -23,7 +23,7 @@ MIN_AREA = 96**2
 def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     """Set the bed's path to the samples along the outlets of lakes, and lower its heights where there are dams.
 
-    coarser: the coarser level's change, interpolated to `ground`.
+    Without lakes the bed stays. coarser: the coarser level's change, interpolated to `ground`.
     """
     coarse = tuple(slice(first % 2, None, 2) for first in ground.first)  # the coarser level's samples
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[coarse])
@@ -37,7 +37,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     heights, y, x = bed.heights.reshape(bed.shape), *_find_outlets(surface, wet, to, flow)
 
     def lower_path(half: int, after: Positions) -> None:
-        """Lower the path at the samples (half = 0) or halfway to the next ones (1) to the surface at `after`.
+        """Lower the path at the samples y, x (half = 0) or halfway to the next ones (1) to the surface at `after`.
 
         Under lakes it is lowered only where the floor is above that surface.
         """
@@ -49,7 +49,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         np.minimum.at(path_level, (j[lowered], i[lowered]), level[lowered])
 
     def breach_dams(after: Positions) -> None:
-        """Limit the ground halfway to the next samples to the heights of both ends."""
+        """Limit the ground halfway from the samples y, x to the next ones, `after`, to the higher of both ends."""
         ends = [tuple(2 * n + s.start for n, s in zip(end, coarse, strict=True)) for end in ((y, x), after)]
         halfway = tuple((a + b) // 2 for a, b in zip(*ends, strict=True))
         np.minimum.at(max_ground, halfway, np.maximum(*(heights[end] for end in ends)))

@@ -223,7 +223,7 @@ def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     y, x = neighbour(y, x, coarse.to)
     inner_flow = np.where(coarse.inside, coarse.flow, -1.0)
     turned = coarse.wet & ~coarse.inside & (coarse.to != 4) & (coarse.flow[y, x] <= coarse.flow)
-    for j, i in zip(*np.nonzero(turned), strict=True):
+    for j, i in zip(*np.nonzero(turned), strict=True):  # none is outermost: their receivers have more flow (_way_back)
         near = inner_flow[j - 1 : j + 2, i - 1 : i + 2]
         if near.max() > coarse.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)

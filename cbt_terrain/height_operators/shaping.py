@@ -45,7 +45,7 @@ class Shaping:
     heights: HeightField
     entries: Sequence[Entry]  # the active ones
     images: Mapping[str, np.ndarray]  # of masks, by file name
-    wanted: Wanted
+    wanted: Wanted  # requested tiles of each level
     cache: TileCache
     threads: int
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None

@@ -111,7 +111,8 @@ def _read_earlier(source: str) -> list[dict]:
 def _measured_rates(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
     """Return measured over planned time of each effect, and the seconds that the last land took besides its effects.
 
-    earlier: contents of store.json of shaped land. Only pieces that were not cached count.
+    earlier: contents of store.json of shaped land, the latest last. Of each effect its latest run counts, and of that
+    the levels of which no piece was cached.
     """
     rates, rest_s = {}, 0.0
     for content in earlier:

@@ -49,8 +49,8 @@ _RULE = ("of", *_RULE_DEFAULTS)
 class Entry:
     """One height operator of a stack.
 
-    `effect`: the operator's name. `parameters`: values that differ from defaults. `on`: whether it is applied. `name`:
-    label for users.
+    `effect`: the operator's name. `parameters`: values by name; others have their defaults. `seed`: of its noise. `on`:
+    whether it is applied. `mask`: None for the whole ground. `name`: label for users.
     """
 
     effect: str
@@ -128,9 +128,9 @@ def land_name(source_key: str, stack: Stack) -> str:
 
 
 def check_by_products(stack: Stack, source: Iterable[str]) -> None:
-    """Raise TerrainError if a mask reads a layer that neither an earlier operator nor the source has.
+    """Raise TerrainError if a mask reads a layer that neither the source nor an earlier operator has.
 
-    source: names of the source's layers.
+    Only active entries count. source: names of the source's layers.
     """
     available = set(source)
     for number, entry in enumerate(stack.entries, 1):

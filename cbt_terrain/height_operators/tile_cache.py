@@ -32,7 +32,10 @@ class TileCache:
     """
 
     def __init__(self, folder: Path | None = None, room: int = 0) -> None:
-        """Cache tiles in `folder`, or in no folder; room: bytes of the disk that must stay free."""
+        """Cache tiles in `folder`, which is made, or in no folder; room: bytes of the disk that must stay free.
+
+        Raises OSError, and NotOursError for a link.
+        """
         self.folder, self.room = folder, room
         self.made: Counter[str] = Counter()
         self.kept: Counter[str] = Counter()

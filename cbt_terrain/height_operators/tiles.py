@@ -105,7 +105,10 @@ class Level:
 
 
 def _weights(axis: slice, number: int, count: int) -> np.ndarray:
-    """Return a ramp up, ones and a ramp down along one axis; no ramps at the level's ends."""
+    """Return weights at the samples `axis`, float32: a ramp up, ones and a ramp down; no ramps at the level's ends.
+
+    number: the tile's along the axis, of `count` tiles.
+    """
     at = np.arange(axis.start, axis.stop, dtype=np.float32)
     low, high = number * TILE, (number + 1) * TILE
     up = np.clip((at - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(at)

@@ -26,9 +26,10 @@ def is_image(source: str, raster: Raster) -> bool:
 def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tuple[ImportSettings, list[str]]:
     """Return settings whose scale and offset give a raster its lowest and highest height, and a warning of a guess.
 
-    These heights are those of the settings; for an image without them 0 and RELIEF times `width_m`, its metres from
-    west to east. Settings of any other raster, and of one without a finite sample, are returned as they are. All
-    samples are read to find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
+    These heights are those of the settings. If only one is given, or none for an image (`is_image`), the lowest is 0
+    and the highest RELIEF times `width_m`, metres from west to east, above it. Settings without heights for another
+    raster are returned as they are, and so are those of a raster without a finite sample. All samples are read to find
+    the range. Raises TerrainError for heights in the wrong order and for infinite samples.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None

@@ -105,6 +105,9 @@ class SeenLand(NamedTuple):
 
     Attributes:
         placement: float64 [4, 4], maps the terrain's space to the world.
+        error_px: error in pixels beyond which more detail is needed.
+        vertical_scale: factor on heights in the terrain's space.
+        vertical_offset: metres that are added to these.
     """
 
     views: Sequence[View]

@@ -43,8 +43,8 @@ POLL_S = 0.1
 def start_crew(settings: ImportSettings, module: str) -> Crew:
     """Return processes for an import, which the caller closes; the calling process alone for a probably small import.
 
-    The same on a machine with one core, or where no process can be started. module: name of a module with the function
-    `idle_main`. Raises TerrainError for sources that name no file.
+    The calling process is also used with one thread, or where no process can be started. module: name of a module with
+    the function `idle_main`. Raises TerrainError for sources that name no file.
     """
     count = launch.default_threads()
     if count < 2 or not _may_be_large(settings):

@@ -43,7 +43,7 @@ READ_SHARE, FILLED_SHARE, MEASURED_SHARE = 0.2, 0.25, 0.85  # of the progress at
 
 
 class ImportPart(NamedTuple):
-    """A part of an import, for a farm: a step, and the numbers of its tiles.
+    """A part of an import, for a farm: a step of PARTS, and for TILED_PARTS the numbers of its tiles.
 
     A raster that is no mosaic has fewer units to read than tiles; further numbers are ignored.
     """
@@ -126,7 +126,7 @@ def _continued(wanted: TileWork) -> TileWork | None:
 
 
 def _find_work(wanted: TileWork) -> TileWork | None:
-    """Return the work of the same import in a store that no process has locked; None for none."""
+    """Return work of the same import in the store, which can be continued and no process has locked; None for none."""
     path = wanted.folder.parent
     for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
         with suppress(OSError):

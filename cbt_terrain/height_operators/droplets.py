@@ -104,10 +104,10 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Drople
     rain.drops = round(simulated * rain.rows * rain.columns)
     rain.capacity = CAPACITY * values["strength"] * per_sample / max(simulated, 1e-12)
     rain.sea = values["sea"]
-    # float32, since the last bit of exp differs between machines
-    inertia, load, water = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
+    # Fractions that a step leaves; float32, since the last bit of exp differs between machines.
+    inertia, load_left, water_left = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
     rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
-    rain.inertia, rain.load, rain.dry = inertia, 1.0 - load, 1.0 - water
+    rain.inertia, rain.load, rain.dry = inertia, 1.0 - load_left, 1.0 - water_left
     return rain
 
 

@@ -268,10 +268,11 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
 def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
     """Set the bed's closed border samples and the levels where water leaves there.
 
-    Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where about as much
-    leaves, as a river that winds along the cut would count with every bend. Of these, samples are closed where a river
-    would leave that does not at the coarser level: a stream may leave to join one outside and come back with it, and a
-    tile, which ends at the outlet, would lose the river.
+    A closed sample has a level WALL metres above the coarser surface, an open one of a lake that surface; all others
+    have none. Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where
+    about as much leaves, as a river that winds along the cut would count with every bend. Of these, samples are closed
+    where a river would leave that does not at the coarser level: a stream may leave to join one outside and come back
+    with it, and a tile, which ends at the outlet, would lose the river.
     """
     wet = coarse.wet[ring.at]
     is_open = ring.cut & ~ring.shut

@@ -49,7 +49,7 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
             f"{settings.source} holds infinite values, so it has no lowest and highest",
             fix="give the metres in a unit of its values instead",
         )
-    bottom, top = (first, last) if raster.scale > 0.0 else (last, first)
+    bottom, top = (first, last) if raster.scale > 0.0 else (last, first)  # values of the lowest and the highest height
     scale = (high - low) / (top - bottom) if top != bottom else raster.scale
     # The import applies the file's own scale and offset to the values first.
     offset = low - scale * (bottom + raster.offset / raster.scale)

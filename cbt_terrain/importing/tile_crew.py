@@ -207,7 +207,7 @@ def serve_tasks(
     try:
         for text in io.FileIO(0, closefd=False):
             task = TileTask(**json.loads(text))
-            work = work_in(folder)
+            work = work_in(folder)  # each time, since it may have begun again with floats
             answer: dict = {}
             try:
                 if work is None:

@@ -114,10 +114,11 @@ def import_raster(
         place = place_of(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
-        settings, notes = fit_heights(settings, raster, place.step_x * (width - 1))
+        fitted, notes = fit_heights(settings, raster, place.step_x * (width - 1))
         raster.warnings += notes
-        if land is not None and notes:
+        if land is not None and fitted is not settings:  # the first picture has another range of values
             raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
+        settings = fitted
         source, doubt = TileSource(raster, settings, place, land), DOUBT.format(settings.name)
         if part is not None:
             check_tiled(raster, lattice, settings.name)

@@ -331,3 +331,14 @@ def test_a_reprojected_raster_has_tiles_in_view(tmp_path, small_tiles):
     true, valid = full.heights()[np.ix_(y, x)][inside], full.valid[np.ix_(y, x)][inside] > 0
     assert valid.mean() > 0.8 and np.abs(field.heights()[inside] - true)[valid].max() < 0.02
     assert field.crs == full.crs and (field.valid == 0).any()
+
+
+def test_tiles_are_refused_where_heights_depend_on_all_samples(tmp_path, small_tiles):
+    """Chosen heights fit the range of the loaded samples, which further samples would change."""
+    source = str(write_raster(tmp_path / "a.tif", rough(505, 401), crs="EPSG:32632", transform=PLACES["north up"]))
+    settings = ImportSettings(source, quick=QUICK, lowest=0.0, highest=100.0)
+    run_import(settings, tmp_path / "store")
+    before = (tmp_path / "store" / "store.json").read_bytes()
+    with pytest.raises(TerrainError, match="depend on all samples"):
+        run_import(replace(settings, loaded_tiles=(0,)), tmp_path / "store")
+    assert (tmp_path / "store" / "store.json").read_bytes() == before and verify(tmp_path / "store")

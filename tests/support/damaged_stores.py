@@ -18,6 +18,8 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.codes import Steps
+from adaptive_terrain.cbt_terrain.field.finer_build import FinerBox, with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
@@ -30,7 +32,9 @@ from guarded_flights import guarded_numpy
 from invariants import assert_invariants
 from mutants import mutate
 
-SHAPES = (65, 65), (45, 70), (33, 97)  # one square; one that does not fit its lattice; three squares
+# One square; one that does not fit its lattice; three squares; one with finer tiles.
+SHAPES = (65, 65), (45, 70), (33, 97), (33, 40)
+FINER, FINER_BITS = 3, 4  # number of the last shape
 CRITERIA = (
     Criterion(error_px=1.0, max_depth=15),
     Criterion(error_px=3.0, max_triangles=3000),
@@ -63,11 +67,22 @@ def whole_stores(folder: Path) -> list[Path]:
             built = built.with_raster(samples=numbers, steps=Steps(0, 0.01, -300.0))
         else:
             draft.rename("raster", "samples")
+        if seed == FINER:
+            built = with_finer_tiles(built, FINER_BITS, [(0, 0), (1, 1)], waves, allocate=draft.allocate)
         draft.publish(built, "mutants", {})
         field = open_store(path)
+        if seed == FINER:
+            error_for(field, 1)
+            continue
         for made in (field, interpolated(field, "bicubic")):
             error_for(made, 1), error_for(made, 2)
     return stores
+
+
+def waves(box: FinerBox) -> np.ndarray:
+    """Return heights of finer samples; they are 0 on the borders of their tile."""
+    y, x = np.arange(box.y0, box.y1 + 1)[:, None], np.arange(box.x0, box.x1 + 1)
+    return (np.sin(x * (8 * np.pi / SIDE)) * np.sin(y * (4 * np.pi / SIDE)) * 9.0).astype(np.float32)
 
 
 def lattice_of(store: Path) -> Lattice:

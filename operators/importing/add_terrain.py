@@ -63,7 +63,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         return self.shape and bool(land.preset)
 
     def execute(self, context):
-        """Add the object with the chosen land and start its import; remove the object again if that fails."""
+        """Add the object with the chosen land and start its import; remove the object again if `start_import` fails."""
         obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
         settings = obj.adaptive_terrain
         settings.enabled = True
@@ -83,7 +83,10 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         return {"FINISHED"}
 
     def _lock_interface(self, scene):
-        """Lock the interface: a viewport that draws a mesh while a render rewrites it would crash Blender."""
+        """Lock a scene's interface during renders, and report it.
+
+        A viewport that draws a mesh while a render rewrites it would crash Blender.
+        """
         if not scene.render.use_lock_interface:
             scene.render.use_lock_interface = True
             self.report(

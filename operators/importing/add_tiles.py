@@ -26,7 +26,10 @@ class ChosenFiles:
     filter_glob: bpy.props.StringProperty(default=FILTER, options={"HIDDEN"})
 
     def chosen(self) -> list[str]:
-        """Return the paths of the chosen files; of the folder that the dialog shows if none is chosen."""
+        """Return the paths of the chosen files; if `files` has none, that of `filepath` or the folder of the dialog.
+
+        Without any of them the result is [""].
+        """
         names = [item.name for item in self.files if item.name]
         return [os.path.join(self.directory, name) for name in names] if names else [self.filepath or self.directory]
 
@@ -72,7 +75,10 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
             return self._add(context.object.adaptive_terrain)
 
     def _add(self, settings):
-        """Import the terrain's files and the chosen ones as one; they are in its settings from the start on."""
+        """Import the terrain's files and the new ones among the chosen as one; return Blender's result set.
+
+        ImportTiles adds the new ones to the settings. It is cancelled with a report if none is new.
+        """
         known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
         # Each new file once, at its last place, since later files cover earlier ones; reversed again below.
         new = {

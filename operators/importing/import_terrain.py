@@ -35,7 +35,11 @@ _added: dict[int, str] = {}  # stores of terrains that were imported when they w
 
 
 def settings_of(obj) -> ImportSettings:
-    """Return the import settings of a terrain's properties. Raises TerrainError."""
+    """Return the import settings of a terrain's properties. Raises TerrainError if no file is chosen.
+
+    An option that the file's format lacks keeps its default, whatever the property is. A scale of heights that the user
+    has not set is None, so that the import chooses one for an image.
+    """
     settings = obj.adaptive_terrain
     extent = tuple(settings.extent) if settings.use_extent else None
     heights = {"height_offset": settings.height_offset}
@@ -127,7 +131,8 @@ def _size_of(obj) -> float:
 def start_import(operator, run, **properties) -> set[str]:
     """Run an import operator inside another one: beside the window if there is one, else to its end.
 
-    run: its function in bpy.ops. Return CANCELLED if it refuses, with its report, else FINISHED.
+    run: its function in bpy.ops. Return FINISHED, beside the window once it has begun, or CANCELLED with its report if
+    it refuses or, without a window, fails.
     """
     try:
         run("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", **properties)
@@ -155,9 +160,10 @@ class ImportOperator(JobOperator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store.
 
-        Beside the window, a large one is imported quickly and shown first. Its complete store then replaces the quick
-        one in the same folder, so neither the terrain nor Undo changes the path. A cancelled job leaves the quick one.
-        Tiles that views need come before the others, also when an incomplete store is completed.
+        Beside the window, a large one without a store is imported quickly, and `finish` shows it first. Its complete
+        store then replaces the quick one in the same folder, so neither the terrain nor Undo changes the path. If the
+        second import is cancelled or fails, the quick store stays, and its report has the error as its warning. Tiles
+        that views need come before the others, also when an incomplete store is completed.
         """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
@@ -225,7 +231,8 @@ class ImportOperator(JobOperator):
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Give the store to the terrain, place it, and report. Frame a terrain that had none, or one of another size.
 
-        result: the import's report and the path of the store.
+        A quick import calls it up to three times: for the first picture, for its tiles in view and for the complete
+        store. result: the import's report and the path of the store.
         """
         report, folder = result
         size_before, anchor_before = _size_of(obj), anchor_of(obj)
@@ -240,7 +247,7 @@ class ImportOperator(JobOperator):
             for note in shared_origin.place_terrain(obj, context.scene, found):
                 self.report({"WARNING"}, note)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
-        self.before = found
+        self.before = found  # for the next call of a quick import
         context.view_layer.update()
         size = _size_of(obj)
         if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
@@ -253,7 +260,7 @@ class ImportOperator(JobOperator):
             self.baked = ""
 
     def _bring_into_view(self, context, obj):
-        """Frame the terrain in the viewports, and report the changes there."""
+        """Show the terrain in viewports that do not show all of it, extend clip ranges, and report the changes."""
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
         try:
             done = frame_terrain.frame_terrain(obj, context.evaluated_depsgraph_get(), viewports, always=False)
@@ -266,7 +273,8 @@ class ImportOperator(JobOperator):
     def _report_and_update(self, obj, report: dict) -> None:
         """Report figures and warnings of an import, and update the mesh or let the live update do it.
 
-        Warnings are last, because the status bar shows only the last message of an operator.
+        report: of the import. Warnings are last, because the status bar shows only the last message of an operator. An
+        error of the update is a warning, too.
         """
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
@@ -327,7 +335,10 @@ def _resume_imports() -> None:
 
 
 def _restore_store(obj) -> None:
-    """Set the store of a terrain again and repeat the other effects of its import, except on viewports."""
+    """Set the store of a terrain again, with its custom properties, its camera's clip range and its mesh.
+
+    Its place and the viewports are as Undo has left them.
+    """
     obj.adaptive_terrain.store = _added[obj.session_uid]
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why

@@ -30,7 +30,7 @@ class Imported:
     crs: str  # coordinate system, "" for none
     origin: tuple[float, float]  # coordinates of the raster's middle in the CRS's unit
     raster: tuple[int, int]  # samples
-    extent_m: tuple[float, float]
+    extent_m: tuple[float, float]  # from the first to the last sample
     step_m: tuple[float, float]  # between samples
     heights_m: tuple[float, float]  # lowest and highest
     loaded_m: tuple[float, float] | None = None  # steps of an incomplete store: loaded, and of its source
@@ -82,7 +82,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
 
 
 def _pair(report: dict, name: str) -> tuple | None:
-    """Return two counts or lengths of an unchecked report; None if they are not valid."""
+    """Return the two counts or lengths `name` of an unchecked report; None unless both are positive and not huge."""
     value = report.get(name)
     is_pair = isinstance(value, list) and len(value) == 2
     return tuple(value) if is_pair and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
@@ -107,7 +107,10 @@ def info_lines(imported: Imported | None) -> list[tuple[str, str]]:
 
 
 def loaded_text(settings) -> str:
-    """Return the detail of a terrain whose store is incomplete, as `Loaded to 640 m of 10 m`; "" for all others."""
+    """Return the detail of a terrain whose store is incomplete, as `Loaded to 640 m of 10 m`; "" for all others.
+
+    With tiles in more detail it is as `Loaded to 80 m, else 640 m`.
+    """
     imported = imported_of(settings)
     if imported is None or imported.loaded_m is None:
         return ""
@@ -117,7 +120,7 @@ def loaded_text(settings) -> str:
 
 
 def _crs_name(crs: str) -> str:
-    """Return the short name of a coordinate system, such as `EPSG:4326`, from its definition."""
+    """Return the name in a coordinate system's definition (WKT), or the whole text of another one, as `EPSG:4326`."""
     if not crs:
         return phrase("none")
     return shown(crs.split('"')[1] if '["' in crs else crs)
@@ -164,8 +167,9 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
 
 
 def _same_file(path: str, before: object) -> bool:
-    """Return whether two paths name one file; a file that is missing at its old path may have moved with its .blend
-    file.
+    """Return whether a source is the one before: the same path or built-in land, or a file that may have moved.
+
+    A file that is missing at its old path may have moved with its .blend file, so its name has to be equal only.
     """
     if path == before or not isinstance(before, str):
         return path == before

@@ -29,7 +29,10 @@ def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
 
 
 def note_incomplete(scene, terrains: list) -> None:
-    """Report in the summary of a render, and on the console, the detail of incomplete terrains."""
+    """Report in the summary of a render, and on the console, the detail of incomplete terrains that it shows.
+
+    After each frame's update; with a running import the summary does not offer to load the rest.
+    """
     for obj in terrains:
         text = loaded_text(obj.adaptive_terrain)
         if text and not obj.hide_render:

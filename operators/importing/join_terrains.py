@@ -30,7 +30,10 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
         return has_file(context.object) and bool(others_of(context))
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Import the sources of all selected terrains; the settings stay as they were if that fails."""
+        """Import the sources of all selected terrains; return report and path as ImportOperator does.
+
+        The active terrain has all sources from the start on, and its own ones again if the import fails.
+        """
         settings, others = context.object.adaptive_terrain, others_of(context)
         self.joined = [other.session_uid for other in others]
         paths = [*_sources_of(settings), *(path for other in others for path in _sources_of(other.adaptive_terrain))]
@@ -45,7 +48,10 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
             raise
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
-        """Give the store to the active terrain and remove the others with their meshes."""
+        """Give the store to the active terrain, and remove the others with their meshes unless other objects use them.
+
+        Children of the others become its own and stay in their place, except scatters.
+        """
         ImportOperator.finish(self, context, obj, result)
         for other in [other for other in session.all_terrains() if other.session_uid in self.joined]:
             mesh, scatters = other.data, scatters_of(other)
@@ -56,7 +62,7 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
             bpy.data.batch_remove([other, *([mesh] if mesh.users == 1 else [])])
 
     def _restore(self, obj) -> None:
-        """Give a terrain its sources back."""
+        """Give a terrain the sources that it had before the job; nothing if it is gone, None."""
         if obj is not None:
             path, more = self.earlier
             _set_sources(obj.adaptive_terrain, [path, *more])
@@ -78,7 +84,7 @@ def _sources_of(settings) -> list[str]:
 
 
 def _set_sources(settings, paths: list[str]) -> None:
-    """Make `paths` the sources of a terrain."""
+    """Make `paths` the sources of a terrain: the first its file, the others further files."""
     settings.source_path = paths[0]
     settings.more_sources.clear()
     for path in paths[1:]:

@@ -46,7 +46,7 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         column.prop(self, "highest")
 
     def execute(self, context):
-        """Add a terrain object for the file and start its import; remove the object again if it cannot start."""
+        """Add a terrain object for the files and start its import; remove the object again if `start_import` fails."""
         paths = self.chosen()
         if not paths[0]:
             self.report({"ERROR"}, "No file is chosen: choose a height map")

@@ -42,7 +42,10 @@ class PackPlan:
     maps: dict[str, str] = field(default_factory=dict)
 
     def copies(self) -> list[Callable[[OnProgress], None]]:
-        """Return the functions that make the copies; each calls its argument with the fraction done."""
+        """Return the functions that make the copies: stores, then land, then maps. Each raises TerrainError.
+
+        A function calls its argument with the fraction done, 0 .. 1, or not at all if nothing is to be copied.
+        """
         found = [partial(copy_store, source, absolute_path(target)) for source, (target, _) in self.stores.items()]
         found += [partial(_copy_land, source, target) for source, target in self.lands.items()]
         return found + [partial(_copy_maps, source, target) for source, target in self.maps.items()]
@@ -56,7 +59,7 @@ def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
 
 
 def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:
-    """Copy the folder of a terrain's maps. Raises TerrainError."""
+    """Copy the folder of a terrain's maps, unless `target` exists. Raises TerrainError."""
     on_progress(0.0)
     try:
         with open_folder(Path(target).parent, make=True):
@@ -78,7 +81,10 @@ def terrains_to_pack() -> list:
 
 
 def plan_packing(objects: list) -> PackPlan:
-    """Plan the copies for these terrains, with their shaped land and baked maps. Raises TerrainError."""
+    """Plan the copies for these terrains, with their shaped land and baked maps.
+
+    Raises TerrainError for a store that is incomplete or cannot be read.
+    """
     planned = PackPlan()
     for obj in objects:
         check_complete(obj, "press Load All, and pack when the import is done")
@@ -96,9 +102,10 @@ def plan_packing(objects: list) -> PackPlan:
 
 
 def _lands_of(obj, target: str) -> dict[str, str]:
-    """Return the folders of the shaped land that a terrain uses, each with the folder of its copy.
+    """Return {folder of shaped land that a terrain uses: folder of its copy}, for renders and for viewports.
 
-    target: new path of the terrain's store.
+    {} without a stack that can be applied; land that is missing or damaged is left out. target: new path of the
+    terrain's store.
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
@@ -130,7 +137,8 @@ def _packed_path(obj, folder: Path, content: dict, targets: set[str]) -> str:
     """Return the path where packing puts a terrain's store.
 
     folder: its present folder. Below the .blend file's folder it stays, under a relative path; otherwise a free
-    folder there is chosen. content: the store's JSON. targets: paths that other stores get.
+    folder there is chosen. content: the store's JSON. targets: paths that other stores get. Raises TerrainError if
+    packing may not write there.
     """
     if folder.is_relative_to(real_path(bpy.data.filepath).parent):
         return bpy.path.relpath(str(folder))

@@ -57,7 +57,7 @@ class PackStore(JobOperator, bpy.types.Operator):
         return None
 
     def steps(self, _context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Copy the stores on a thread; return the PackPlan."""
+        """Copy the stores and what belongs to them on a thread; return the PackPlan. Raises TerrainError."""
         planned = plan_packing(terrains_to_pack())
         copies = planned.copies()
 
@@ -70,7 +70,10 @@ class PackStore(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, copy_all))
 
     def finish(self, _context, _obj, planned: PackPlan) -> None:
-        """Let the terrains and the images of their maps use the copies; save the file again if this followed a save."""
+        """Let the terrains and the images of their maps use the copies; with `save_again` save the file.
+
+        It is not saved if the user has changed anything meanwhile.
+        """
         is_saved = not bpy.data.is_dirty  # saving again then saves nothing but the new paths
         self._show_copied_maps(planned)
         targets = {uid: target for target, uids in planned.stores.values() for uid in uids}
@@ -85,7 +88,7 @@ class PackStore(JobOperator, bpy.types.Operator):
             bpy.ops.wm.save_mainfile()
 
     def _show_copied_maps(self, planned: PackPlan) -> None:
-        """Change the paths of images that show baked maps to the copies."""
+        """Change the paths of images that show baked maps to the copies, relative to the .blend file."""
         for image in bpy.data.images:
             path = real_path(absolute_path(image.filepath))
             if image.filepath and image.library is None and str(path.parent) in planned.maps:
@@ -118,7 +121,10 @@ class OfferPack(bpy.types.Operator):
 
 @allow_writing
 def _ask_to_pack() -> None:
-    """Open the question whether to pack, a moment after the first save of a file."""
+    """Open the question whether to pack, unless there is nothing to pack or an incomplete store is among it.
+
+    A timer calls it once, a moment after the first save of a file.
+    """
     windows = bpy.context.window_manager.windows
     terrains = terrains_to_pack()
     if windows and terrains and not any(loaded_text(obj.adaptive_terrain) for obj in terrains):

@@ -16,7 +16,10 @@ SHOWN_FILES = 4
 
 
 def draw_source(column, obj) -> None:
-    """Draw three rows: the source, its file or its seed, and the button that imports it."""
+    """Draw the source, its file or its seed, further files, and the button that imports it.
+
+    The button says that settings have changed, or that a quick import is to be completed.
+    """
     settings = obj.adaptive_terrain
     column.prop(settings, "source")
     column.prop(settings, "source_path" if settings.source == FILE else "seed")
@@ -28,7 +31,7 @@ def draw_source(column, obj) -> None:
 
 
 def _draw_more(column, settings) -> None:
-    """Draw the further files, the last ones of many."""
+    """Draw the further files; of more than SHOWN_FILES the last ones, below the number of the others."""
     count = len(settings.more_sources)
     if count > SHOWN_FILES:
         column.label(text=phrase("{} more files", count - SHOWN_FILES))
@@ -68,16 +71,19 @@ def _draw_heights(column, settings) -> None:
 
 
 def is_stale(obj) -> bool:
-    """Return whether import settings have changed since the last import, so that the panel offers another."""
+    """Return whether import settings have changed since the last import, so that the panel offers another.
+
+    True too if an imported terrain has no file chosen any more; False before the first import.
+    """
     imported = imported_of(obj.adaptive_terrain)
     try:
         return imported is not None and bool(changed_settings(import_terrain.settings_of(obj), imported))
-    except TerrainError:  # no file is chosen yet
+    except TerrainError:  # no file is chosen
         return True
 
 
 def _draw_file(column, settings) -> None:
-    """Draw the options of a file that depend on its format."""
+    """Draw the options of one file: those that its format has, its missing values and holes."""
     if import_terrain.is_raw(settings.source_path):
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")

@@ -16,10 +16,11 @@ MAX_GAP_ERROR = 0.25
 
 
 def neighbour_notes(obj, others) -> list[str]:
-    """Return notes about other terrains of the same coordinate system: a wrong distance, an open cell between both.
+    """Return notes about other terrains of the same coordinate system: a wrong distance, an open seam between both.
 
-    Every terrain is imported to its object's location, so two neighbouring rasters overlap at first. The wrong distance
-    is noted for one other terrain only.
+    A terrain may be imported to its object's location, so two neighbouring rasters can stand in the same place. Only
+    this wrong distance is noted, and for one other terrain only. A seam is an open cell, or a shared line of samples.
+    others: terrains, `obj` may be among them.
     """
     notes, has_noted_distance = [], False
     for other in others:
@@ -68,9 +69,10 @@ def cells_between(first: Imported, second: Imported) -> int | None:
 
 
 def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> float:
-    """Return the cells between two rasters along the axis on which they face each other; infinite if only corners do.
+    """Return the cells between the outermost samples of two rasters along the axis that separates them.
 
-    metres: length of a unit of the coordinate system along x and y.
+    Negative for rasters that overlap, infinite for those that are not side by side. Cells are the mean of both. metres:
+    length of a unit of the coordinate system along x and y.
     """
     gaps = []
     for axis in (0, 1):

@@ -21,7 +21,8 @@ SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
     """Return whether an import may move a terrain: it is at its coordinates, or was just added and not moved since.
 
-    A scene without an origin gets that of the terrain. before: facts of the terrain's last import, None for the first.
+    A scene without an origin gets that of the terrain as it was imported before. A terrain with a parent is not moved.
+    before: facts of the terrain's last import, None for the first.
     """
     if obj.parent is not None:
         return False
@@ -36,17 +37,17 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
 
 
 def keep_anchor_inside(obj, imported: Imported | None) -> None:
-    """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster."""
+    """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster, or has no raster."""
     half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
     if any(abs(offset) > border for offset, border in zip(anchor_of(obj), half, strict=True)):
         obj.adaptive_terrain.anchor = (0.0, 0.0)
 
 
 def origin_shift(obj, before: Imported | None, imported: Imported | None, anchor: tuple[float, float]) -> np.ndarray:
-    """Return how far a new raster moves the origin of a terrain's object, metres x and y of its space before.
+    """Return how far a new raster moves the origin of a terrain's object: float64 [2], metres of its space before.
 
-    It is 0 for rasters that share no ground or have no common system. before: of the earlier raster. anchor: of the
-    terrain then.
+    It is 0 for rasters whose extents do not overlap or that have no common system. before: facts of the earlier raster,
+    None without one. imported: of the new one. anchor: of the terrain before.
     """
     if before is None or imported is None or before.crs != imported.crs or None in (before.place, imported.place):
         return np.zeros(2)
@@ -72,7 +73,8 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
 def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
     """Move a terrain to its coordinates in the scene, or give the scene those of its first terrain; return notes.
 
-    A terrain in another coordinate system is placed by its reprojected middle.
+    A terrain in another coordinate system is placed by its reprojected origin, with a note. Without coordinates nothing
+    changes, and there are no notes: [].
     """
     if imported is None or not imported.crs or imported.place is None:
         return []
@@ -112,7 +114,11 @@ def _is_plain(obj) -> bool:
 
 
 def _begin_origin(obj, scene, imported: Imported) -> None:
-    """Give the scene the coordinates of the world's origin by its first terrain, if that is not turned or scaled."""
+    """Give the scene the coordinates of the world's origin by its first terrain.
+
+    Nothing changes for a terrain that has a parent, or is turned or scaled, or whose raster is turned in its system.
+    Latitude and longitude are left out if the system cannot be converted.
+    """
     if obj.parent is not None or not _is_plain(obj) or not _is_straight(imported.place):
         return
     world_origin = np.array([anchor_of(obj)]) - np.array([obj.location[:2]])  # metres from the raster's middle
@@ -133,7 +139,10 @@ def _is_straight(place: Place) -> bool:
 
 
 def _place_by_middle(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
-    """Place a terrain of another coordinate system by the point of it that is its object's origin; return notes."""
+    """Place a terrain of another coordinate system by the point of it that is its object's origin; return a note.
+
+    It stays where it is if that point cannot be converted.
+    """
     ((x, y),) = to_crs(imported.place, np.array([anchor_of(obj)])).tolist()
     systems = f"{shown(obj.name)} is in {shown(imported.crs, 40)} and the scene in {shown(origin.crs, 40)}"
     try:

@@ -27,7 +27,10 @@ def data_folder() -> Path:
 
 
 def deleted_folder() -> Path | None:
-    """Return the folder below which Blender deletes the user folders of extensions; None outside of Blender."""
+    """Return the folder below which Blender deletes the user folders of extensions.
+
+    None if this package is not installed as an extension.
+    """
     package = __package__.rsplit(".", 2)[0]
     if not package.startswith("bl_ext."):
         return None
@@ -64,16 +67,19 @@ def can_write_beside() -> bool:
 
 
 def folder_beside(obj, source: str) -> str:
-    """Return the path of a store of `source` beside the saved file. Raises NotOursError where `terrain` is a link."""
+    """Return the path of a terrain's store of `source` beside the saved file, relative to it: `//terrain/...`.
+
+    Raises NotOursError where the folder `terrain` is a link.
+    """
     check_folder(Path(bpy.data.filepath).parent / "terrain")
     return f"{RELATIVE}terrain/" + bpy.path.clean_name(f"{Path(bpy.data.filepath).stem}_{obj.name}_{source}")
 
 
 def store_folder(obj, settings: ImportSettings) -> str:
-    """Return the folder that an import writes: beside a saved file, one folder a terrain.
+    """Return the path of the folder that an import writes: beside a saved file, relative to it, one folder a terrain.
 
-    Before a file is saved it is in the data folder, one folder for each source and settings, because files share it.
-    Raises TerrainError for a missing source.
+    For a file that is not saved, or whose folder cannot be written, it is in the data folder: one folder for each
+    source and settings, because files share it. Raises TerrainError for a missing source.
     """
     source = Path(settings.source).stem
     if can_write_beside():
@@ -82,7 +88,10 @@ def store_folder(obj, settings: ImportSettings) -> str:
 
 
 def baked_folder(obj) -> str:
-    """Return the path for the baked land of a terrain: next to its store, or next to the file if others use that."""
+    """Return the path for the baked land of a terrain: that of its store and "_baked".
+
+    If other files use the store, it is beside the .blend file instead, or in the data folder.
+    """
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):
         beside = can_write_beside()

@@ -19,7 +19,10 @@ _paths_before: dict[int, str] = {}  # by session_uid: paths before a save to ano
 
 @persistent
 def on_save_pre(path, _unused=None) -> None:
-    """Change relative paths of stores so that they hold from the folder that the file is being saved to."""
+    """Change relative paths of stores so that they hold from the folder that the file is being saved to.
+
+    path: the file that is about to be written. `on_save_post` restores the paths if it is a copy.
+    """
     before = bpy.data.filepath
     _paths_before.clear()
     if not (before and path) or Path(before).parent == Path(path).parent:
@@ -97,7 +100,8 @@ def on_undo(_scene, _unused=None) -> None:
 def find_moved_stores(objects=None) -> None:
     """Set the new path of stores that were moved to the data folder, and of images of their maps.
 
-    objects: terrains to look at, None for all.
+    A path in a folder that Blender deletes, without a store, is changed to the data folder. objects: terrains to look
+    at, None for all.
     """
     found = []  # texts about the new paths
     for obj in session.all_terrains() if objects is None else objects:
@@ -130,7 +134,7 @@ def _new_folder(path: str) -> str:
 
 
 def _would_be_deleted(path: str) -> bool:
-    """Return whether a store is missing, and one imported there would be deleted with the extension."""
+    """Return whether no store is at a path, and one imported there would be deleted with the extension."""
     above = deleted_folder()
     return above is not None and Path(path).is_relative_to(above) and not Path(path).exists()
 

@@ -51,11 +51,12 @@ class TileLoader:
     def start(self, obj, depsgraph, *modes: str) -> ImportJob | None:
         """Start `child` if views lack tiles, and return it; None if they lack none.
 
-        modes: of `request.gather`. Raises TerrainError.
+        modes: of `request.gather`, whose views count. Raises TerrainError if the store cannot be read or the child
+        cannot start.
         """
         tiles: set[int] = set()
         for mode in modes:
-            with suppress(TerrainError):  # without a camera no view needs any
+            with suppress(TerrainError):  # as without a camera: then no view needs any
                 tiles.update(missing_tiles(self._store, _seen_by(obj, depsgraph, mode)))
         self.child = self._load(tiles) if tiles else None
         return self.child
@@ -66,9 +67,10 @@ class TileLoader:
         return ImportJob(dataclasses.replace(self._settings, loaded_tiles=tuple(sorted(wanted))), self._store)
 
     def turn(self, obj) -> bool:
-        """Load tiles for a view that rests; return whether new ones are there. Call it often on the main thread.
+        """Load tiles for a view that rests; return whether a child has just added some.
 
-        obj: the terrain, None if it is gone.
+        Call it often on the main thread. It starts no further child after one has failed. obj: the terrain, None if it
+        is gone.
         """
         if self.child is not None:
             progress = self.child.poll()
@@ -90,7 +92,8 @@ class TileLoader:
     def wait_for(self, obj, depsgraph) -> bool:
         """Load the tiles that a render lacks, on its thread; return whether it then needs no further detail.
 
-        Raises TerrainError after Esc.
+        False also if they cannot be found or loaded: only the complete import then helps. Raises TerrainError after
+        Esc. depsgraph: the render's.
         """
         if self.child is not None:
             render_wait.wait_for_import(self.child)
@@ -128,13 +131,19 @@ def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoad
 
 
 def suffice(obj, depsgraph) -> bool:
-    """Return whether a render needs only tiles of an incomplete terrain, and load those. Raises TerrainError."""
+    """Load the tiles of an incomplete terrain that a render lacks; return whether it needs no further detail.
+
+    False if no import with a TileLoader runs for the terrain. Raises TerrainError after Esc.
+    """
     loader = _loaders.get(obj.session_uid)
     return loader is not None and loader.wait_for(obj, depsgraph)
 
 
 def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
-    """Return the views of a terrain, and what else determines the tiles that they need. Raises TerrainError."""
+    """Return the views of a terrain, and what else determines the tiles that they need: 1 pixel if no error is set.
+
+    mode: VIEWPORT or RENDER of terrain/request.py. Raises TerrainError.
+    """
     found = request.gather(obj, depsgraph, mode, about_middle=True)
     scale = found.vertical_scale, found.vertical_offset
     return SeenLand(found.views, found.placement, found.criterion.error_px or 1.0, *scale)
@@ -143,7 +152,8 @@ def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
 def loaded_here(context, obj) -> str:
     """Return the detail of an incomplete terrain where the viewport or the camera looks, as `Loaded to 80 m here`.
 
-    It is that of the whole terrain if no tiles are loaded, and "" for a complete one.
+    It is that of the whole terrain (`loaded_text`) if no tiles are loaded or the view cannot be read, and "" for a
+    complete one. context: of a panel, in a viewport or another editor.
     """
     imported, text = imported_of(obj.adaptive_terrain), loaded_text(obj.adaptive_terrain)
     if imported is None or imported.refined_m is None:
@@ -158,7 +168,8 @@ def loaded_here(context, obj) -> str:
 def _target_of(context, obj) -> tuple[float, float]:
     """Return where the middle of a viewport, or of the camera without one, meets the terrain; else the eye's x and y.
 
-    Both are metres from the raster's middle. Raises TerrainError.
+    Both are metres from the raster's middle, which is the result without viewport and camera. Raises TerrainError, and
+    LinAlgError for a transform that cannot be inverted.
     """
     space = context.space_data
     if space is not None and space.type == "VIEW_3D":

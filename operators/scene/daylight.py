@@ -36,7 +36,10 @@ def sun_vector(elevation: float, azimuth: float) -> Vector:
 
 
 def add_sun(scene, elevation: float, azimuth: float):
-    """Add a sun lamp, warmer the lower it stands, and return it. Angles as of `sun_vector`."""
+    """Add a sun lamp, warmer the lower it stands, and return its object. Angles as of `sun_vector`.
+
+    The scene remembers it (`find_built`).
+    """
     lamp = bpy.data.lights.new(SUN, "SUN")
     lamp.energy, lamp.angle = SUN_STRENGTH, math.radians(SUN_DISC_DEG)
     white = min(max(elevation / WHITE_ELEVATION, 0.0), 1.0)
@@ -49,16 +52,17 @@ def add_sun(scene, elevation: float, azimuth: float):
 
 
 def haze_color(elevation: float) -> list[float]:
-    """Return the color of the haze for a sun's elevation in radians, linear RGB times its radiance."""
+    """Return the color of the haze for a sun's elevation of 0 or more radians, linear RGB times its radiance."""
     radiance = float(np.interp(elevation, ELEVATIONS, RADIANCE))
     cool = min(elevation / ELEVATIONS[-1], 1.0)  # 0 for a sun at the horizon, 1 for a high one
     return [radiance * (warm + (cold - warm) * cool) for warm, cold in zip(WARM_HAZE, COOL_HAZE, strict=True)]
 
 
 def add_sky(scene, towards: Vector) -> None:
-    """Give the scene a sky whose sun is in the direction `towards`.
+    """Give the scene a new world with a sky whose sun is in the direction `towards`, a unit vector.
 
-    The haze of the horizon continues below it, where the terrain ends.
+    A sun below the horizon is put on it. The haze of the horizon continues below it, where the terrain ends. The
+    scene's world before remains in the file.
     """
     world = bpy.data.worlds.new(SKY)
     keep_built(scene, built.SKY, world)

@@ -38,7 +38,7 @@ def is_default_view(region_3d) -> bool:
 
 
 def is_default_world(world) -> bool:
-    """Return whether a world is missing or the grey one of the start-up file."""
+    """Return whether a world is None or the grey one of the start-up file, by its name, nodes and color."""
     if world is None:
         return True
     tree = world.node_tree
@@ -51,14 +51,17 @@ def is_default_world(world) -> bool:
 
 
 def _stands_alone(obj) -> bool:
-    """Return whether an object has its first location and no parents, children, modifiers, constraints or animation."""
+    """Return whether an object has its first location, no scale, and nothing attached to it.
+
+    Attached are parents, children, modifiers, constraints and animation. Its name has to be one of LOCATIONS.
+    """
     attached = obj.parent, *obj.children, *obj.modifiers, *obj.constraints, obj.animation_data
     is_unscaled = np.allclose(obj.scale, 1.0)
     return not any(attached) and is_unscaled and np.allclose(obj.location, LOCATIONS[obj.name], atol=1e-4)
 
 
 def _is_cube(obj) -> bool:
-    """Return whether an object is the default scene's cube, not edited."""
+    """Return whether an object is a cube of 2 metres that is not turned, by its vertices, with a mesh of its own."""
     if obj.type != "MESH" or obj.data.users > 1 or len(obj.data.vertices) != len(CORNERS):
         return False
     corners = sorted(tuple(vertex.co) for vertex in obj.data.vertices)
@@ -66,7 +69,7 @@ def _is_cube(obj) -> bool:
 
 
 def _is_lamp(obj) -> bool:
-    """Return whether an object is the default scene's lamp, not edited."""
+    """Return whether an object is a white point light of LAMP_WATTS without further nodes, with data of its own."""
     if obj.type != "LIGHT" or obj.data.users > 1 or obj.data.type != "POINT" or obj.data.animation_data is not None:
         return False
     return obj.data.energy == LAMP_WATTS and np.allclose(obj.data.color, 1.0) and not _has_nodes(obj.data)

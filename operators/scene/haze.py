@@ -22,10 +22,11 @@ THIN = 1e-3  # difference of heights, in scale heights, below which the density 
 
 
 def set_haze(obj, amount: float, color) -> None:
-    """Give the terrain's own material haze that hides `amount`, 0 to 1, of ground as far away as the terrain is long.
+    """Give the terrain's own material haze that hides `amount` of the light of ground as far away as it is long.
 
-    Water and plants that have haze already get the same; materials of other terrains and of the user stay. color:
-    linear RGB. DISTANCE is the one at which haze of constant density leaves 1 / e of the ground's light.
+    Water and plants that have haze already get the same; materials of other terrains and of the user stay. amount: from
+    0, which removes the haze, to less than 1. color: linear RGB. DISTANCE is the one at which haze of constant density
+    leaves 1 / e of the ground's light. Raises TerrainError without a store.
     """
     box = sight.box_of(obj)
     sides, low = box.max(axis=0) - box.min(axis=0), float(box[:, 2].min())
@@ -56,7 +57,10 @@ def _node_of(material):
 
 
 def _apply(material, values: dict) -> None:
-    """Set the values of a material's haze; add it if it is missing. A distance of 0 removes it."""
+    """Set the values of a material's haze; add it if it is missing. A DISTANCE of 0 removes it.
+
+    values: by COLOR, DISTANCE, BASE and HEIGHT. A linked material and one without a surface stay as they are.
+    """
     if material.library is not None:
         return
     tree, node = material.node_tree, _node_of(material)
@@ -80,7 +84,7 @@ def _apply(material, values: dict) -> None:
 
 
 def haze_group() -> bpy.types.NodeTree:
-    """Return the node group, built once a file."""
+    """Return the node group of the haze, by its MARK; it is built once a file, and again if the file's is linked."""
     for group in bpy.data.node_groups:
         if MARK in group and group.library is None:
             return group

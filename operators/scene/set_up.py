@@ -107,7 +107,8 @@ class SetUpScene(bpy.types.Operator):
         """Return the scene's camera at the chosen view, with a clip range for the terrain.
 
         It is the camera of an earlier click, the unchanged one of the start-up file, or a new one. A camera of the user
-        through which the viewport looks stays as it is, except for a clip range that ends too early.
+        through which the viewport looks stays as it is, except for a clip range that ends too early. With the view
+        across the terrain, the viewport goes there, too.
         """
         scene, viewport = context.scene, viewpoint.viewport_of(context)
         through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
@@ -146,7 +147,8 @@ def _add_camera(scene):
 def _light(scene, elevation: float, azimuth: float) -> Vector:
     """Light a scene by a sun and the sky around it, and return the unit vector towards the sun.
 
-    A sun lamp of the user stays and the sky follows it. The sky of an earlier click is replaced.
+    A sun lamp of the user stays and the sky follows it, whatever the angles are, which are those of `sun_vector`. The
+    sky of an earlier click is replaced; a world of the user remains in the file.
     """
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
@@ -163,7 +165,7 @@ def _light(scene, elevation: float, azimuth: float) -> Vector:
 
 
 def _choose_layers(obj) -> None:
-    """Give a terrain that has only default layers those that suit it.
+    """Give a terrain that has only default layers, or none, those that suit it.
 
     They are a preset for its built-in land, or one without snow if it is lower than SNOWLESS_M; otherwise nothing
     changes.
@@ -177,7 +179,7 @@ def _choose_layers(obj) -> None:
 
 
 def _choose_look(scene) -> None:
-    """Give AgX more contrast, unless a look is chosen."""
+    """Give the view transform AgX more contrast, unless the user has chosen a look."""
     view = scene.view_settings
     if view.view_transform == "AgX" and view.look == "None":
         view.look = LOOK

@@ -31,7 +31,10 @@ FACTORY_CLIP = 0.1, 100.0  # metres, of a new camera
 
 
 def viewport_of(context) -> tuple | None:
-    """Return the space and the view of the viewport where an operator runs, or of the scene's largest one."""
+    """Return the space and the `region_3d` of the viewport where an operator runs, or of the scene's largest one.
+
+    None if no window shows the scene in a viewport.
+    """
     found = frame_terrain.shown_viewports(context.window_manager, context.scene)
     found = [view for view in found if view[1] == context.area] or found
     if not found:
@@ -54,12 +57,15 @@ def look_from(region_3d, camera_to_world: Matrix, distance: float) -> None:
 
 
 def across(obj) -> Matrix:
-    """Return the matrix to the world of a camera on low ground that looks across a terrain, towards high ground."""
+    """Return the matrix to the world of a camera over a terrain that looks across it: the best view of `_best_view`.
+
+    Raises TerrainError without a store.
+    """
     settings = obj.adaptive_terrain
-    x, y, z, lowest = _heights(obj)
+    x, y, z, water_level = _heights(obj)
     scale, offset = settings.vertical_scale, settings.vertical_offset
-    z, lowest = z * scale + offset, lowest * scale + offset
-    eye, azimuth = _best_view(x, y, z, lowest)
+    z, water_level = z * scale + offset, water_level * scale + offset
+    eye, azimuth = _best_view(x, y, z, water_level)
     ahead = Vector((math.sin(azimuth), math.cos(azimuth), math.tan(PITCH)))
     to_world = obj.matrix_world
     turn = (to_world.to_3x3() @ -ahead).to_track_quat("Z", "Y").to_matrix().to_4x4()
@@ -70,7 +76,7 @@ def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return samples of a terrain in its own space, x [n], y [m] and height [m, n], and the level of water.
 
     Ground up to this level counts as water that a view should show: the sea, or inland the lowest part (INLAND). Metres
-    of the height map. Holes have the lowest height.
+    of the height map, without vertical scale and offset. Holes have the lowest height; a sea is flat at 0.
     """
     field = shaped_land.field_of(obj)
     lattice = field.lattice
@@ -79,23 +85,23 @@ def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     heights = field.heights(*np.ix_(rows, columns)).astype(np.float64)
     known = heights[np.isfinite(heights)]
     is_coast = (known <= 0.0).mean() >= MIN_SEA
-    low = 0.0 if is_coast else float(np.quantile(known, INLAND))
+    water_level = 0.0 if is_coast else float(np.quantile(known, INLAND))
     heights = np.where(np.isfinite(heights), heights, known.min())
     x = (columns - (lattice.width - 1) / 2) * lattice.step_x - lattice.anchor_x
     y = (rows - (lattice.height - 1) / 2) * lattice.step_y - lattice.anchor_y
-    return x, y, np.maximum(heights, low) if is_coast else heights, low
+    return x, y, np.maximum(heights, water_level) if is_coast else heights, water_level
 
 
-def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple[tuple, float]:
+def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) -> tuple[tuple, float]:
     """Return the eye and the azimuth, clockwise from +Y in radians, of the view that shows most kinds of ground.
 
-    x [n], y [m]: positions of the heights z [m, n], metres. low: level up to which ground counts as water. The eyes
-    are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes after a
-    mean. A score is the sum of what is seen, 1 each at most, less the faults of the skyline and the border.
+    x [n], y [m]: positions of the heights z [m, n], metres. water_level: height up to which ground counts as water.
+    The eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
+    after a mean. A score is the sum of what is seen, 1 each at most, less the faults of the skyline and the border.
     """
     side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
     slope = np.hypot(*np.gradient(z, y, x))
-    is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > low)
+    is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > water_level)
 
     def nearest(coordinates: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Return the numbers of the samples of `axis`, x or y, nearest to some coordinates."""
@@ -117,7 +123,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
         horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
         shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
-        flat, gentle = z[row, column] <= low, is_gentle[row, column]
+        flat, gentle = z[row, column] <= water_level, is_gentle[row, column]
         low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
         skyline = horizon[..., -1].std(axis=-1)
         last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
@@ -134,7 +140,10 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple
 
 
 def clip_range(obj, eye: Vector) -> tuple[float, float]:
-    """Return a clip range that shows the whole terrain from an eye and keeps the depth buffer precise."""
+    """Return a clip range in metres that shows the whole terrain from an eye and keeps the depth buffer precise.
+
+    It begins at NEAREST_CAMERA_START at the latest, so that near objects are not cut off.
+    """
     box = sight.box_of(obj)
     furthest = float(np.linalg.norm(box - np.array(eye), axis=1).max())
     start, end = sight.clip_that_shows(box, furthest, FACTORY_CLIP)

@@ -33,7 +33,7 @@ NORMALS_S = 1.0  # without an update before a live mesh gets its exact normals
 
 @dataclass
 class LiveUpdate:
-    """A running update: the terrain's session_uid, its generation when the update started, and the request."""
+    """An update or a step of one: the terrain's session_uid, its generation at the start, and the request."""
 
     uid: int
     generation: int
@@ -98,7 +98,7 @@ def _turn() -> float:
 
 
 def _refine_resting_land(idle: bool) -> bool:
-    """Give resting_land a turn, and return whether any land has become finer. idle: no update is running."""
+    """Give resting_land a turn, and return whether any land has become finer. idle: no update is due or running."""
     if not resting_land.has_work():
         return False
     before = jobs.progress_shown()
@@ -120,7 +120,10 @@ _show_normals = allow_writing(session.show_normals)
 
 
 def _windows_changed() -> bool:
-    """Return whether windows have changed since the last call: a new spreadsheet, a reader, calls no handler."""
+    """Return whether windows have changed since the last call.
+
+    A new spreadsheet reads attributes, but Blender calls no handler for it.
+    """
     global _screens
     before, _screens = _screens, screens_key()
     return before != _screens
@@ -144,7 +147,10 @@ def stage() -> str:
 
 @allow_writing
 def _next_job() -> LiveUpdate | None:
-    """Start an update of the first terrain whose request has changed; return it, None if there is none."""
+    """Start an update of the first terrain whose request has changed; return it.
+
+    None if there is none, or its kernels are being loaded. Objects that are kept on the ground are placed before.
+    """
     global _follows_viewport, _started
     for window in _windows():
         if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
@@ -155,7 +161,7 @@ def _next_job() -> LiveUpdate | None:
     )
     for depsgraph, obj in shown:
         record = session.record_of(obj)
-        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER  # a render's mesh is replaced once, too
         if depsgraph is None or not wanted or obj.mode != "OBJECT":
             continue
         try:
@@ -191,7 +197,10 @@ def _shown_terrains() -> list[tuple]:
 
 
 def _is_prepared(record: session.Record, request: Request) -> bool:
-    """Return whether the kernels of a request are loaded; if not, start loading them for a later turn."""
+    """Return whether an update can start: the kernels of its request are loaded, or cannot be loaded at all.
+
+    If they are not, start loading them for a later turn.
+    """
     try:
         ready = warmup.prepare_modules(kernels_for(request))
     except TerrainError as error:
@@ -203,7 +212,10 @@ def _is_prepared(record: session.Record, request: Request) -> bool:
 
 
 def _next_refinement() -> LiveUpdate | None:
-    """Start a refinement step of the first mesh that shows a preview; return it, None if there is none."""
+    """Start a refinement step of the first mesh that shows a preview; return it, None if there is none.
+
+    Previews of terrains that are gone or were updated since are forgotten.
+    """
     global _started
     if not _unrefined:
         return None
@@ -260,7 +272,11 @@ def _solve_and_paint(record: session.Record, request: Request):
 
 @allow_writing
 def _show_result(job: LiveUpdate) -> None:
-    """Write the mesh of a finished update, unless the terrain has changed since it was started; report its error."""
+    """Write the mesh of a finished update, unless the terrain has changed since it was started.
+
+    An error is shown on the panel; one that is no TerrainError is also raised. `_unrefined` then has the update if its
+    mesh shows a preview.
+    """
     global _shown_at
     _shown_at = time.monotonic()
     obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
@@ -293,7 +309,10 @@ def _show_result(job: LiveUpdate) -> None:
 
 
 def show_soon(obj) -> None:
-    """Show the heights of a terrain that have changed: by the next live update, or now. Raises TerrainError."""
+    """Show the heights of a terrain that have changed: by the next live update, or now without one.
+
+    Raises TerrainError if an update now fails.
+    """
     if obj.adaptive_terrain.live and not bpy.app.background:
         mark_dirty()
     else:

@@ -34,7 +34,7 @@ def on_terrain(operator: type, context) -> bool:
 
 
 def on_terrain_object(operator: type, context) -> bool:
-    """Return whether the active object is an editable terrain in Object Mode."""
+    """Return whether the active object is an editable terrain in Object Mode; if not, set the reason."""
     if not on_terrain(operator, context):
         return False
     operator.poll_message_set(IN_A_MODE)
@@ -91,7 +91,7 @@ def invoke_with_file(operator, context) -> set[str]:
 
 
 def cancelled_by_errors(execute: Callable) -> Callable:
-    """Decorate an operator's `execute`: a TerrainError or an OSError is reported and cancels the operator."""
+    """Decorate an operator's `execute(self, context)`: a TerrainError or an OSError is reported and cancels it."""
 
     @functools.wraps(execute)
     def run(self, context):  # Blender counts the arguments

@@ -53,7 +53,7 @@ class Status:
 
     @property
     def digest(self) -> str:
-        """Identify the mesh and its views."""
+        """Return a text that identifies the mesh and its views; "" before the first update."""
         return self.request.digest(self.field_key) if self.request and self.field_key else ""
 
 
@@ -63,7 +63,7 @@ class Record:
 
     Attributes:
         terrain: the engine for `field`, None before the first update.
-        field: the height field.
+        field: the height field of the last update, None before the first.
         serial: number of the current surface; it grows whenever the surface changes.
         shown: key of the surface in the mesh and of how it was written.
         postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.

@@ -44,7 +44,8 @@ _last_shown = ""  # name of the terrain that was active last
 def is_terrain(obj) -> bool:
     """Return whether the object is a terrain whose mesh may be written.
 
-    Neither may be linked from a library or be an override: Cycles crashes on an override whose mesh is written.
+    Neither object nor mesh may be linked from a library or be an override: Cycles crashes on an override whose mesh is
+    written.
     """
     if obj.type != "MESH" or not obj.adaptive_terrain.enabled:
         return False
@@ -52,7 +53,7 @@ def is_terrain(obj) -> bool:
 
 
 def all_terrains() -> list:
-    """Return every terrain of the open file, and drop the records of deleted objects."""
+    """Return every terrain of the open file that may be written, and drop the records of objects that are none."""
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
@@ -157,9 +158,10 @@ def as_terrain_error(error: Exception) -> TerrainError:
 
 
 def solve(record: Record, request: Request):
-    """Run the engine. It uses no Blender data, so any thread that holds `engine_lock` may call it.
+    """Run the engine for a request, keep its attributes and points in the record, and return its Update.
 
-    It waits for kernels that are being prepared, as a render must.
+    It uses no Blender data, so any thread that holds `engine_lock` may call it. It waits for kernels that are being
+    prepared, as a render must. Raises TerrainError, with the code DAMAGED if shaped land was damaged and removed.
     """
     warmup.wait()
     heights = field_of(request)
@@ -212,7 +214,10 @@ def _make_effects(record: Record, request: Request, update, vertical: dict[str, 
 
 
 def freeze(obj) -> str:
-    """Update the terrain for the viewport, and return its triangles as the text of its property `frozen`."""
+    """Update the terrain for the viewport, and return its triangles as the text for its property `frozen`.
+
+    The caller sets the property. Raises TerrainError.
+    """
     with engine_lock:
         update_object(obj)
         tree, settings = record_of(obj).terrain.saved()
@@ -220,7 +225,10 @@ def freeze(obj) -> str:
 
 
 def paint(record: Record, request: Request, update) -> None:
-    """Make or drop the overlay of the request, after `solve` and on any thread."""
+    """Make or drop the record's overlay for a request, after `solve` and on any thread that holds `engine_lock`.
+
+    update: result of `solve`. An overlay with the same inputs is kept.
+    """
     key = None
     if request.overlay != NO_OVERLAY:
         # the error depends on the view, also on the same mesh
@@ -234,7 +242,10 @@ def paint(record: Record, request: Request, update) -> None:
 
 
 def field_of(request: Request):
-    """Return the height field of a request: its land shaped by height operators, interpolation and displacement."""
+    """Return the height field of a request: its store or shaped land, anchored, interpolated and displaced.
+
+    Its callees cache it, and `_refine` keeps the engine of the same object. Raises TerrainError.
+    """
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(anchored(raster, *request.anchor), request.interpolation)
     vertical = request.vertical_scale, request.vertical_offset
@@ -242,7 +253,10 @@ def field_of(request: Request):
 
 
 def open_field(store: str):
-    """Return the height field of a store folder, opened again only if the folder changed or a file was truncated."""
+    """Return the height field of a store folder, opened again only if the folder changed or a file was truncated.
+
+    Raises TerrainError for a missing or damaged store.
+    """
     key = str(real_path(store)), check_exists(store)
     if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:
@@ -254,8 +268,9 @@ def open_field(store: str):
 def show(obj, record: Record, request: Request, update, mode: str, *, exact: bool = True) -> bool:
     """Write the mesh unless it already shows this surface; return whether it was written.
 
-    exact: write exact normals at once, which is slow before Blender 4.5; otherwise those versions get them by a later
-    `show_normals`.
+    The scatter points and the record's status are those of `update` in any case. On the main thread, with `engine_lock`
+    held. exact: write exact normals at once, which is slow before Blender 4.5; otherwise those versions get them by a
+    later `show_normals`.
     """
     _make_mesh_single_user(obj)
     written = record.shown != _what_is_shown(obj.data, record, request)
@@ -294,7 +309,10 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
 
 
 def show_normals(obj) -> bool:
-    """Write the exact normals that a live update has postponed; return whether there were any."""
+    """Write the exact normals that a live update has postponed; return whether they were written.
+
+    They are dropped if the mesh has changed since then or is being edited.
+    """
     record, mesh = record_of(obj), obj.data
     normals, record.postponed = record.postponed, None
     if normals is None or record.shown is None or len(normals) != len(mesh.vertices) or mesh.is_editmode:
@@ -317,7 +335,10 @@ def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
 
 
 def _make_mesh_single_user(obj) -> None:
-    """Copy a shared mesh: another location needs another refinement, and other objects must not change."""
+    """Give an object its own copy of a shared mesh.
+
+    Another location needs another refinement, and other objects must not change.
+    """
     if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects):
         obj.data = obj.data.copy()
 

@@ -46,8 +46,9 @@ def raise_for_stale_frames():
 def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
     """Handle a frame, before its render, whose terrains cannot be refined because of `errors`.
 
-    It is not rendered in the background unless the scene allows it; with a window it is noted for
-    `report_stale_frames`.
+    In the background it is not rendered unless the scene allows it; with a window it is noted for
+    `report_stale_frames`. Inside `raise_for_stale_frames` the render ends, and the error is kept for that. A render
+    that the user has cancelled with Esc ends by itself.
     """
     global _ending
     if _ending:  # each view layer calls this, and a second interruption would kill Blender
@@ -106,7 +107,7 @@ def exit_if_stopped() -> None:
 
 
 def report_stale_frames() -> None:
-    """Show a message in the window with the stale frames of the finished render."""
+    """Show a message in the window with the stale frames and messages of the finished render, then forget them."""
     if (_shown_stale or _messages) and not bpy.app.background:
         bpy.app.timers.register(_show_popup, first_interval=0.0)  # popups need the main thread
     else:
@@ -115,9 +116,9 @@ def report_stale_frames() -> None:
 
 
 def message_lines(stale: dict[int, str]) -> list[str]:
-    """Return the message's lines: the first few stale frames by number, and each reason once.
+    """Return the message's lines: the first FRAMES_NAMED stale frames by number, and each reason once.
 
-    stale: reason by frame.
+    stale: reason by frame, not empty.
     """
     frames = ", ".join(map(str, sorted(stale)[:FRAMES_NAMED]))
     if len(stale) > FRAMES_NAMED:

@@ -20,12 +20,13 @@ NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objec
 
 
 def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
-    """Move `viewports` (see camera.viewports) to show the terrain, and extend the clip range of its camera to it.
+    """Move `viewports` to show the terrain, and extend their clip ranges and that of its camera to it.
 
-    Return texts about changes and about viewports that stay. Raises TerrainError if the terrain has no store or no
-    finite box.
+    Return texts about the camera and about viewports that stay, each once; [] if there is nothing to tell. Raises
+    TerrainError if the terrain has no store or no finite box.
 
     Args:
+        viewports: as of `camera.viewports`: window, area, region and region_3d.
         always: also move a viewport that already shows the whole terrain.
     """
     box = sight.box_of(obj, depsgraph)
@@ -48,14 +49,18 @@ def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[
 
 
 def shown_viewports(window_manager, scene) -> list[tuple]:
-    """Return the viewports of every window that shows the scene; none in the background."""
+    """Return the viewports of every window that shows the scene, as of `camera.viewports`; none in the background."""
     if bpy.app.background:
         return []
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
 
 
 def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
-    """Extend the clip range of a terrain's camera to a box [8, 3] in the world; return a text about it, [] for none."""
+    """Extend the clip range of a terrain's camera to a box [8, 3] in the world.
+
+    Return a text about the change, or about a linked camera that cannot be changed; [] if nothing has to change. The
+    start grows to NEAREST_CAMERA_START at most.
+    """
     camera = sight.camera_of(obj, depsgraph.scene)
     if camera is None:
         return []
@@ -75,7 +80,7 @@ def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
 def _visible_part(area, region, space) -> tuple[float, float, float, float]:
     """Return left, right, bottom and top of the part of a region that sidebar, toolbar and headers leave visible.
 
-    They are coordinates of the region, -1 .. 1.
+    They are coordinates of the region, -1 .. 1: all of it if less than a quarter of a side is left.
     """
     left, right, bottom, top = region.x, region.x + region.width, region.y, region.y + region.height
     if not space.region_quadviews and bpy.context.preferences.system.use_region_overlap:
@@ -104,7 +109,7 @@ def _visible_part(area, region, space) -> tuple[float, float, float, float]:
 
 
 def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, float, float, float]) -> None:
-    """Move a viewport along its direction until a box fills the visible part of its region.
+    """Move a viewport along its direction until a box fills the visible part of its region, with MARGIN.
 
     box: float64 [8, 3], corners in the world. visible: result of `_visible_part`.
     """

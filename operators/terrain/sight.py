@@ -22,8 +22,9 @@ SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
 def box_of(obj, depsgraph=None) -> np.ndarray:
     """Return the corners of the terrain's box in the world, float64 [8, 3].
 
-    depsgraph: whose evaluated object counts, None for the original. Raises TerrainError without a store, and for a
-    matrix that flattens the terrain.
+    They bound all heights of the raster, not of a mesh. depsgraph: whose evaluated transform and settings count, None
+    for the original's. Raises TerrainError without a store, for a matrix that flattens the terrain and for one that is
+    not finite.
     """
     terrain = obj if depsgraph is None else obj.evaluated_get(depsgraph)
     settings = terrain.adaptive_terrain
@@ -73,7 +74,10 @@ def is_in_sight(box: np.ndarray, view: View) -> bool:
 
 
 def shows_all(box: np.ndarray, view: View) -> bool:
-    """Return whether the frame shows the whole box, at a size of at least SMALL."""
+    """Return whether the frame shows the whole box, with at least SMALL of its width or height, and no clipping.
+
+    False for panoramas, whose frames are not tested.
+    """
     if view.kind == PANORAMIC or is_cut_off(box, view):
         return False
     x, y, w = _in_frame(box, view)
@@ -97,7 +101,10 @@ def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def is_below_ground(obj, point: np.ndarray) -> bool:
-    """Return whether a point of the world, float64 [3], is below the nearest sample of the terrain."""
+    """Return whether a point of the world, float64 [3], is below the nearest sample of the terrain.
+
+    False beyond the raster, in holes and for a transform that cannot be inverted.
+    """
     settings = obj.adaptive_terrain
     field = shaped_land.field_of(obj)
     matrix = np.array(obj.matrix_world, np.float64)
@@ -119,7 +126,10 @@ def is_far_out(point) -> bool:
 
 
 def camera_of(obj, scene):
-    """Return the camera for which a render refines the terrain, or None."""
+    """Return the camera for which a render refines the terrain: the chosen one or the scene's; None without one.
+
+    None also if the chosen object is not a camera.
+    """
     settings = obj.adaptive_terrain
     camera = settings.camera if settings.camera_source == CHOSEN_CAMERA else cameras.active_camera(scene)
     return camera if camera is not None and camera.type == "CAMERA" else None
@@ -133,18 +143,19 @@ def view_of_camera(scene, camera) -> View:
 def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float]) -> tuple[float, float]:
     """Return a clip range (metres) that includes a box whose furthest corner is `furthest` away.
 
-    It is `clip` if that is sufficient. Otherwise its end is a round number with some margin, and its start keeps the
-    precision of the depth buffer.
+    The end of `clip` stays if it is far enough. Otherwise it becomes a round number, at least twice as far as needed,
+    and the start grows with it for the precision of the depth buffer. The start is then limited to a hundredth of the
+    needed distance: `furthest`, or the box's diagonal if that is longer.
     """
     start, end = clip
     needed = max(furthest, diagonal(box))
     if end < needed:
         end = round_up(2.0 * needed)
         start = max(start, NEAR_TO_FAR * end)
-    return min(start, needed / 100.0), end  # the start is a hundredth of `needed` at most
+    return min(start, needed / 100.0), end
 
 
 def round_up(value: float) -> float:
-    """Round up to 1, 2 or 5 times a power of ten."""
+    """Round a positive number up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1 - 1e-9))

@@ -66,7 +66,10 @@ class FarmJob:
 
 
 def write_bundle(job: FarmJob, folder: Path) -> None:
-    """Write the files of a job into `folder`, for Open Job Description and Flamenco. Raises TerrainError."""
+    """Write the files of a job into `folder`, for Open Job Description and Flamenco.
+
+    Raises TerrainError for too many ranges of frames, a path that is not UTF-8, and files that cannot be written.
+    """
     if len(range_text(job.frames)) > MAX_TEXT:
         raise TerrainError(
             "The frames have too many gaps for one job", expected="ranges", fix="make a job of each part"
@@ -99,7 +102,8 @@ def job_template(job: FarmJob, guard: str) -> str:
 def host_requirements(job: FarmJob) -> str:
     """Return the line of YAML that limits the workers of each step, "" for any worker.
 
-    A zip has libraries of its platforms only, so a worker of another platform cannot install it.
+    A zip has libraries of its platforms only, so a worker of another platform cannot install it. Platforms that
+    PLATFORMS lacks are left out; operating systems and processors are limited separately.
     """
     known = [PLATFORMS[name] for name in job.platforms if name in PLATFORMS]
     names = ("attr.worker.os.family", "attr.worker.cpu.arch")
@@ -120,7 +124,7 @@ def openjd_command(folder: Path) -> str:
 
 
 def range_text(frames: Sequence[int]) -> str:
-    """Return sorted unique frames as a range of Open Job Description: `1-24,30-60:2`."""
+    """Return frames, in any order, as a range of Open Job Description, sorted and each once: `1-24,30-60:2`."""
     numbers, parts, start = sorted(set(frames)), [], 0
     while start < len(numbers):  # from `start` on, take as many frames as have the same step
         step = numbers[start + 1] - numbers[start] if start + 1 < len(numbers) else 1

@@ -25,9 +25,10 @@ POSITIONAL = "source", "more_sources"
 
 
 def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path, folder: Path, chunk: int) -> list[str]:
-    """Write the job of an import into `folder`, and return lines about it. Raises TerrainError.
+    """Write the job of an import into `folder`, and return lines about it for the user.
 
-    size: columns and rows of the raster. chunk: tiles of one task.
+    size: columns and rows of the raster. store: folder that the job writes. chunk: tiles of one task. Raises
+    TerrainError for a raster that needs no farm, and for files that cannot be written.
     """
     width, height = size
     if width * height <= TILED_SAMPLES:
@@ -49,7 +50,7 @@ def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path,
 
 
 def import_template(settings: ImportSettings) -> str:
-    """Return the template of a job as YAML."""
+    """Return the template of an import's job as YAML. Raises TerrainError for a source that a job cannot name."""
     arguments = import_arguments(settings)
     if any("{{" in text for text in arguments):
         raise TerrainError("A source has {{ in its name, which a job reads as a variable", fix="rename it")

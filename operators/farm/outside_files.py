@@ -59,7 +59,7 @@ def named_some(paths: Sequence[Path]) -> str:
 
 
 def _is_terrain_folder(folder: Path) -> bool:
-    """Return whether a folder is a store, the shaped land of one, or has baked maps."""
+    """Return whether a folder is a store, has the shaped land of a store in the same folder, or has baked maps."""
     store = folder.parent / folder.name.removesuffix(LAND)
     return (store / STORE_JSON).is_file() or (folder / MAPS_JSON).is_file()
 

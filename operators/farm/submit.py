@@ -128,7 +128,10 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
 
 
 def _height_maps(obj, store: Path) -> list[Path]:
-    """Return the files that the import of a terrain reads. Raises TerrainError if one is missing or not known."""
+    """Return the files that the import of a terrain reads, with their sidecars.
+
+    Raises TerrainError if a height map is missing or not known. store: the missing store, for the error.
+    """
     settings = settings_of(obj)
     sources = files_of(settings) if names_several(settings) else [Path(settings.source)]
     missing = next((source for source in sources if not source.is_file()), None)

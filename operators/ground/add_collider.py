@@ -55,7 +55,10 @@ def collider_of(terrain):
 
 
 def _bake_collider(terrain, depsgraph):
-    """Bake the mesh of a collider; return the engine's Update and its bound in metres of the world."""
+    """Bake the mesh of a collider; return the engine's Update and its bound in metres of the world.
+
+    The mesh is in the terrain's space. Raises TerrainError if the ground cannot be computed.
+    """
     ground = world_ground.ground_of(terrain, depsgraph)
     metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
     warmup.wait()

@@ -25,7 +25,7 @@ class RestPose:
     """The pose of an object on the ground, in metres of the world."""
 
     height: float  # of the object's origin
-    ground: float  # height of the ground below the origin
+    ground: float  # height of the ground above or below the origin, NaN without any
     turn: Quaternion  # rotation in the world that takes the object there
 
 
@@ -145,7 +145,10 @@ class DropToGround(GroundOperator, bpy.types.Operator):
         obj.location = obj.location + moves.channel_rise(frame, rise)
 
     def _find_held(self, objects, ground, depsgraph) -> dict:
-        """Return the objects that a constraint has kept from reaching the ground, each with an error."""
+        """Return the objects that a constraint has kept from reaching the ground, each with an error.
+
+        {} with Keep Every Frame, which notes such objects itself.
+        """
         held = {}
         for obj in objects if not self.keep else ():
             if obj.type != "CURVE" and obj.constraints:

@@ -181,7 +181,7 @@ def _rise_of(obj, evaluated, height: float) -> float:
 
 
 def _apply_move(obj, depsgraph, rise: float, normal) -> None:
-    """Move and turn an object by its delta transforms.
+    """Move and turn an object by its delta transforms; if its channels cannot move it, note why.
 
     rise: metres in the world. normal: direction for its Z axis, None for no turn.
     """
@@ -227,7 +227,7 @@ def settle_shown(scene, depsgraph) -> bool:
     """Place kept objects again if they or the ground changed, for the live update, which never waits for missing
     ground.
 
-    Returns False while kernels are being compiled: call it again.
+    Returns False while kernels are being compiled: call it again. An error of the ground is ignored here.
     """
     objects = objects_on_ground(scene)
     if not objects or depsgraph is None:

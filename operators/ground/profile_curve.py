@@ -52,7 +52,7 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
-        """Create a curve on the ground for each chosen curve, and write the files if they are named."""
+        """Create a curve on the ground for the chosen curve, and write the files if they are named."""
         depsgraph = context.evaluated_depsgraph_get()
         for curve in _chosen_curves(context):
             lines = lines_of(curve, depsgraph)
@@ -74,7 +74,8 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
     def _write(self, name: str, found, ground) -> list[str]:
         """Write the table and the picture of a profile; return the file names.
 
-        found: results of `along_line`, one for each spline; several splines get numbered files. ground: its terrain.
+        found: results of `along_line`, one for each spline; several splines get numbered files. ground: WorldGround of
+        its terrain. Raises TerrainError for a path without a name or a file that cannot be written.
         """
         base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
@@ -183,7 +184,8 @@ def profile_csv(along: np.ndarray, points: np.ndarray, ground) -> str:
 def _new_curve(context, name: str, lines: list[np.ndarray]):
     """Add a curve object through points of the world, split where there is no height; its origin is the first point.
 
-    lines: float64 [n, 3] each, with height NaN without ground.
+    lines: float64 [n, 3] each, with height NaN without ground; one height at least is known. Single points are left
+    out.
     """
     data = bpy.data.curves.new(name, "CURVE")
     data.dimensions = "3D"

@@ -10,9 +10,10 @@ _looked: tuple[int, bool] | None = None  # number of objects at the last look, a
 
 
 def is_any_on_ground() -> bool:
-    """Return whether any object of the file is kept on the ground.
+    """Return whether any object of the file is kept on or above the ground.
 
-    The answer is cached until an object changes: looking at 10,000 objects would make a frame take a third longer.
+    The answer is cached until `look_again` or another number of objects: looking at 10,000 objects would make a frame
+    take a third longer.
     """
     global _looked
     count = len(bpy.data.objects)  # others may be appended without a handler's call

@@ -84,7 +84,7 @@ def check_local(obj) -> None:
 
 
 def check_unlocked(obj, turns: bool = False) -> None:
-    """Raise TerrainError for an object whose locked channels forbid a move, or a turn if it `turns`."""
+    """Raise TerrainError for an object with any locked channel of location, or of rotation if it `turns`."""
     if any(obj.lock_location) or (turns and any(obj.lock_rotation)):
         raise TerrainError(
             f"The object {obj.name!r} has locked transforms", fix="unlock them in the Transform panel of the sidebar"

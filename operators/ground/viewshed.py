@@ -105,7 +105,7 @@ def _make_image(terrain, seen: np.ndarray):
 
 
 def _add_modifier(terrain, image) -> None:
-    """Add geometry nodes that store the image's value at each vertex of every new mesh."""
+    """Add geometry nodes that store the image's value at each vertex of every new mesh, or give those this image."""
     modifier = terrain.modifiers.get(NAME) or terrain.modifiers.new(NAME, "NODES")
     group = _find_marked(bpy.data.node_groups, terrain) or _create_group(f"{terrain.name} {NAME}")
     group[MARK] = terrain.name

@@ -18,7 +18,7 @@ MAX_GAP_ERROR = 0.25
 def neighbour_notes(obj, others) -> list[str]:
     """Return notes about other terrains of the same coordinate system: a wrong distance, an open seam between both.
 
-    A terrain may be imported to its object's location, so two neighbouring rasters can stand in the same place. Only
+    A terrain may be imported to its object's location, so two neighbouring rasters can have equal locations. Only
     this wrong distance is noted, and for one other terrain only. A seam is an open cell, or a shared line of samples.
     others: terrains, `obj` may be among them.
     """

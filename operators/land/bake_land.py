@@ -60,7 +60,10 @@ class BakeLand(JobOperator, bpy.types.Operator):
         return JobOperator.invoke(self, context, event)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Copy the shaped land to a new store beside the old one on a thread; return the land and the folder."""
+        """Copy the shaped land to a new store on a thread; return the land, and the store's path for the settings.
+
+        It is beside the old store if `baked_folder` allows that.
+        """
         store_path(context.object)  # raises TerrainError before any work
         land = shape_land.wanted_land(context.object, context.evaluated_depsgraph_get())
         folder = unused_path(baked_folder(context.object))
@@ -78,7 +81,10 @@ class BakeLand(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, copy))
 
     def finish(self, context, obj, result: tuple[Land, str]) -> None:
-        """Make the copy the terrain's store, and empty the stack, unless that has changed meanwhile."""
+        """Make the copy the terrain's store, and empty the stack; only report the copy if the stack has changed since.
+
+        result: the land that was copied, and the path of the copy.
+        """
         (land, folder), settings, depsgraph = result, obj.adaptive_terrain, context.evaluated_depsgraph_get()
         if land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True) != land:
             self.report({"WARNING"}, f"The list has changed, and stays; the land that it made before is in {folder}")
@@ -92,7 +98,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
 
 
 def unused_path(wanted: str) -> str:
-    """Return a path that does not exist yet: `wanted`, or `wanted` with the first free number.
+    """Return a path that does not exist yet: `wanted`, or `wanted` with the first free number from 2 on.
 
     The path may begin with "//", the .blend file's folder.
     """

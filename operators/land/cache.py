@@ -39,7 +39,8 @@ def stored_land(store: str) -> list[tuple[str, Path, int]]:
 def _sources(store: str) -> list[str]:
     """Return the stores whose stacks may have left data: `store`, and the one that it was baked from.
 
-    The second is found at its old path, or beside `store` if both were moved together.
+    The second is found at its old path, or beside `store` if both were moved together; it has to have the same key as
+    when it was baked.
     """
     with suppress(TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
@@ -51,7 +52,10 @@ def _sources(store: str) -> list[str]:
 
 
 def describe_cache(store: str) -> list[str]:
-    """Return the lines of the dialog: the folders, and the size of each kind of data."""
+    """Return the lines of the dialog: the folders, and the size of each kind of data.
+
+    Raises TerrainError for a folder that is a link.
+    """
     parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
     for what, about in (
         ("shown", phrase("Land that is shown, and stays")),

@@ -30,8 +30,9 @@ def free_name(name: str, used: set[str]) -> str:
 
 
 def copy_group(source, target) -> None:
-    """Copy the properties that are set in a property group, also in nested groups, to `target`, a group of the same
-    class.
+    """Copy the properties that are set in a property group, also in nested groups, to a group of the same class.
+
+    Properties of `target` that are not set in `source` stay as they are, so it should be new.
     """
     for name in dict.fromkeys(source.bl_rna.properties.keys()):
         if name == "rna_type":

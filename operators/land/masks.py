@@ -22,7 +22,8 @@ FINE = 4  # points along a side of each sample, whose covered fraction is its va
 def write_image_mask(image, folder: Path) -> str:
     """Write the red channel of an image as a mask file, first row in the north; return its path.
 
-    folder: where masks are stored, named for their content, so that an unchanged mask has the same path.
+    folder: where masks are stored, named for their content, so that an unchanged mask has the same path. Raises
+    TerrainError for an image that cannot be read or a folder that cannot be written.
     """
     painted = painted_of(image, "of a mask")
     return _write_once(folder, painted.digest, lambda: painted.values[::-1])
@@ -31,7 +32,9 @@ def write_image_mask(image, folder: Path) -> str:
 def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
     """Write a mask that is 1 where the mesh `obj` is above or below the terrain, 0 elsewhere; return its path.
 
-    terrain: evaluated object. extent_m: its size in metres, from west to east and from south to north.
+    At the outline it is the covered fraction; the first row is in the north. terrain: evaluated object. extent_m: its
+    size in metres, from west to east and from south to north. folder: as of `write_image_mask`. Raises TerrainError if
+    the object's shape in this frame is unknown.
     """
     evaluated, matrix = evaluated_or_still(depsgraph, obj, "mask")
     triangles = plan_triangles(evaluated, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
@@ -44,7 +47,8 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
 def _write_once(folder: Path, digest: str, make) -> str:
     """Write a float32 array to `folder`/`digest`.npy unless the file exists; return its path.
 
-    digest: of the array's content. make: returns the array; called only if the file is missing. Raises TerrainError.
+    digest: of the array's content or of all that determines it. make: returns the array; called only if the file is
+    missing. Raises TerrainError.
     """
     path = folder / f"{digest}.npy"
     if is_real_file(path):
@@ -63,7 +67,7 @@ def _write_once(folder: Path, digest: str, make) -> str:
 def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
     """Return the fraction of each sample that triangles cover on the plan, float32 [rows, columns], row 0 in the south.
 
-    triangles: float64 [n, 3, 2], metres from the middle of the terrain.
+    triangles: float64 [n, 3, 2], metres from the middle of the terrain. The longer side has SHADOW_SIDE samples.
     """
     longer = max(extent_m)
     columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)
@@ -76,7 +80,10 @@ def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np
 
 
 def _mark_inside(covered: np.ndarray, triangle: np.ndarray) -> None:
-    """Set the points of a grid, bool [rows, columns], inside a triangle, float64 [3, 2] in columns and rows."""
+    """Set the points of a grid, bool [rows, columns], inside or on a triangle, float64 [3, 2] in columns and rows.
+
+    Its corners may be in either order and beyond the grid.
+    """
     shape = np.array(covered.shape[::-1])
     low = np.clip(np.ceil(triangle.min(axis=0)), 0, shape).astype(int)
     high = np.clip(np.floor(triangle.max(axis=0)) + 1, 0, shape).astype(int)

@@ -46,7 +46,7 @@ class LandList(bpy.types.UIList):
 
 
 def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
-    """Return the time that entries took together, "Reused" if all their tiles were known before.
+    """Return the time that entries took together, "Reused" if all their tiles were known before, "-" if unknown.
 
     ms: milliseconds by the number of the entry, None for a reused one, as in LandState. numbers: entries to add up.
     """
@@ -149,7 +149,7 @@ def _draw_shaping(row, obj, state) -> None:
 
 
 def _shape_button_text(obj) -> str:
-    """Return the text of the button, with the estimated seconds if they are known."""
+    """Return the text of the button Shape Now, with the estimated seconds if they are known."""
     seconds = shaped_land.seconds_to_shape(obj)
     if seconds is None:
         return "Shape Now"

@@ -44,7 +44,8 @@ STILL = {"update": changed, "options": set()}
 def number_of(parameter: Parameter, group) -> float:
     """Return a parameter's value from an entry's property group, in the declared unit and range.
 
-    Blender stores float32: a value that equals the default in float32 is returned as the exact default.
+    Blender stores float32: a value that equals the default in float32 is returned as the exact default, and others with
+    seven digits. A value that is not finite counts as the default.
     """
     value = getattr(group, parameter.name)
     if isinstance(parameter.default, int):

@@ -85,7 +85,8 @@ _is_cancelled = False  # by Esc, until the render ends
 def _on_shaping(land: Land, fraction: float, message: str) -> None:
     """Update `waiting` by the progress of shaping, and print it in the background; on any thread.
 
-    fraction: done, 1 at the end. message: the present step. Raises TerrainError once the user has pressed Esc.
+    The engine calls it while an update shapes land itself, as a render's does. fraction: done, 1 at the end. message:
+    the present step. Raises TerrainError, which ends the shaping, once the user has pressed Esc.
     """
     global waiting
     wait = waiting
@@ -134,7 +135,7 @@ def _estimate_seconds(land: Land) -> float:
 
 
 def watch() -> None:
-    """Let Esc end the shaping that a render waits for; called by a timer on the main thread.
+    """Let Esc end the shaping or the import that a render waits for; called by a timer on the main thread.
 
     While Blender's interface is locked, only its own operators get events.
     """
@@ -171,7 +172,7 @@ class CancelWaiting(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, _context, event):
-        """Note that Escape was pressed; end when no render waits for land."""
+        """Note that Escape was pressed; end when no render waits any more."""
         global _is_cancelled
         if waiting is None:
             return {"FINISHED", "PASS_THROUGH"}
@@ -195,7 +196,7 @@ def _draw_over_render() -> None:
 
 
 def start() -> None:
-    """Draw the progress of shaping over the image editor while a render waits for land."""
+    """Follow all shaping by `_on_shaping`, and in a window draw a render's wait over the image editor."""
     global _handle
     derived_store.on_shaping = _on_shaping
     if not bpy.app.background:
@@ -203,7 +204,7 @@ def start() -> None:
 
 
 def stop() -> None:
-    """Stop drawing, and forget the land that a render waits for."""
+    """Stop drawing, and forget the wait of a render and its cancelling."""
     global _handle, waiting
     if _handle is not None:
         bpy.types.SpaceImageEditor.draw_handler_remove(_handle, "WINDOW")

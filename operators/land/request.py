@@ -23,8 +23,9 @@ derived_store.notify = _notify
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     """Return the Land to shape from a terrain's store by its stack; None without an active stack.
 
-    None, too, for a hidden terrain unless `waits`. `waits`: the caller, such as a render, waits for shaped land;
-    otherwise a preview is enough. Raises TerrainError.
+    None, too, for a terrain hidden in viewports unless `waits`. `waits`: the caller, such as a render, waits for shaped
+    land; otherwise a preview is enough. evaluated: `obj` as `depsgraph` evaluated it. Nothing is shaped, but files of
+    masks are written, and the engine notes that this terrain uses the land. Raises TerrainError for an invalid entry.
     """
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):

@@ -56,7 +56,10 @@ _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: t
 
 
 def has_work() -> bool:
-    """Return whether `turn` has work; quick, so that the timer may ask at each tick."""
+    """Return whether `turn` may have work; quick, so that the timer may ask at each tick.
+
+    Without a running job it is True once in LOOK_S seconds at most.
+    """
     global _looked
     if _making is not None:
         return True
@@ -80,7 +83,7 @@ def _may_be_finer(uid: int, record: session.Record) -> bool:
 def turn(shown: Iterable[tuple], idle: bool) -> bool:
     """Advance the running job, or start one for a terrain that rests; return whether meshes have to be updated.
 
-    shown: (dependency graph, object) of every terrain in a window. idle: no update is running.
+    shown: (dependency graph, object) of every terrain in a window. idle: no update is due or running.
     """
     global _making
     terrains = {obj.session_uid: (depsgraph, obj) for depsgraph, obj in shown}
@@ -122,7 +125,10 @@ def _start_thread() -> ThreadPoolExecutor:
 
 
 def _has_rested(obj) -> bool:
-    """Return whether a terrain has shown the same for REST_S seconds, and its land may get finer."""
+    """Return whether a live terrain has shown the same for REST_S seconds, and its land may get finer.
+
+    The first call for a request starts its time.
+    """
     record, settings = session.record_of(obj), obj.adaptive_terrain
     if not settings.live or settings.frozen or record.status.error or not _may_be_finer(obj.session_uid, record):
         return False
@@ -133,7 +139,10 @@ def _has_rested(obj) -> bool:
 
 
 def _land_to_make(obj, depsgraph) -> Land | None:
-    """Return the land to shape for the views of the last update; None if all exists or the user stopped it."""
+    """Return the land to shape for the views of the last update.
+
+    None, and the terrain's rest is done, without land, if all of it exists, or if the user stopped it or it failed.
+    """
     request = session.record_of(obj).status.request
     land = _current_land(obj, depsgraph)
     if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _left:
@@ -189,7 +198,7 @@ def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
 
 
 def _advance_job(terrain: tuple | None) -> bool:
-    """Advance the running job, or end it if its terrain changed; return whether its land exists now.
+    """Advance the running job, or end it if its terrain changed; return whether it has ended and made land.
 
     terrain: (dependency graph, object), None if no window shows it any more.
     """
@@ -211,7 +220,10 @@ def _advance_job(terrain: tuple | None) -> bool:
 
 
 def _has_new_settings(terrain: tuple) -> bool:
-    """Return whether the terrain's settings describe other land than the one that is being made."""
+    """Return whether the terrain's settings describe other land than the one that is being made.
+
+    Another request for the same land, as of a moved view, becomes the job's.
+    """
     key = session.record_of(terrain[1]).live_key
     if key == _making.key:
         return False

@@ -25,8 +25,8 @@ from .request import land_of
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     """Return the land that Shape Now has to make: everywhere, or only the tiles that `views` see.
 
-    views: in the space of `raster_placement_of`; without any, all of the land is fine. Raises TerrainError if the stack
-    is empty or switched off.
+    views: in the space of `raster_placement_of`; without any, all of the land is fine. They count only if the terrain's
+    Detail is In the Shot. Raises TerrainError if the stack is empty, switched off or invalid.
     """
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
@@ -42,7 +42,10 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
 
 
 def check_is_shaped(obj, depsgraph) -> None:
-    """Raise TerrainError unless the land is completely shaped: shaping it for a button would block the window."""
+    """Raise TerrainError if a terrain's stack has no shaped store yet: shaping it for a button would block the window.
+
+    Nothing is raised without a stack, nor for a store in which shots may lack tiles.
+    """
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     if land is not None and not land.is_shaped:
         raise TerrainError(
@@ -60,7 +63,10 @@ def _check_is_visible(obj, depsgraph) -> None:
 
 
 def _visit_views(obj, scene, land: Land, frames: list[int]):
-    """Visit frames, as `visit_views` does, if only visible land is to be fine; otherwise yield an empty list."""
+    """Visit frames, as `visit_views` does, if only visible land is to be fine; otherwise yield an empty list alone.
+
+    The last item is the list of views in either case.
+    """
     if not land.of_views:
         yield []
         return
@@ -94,7 +100,10 @@ class _Shaping(JobOperator):
         return frames_of(scene)
 
     def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
-        """Return whether land has to be shaped: its tiles `wanted`, None for all. Shape Now always shapes."""
+        """Return whether land has to be shaped: its tiles `wanted`, None for all. Shape Now always shapes.
+
+        On the main thread, after damaged land was removed.
+        """
         return True
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:

@@ -88,7 +88,7 @@ def seconds_to_shape(obj) -> float | None:
 
 @functools.lru_cache(maxsize=64)
 def _estimate_seconds(land: Land, _changed_ns: int) -> float | None:
-    """Return the expected seconds of shaping land.
+    """Return the expected seconds of shaping land, None if they are unknown. Raises TerrainError or OSError.
 
     `_changed_ns`: last change of its folder, part of the cache's key.
     """
@@ -96,7 +96,7 @@ def _estimate_seconds(land: Land, _changed_ns: int) -> float | None:
 
 
 def _why_not_shown(obj) -> str:
-    """Return why the mesh does not show the stack."""
+    """Return a sentence about why the mesh does not show the stack; the first reason that applies."""
     if session.record_of(obj).status.error:
         return phrase(NOTES[FAILED])
     if render_wait_of(obj) is not None:
@@ -140,7 +140,10 @@ def active_numbers(land) -> list[int]:
 
 
 def state_of(obj) -> LandState:
-    """Return the state after the last update of the terrain."""
+    """Return the state after the last update of the terrain; of an empty or inactive stack that of LandState().
+
+    A terrain of less than SMALL_M gets a note about its size instead of any other.
+    """
     numbers = active_numbers(obj.adaptive_terrain.land)
     if not numbers:
         return LandState()
@@ -218,7 +221,7 @@ def _shaping_info(store: str) -> _ShapingInfo | None:
 
 @functools.lru_cache(maxsize=64)
 def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
-    """Read the provenance of a shaped store, None if it has none.
+    """Read the provenance of a shaped store, None if it has none or an invalid one.
 
     `_changed_ns`: last change of its file, part of the cache's key.
     """

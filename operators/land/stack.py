@@ -30,7 +30,8 @@ def unknown_operator(effect: str) -> TerrainError:
 def stack_of(terrain, depsgraph, masks: Path) -> Stack:
     """Return the engine's stack of the entries that are on, from the evaluated object `terrain`.
 
-    masks: folder for the files of masks by images and objects. Raises TerrainError for an invalid entry.
+    masks: folder for the files of masks by images and objects, which are written. Raises TerrainError for an invalid
+    entry that is on.
     """
     entries = [entry for entry in terrain.adaptive_terrain.land.entries if entry.on]
     stack = Stack(tuple(_to_engine(entry, terrain, depsgraph, masks) for entry in entries))
@@ -95,7 +96,8 @@ def _extent_of(terrain) -> tuple[float, float]:
 def _rules_of(mask) -> tuple[GroundRule, ...]:
     """Return the rules of a mask that are switched on; slopes become degrees, limits at the end of their range open.
 
-    The rule of aspect has the cosine of the largest angle from its direction as its low limit.
+    The rule of aspect has the cosine of the largest angle from its direction as its low limit, and its direction in
+    degrees clockwise from north. () without rules.
     """
     rules = []
     for quantity in RULES:
@@ -120,7 +122,8 @@ def _slope_degrees(radians: float) -> float:
 def preset_of(land) -> Stack:
     """Return the whole stack of a terrain's settings for a file.
 
-    It includes entries that are off, but no masks by objects. Raises TerrainError.
+    It includes entries that are off. An entry whose mask is an object, or an image that is not chosen, acts everywhere
+    in it. Raises TerrainError for an invalid entry, and for an image without a file.
     """
     entries = []
     for entry in land.entries:
@@ -166,7 +169,7 @@ def fill(land, stack: Stack) -> list[str]:
 
 
 def _fill_mask(mask, source: HeightMask) -> list[str]:
-    """Set the mask of an entry from the engine's `source`; return a sentence for each part that was left out."""
+    """Set the mask of a new entry from the engine's `source`; return a clause for each part that was left out."""
     left_out = []
     mask.kind, mask.factor = BY_RULE, source.factor
     if source.image:

@@ -26,7 +26,7 @@ class _StackOperator(TerrainOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context):
-        """Change the stack of the active terrain, and update the terrain if `_change_stack` did anything."""
+        """Change the stack of the active terrain, and tag the terrain for an update if `_change_stack` returns True."""
         land = context.object.adaptive_terrain.land
         done = self._change_stack(land)
         if done:
@@ -131,7 +131,7 @@ class AddLandRule(_EntryOperator, bpy.types.Operator):
     )  # fmt: skip
 
     def _change_stack(self, land) -> bool:
-        """Switch on a rule of the active entry's mask, with a low limit that suits its quantity."""
+        """Switch on a rule of the active entry's mask, with a low limit that suits its quantity if none was set."""
         rule = getattr(land.entries[land.active].mask, self.of)
         rule.use = True
         if self.of in STARTS and not rule.is_property_set("low"):

@@ -82,7 +82,10 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         return level, *(yield from jobs.run_on_thread(job, lambda: _water_mesh(name, store, land, anchor, level)))
 
     def finish(self, _context, terrain, result: tuple[float | None, Surface, float | None]) -> None:
-        """Create or update the water object below the terrain, and report its size and sea level."""
+        """Create or update the water object, a child of the terrain, and report its size and sea level.
+
+        result: of `steps`. The level is stored on the object only if the user has chosen it.
+        """
         level, surface, sea = result
         water = existing_water(terrain) or _add_water(terrain)
         write_mesh(water.data, _with_vertical_scale(surface, terrain.adaptive_terrain))
@@ -103,7 +106,7 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
 def _water_mesh(
     name: str, store: str, land: Land | None, anchor: tuple[float, float], level: float | None
 ) -> tuple[Surface, float | None]:
-    """Return the water of a terrain, and the level of its sea; None where the land has its own water. For any thread.
+    """Return the water of a terrain, and the level of its sea; None for the land's own water. For any thread.
 
     name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the land's own
     water, or else a level that shows water. Raises TerrainError.
@@ -143,7 +146,10 @@ def _add_water(terrain):
 
 
 def new_water_material() -> bpy.types.Material:
-    """Return a smooth material, clear at the shore and dark where the water is deep."""
+    """Create a smooth material, clear at the shore and dark where the water is deep.
+
+    It reads the attribute `water_depth`, and gets the haze of the file's other materials.
+    """
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = SHALLOW  # in viewports that show no materials
     tree = tree_of_new(material)

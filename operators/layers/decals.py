@@ -18,8 +18,8 @@ LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 f
 def decal_parameters(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
     """Return the parameter "decals" of attributes, {} without decals: normal maps if `tilts`, else colours.
 
-    placement: the terrain's matrix to the world, float64 [4, 4]. Raises TerrainError for an empty that stands
-    upright, an image without pixels, or a hidden empty that Blender would have to evaluate.
+    The lowest decal is first. placement: the terrain's matrix to the world, float64 [4, 4]. Raises TerrainError for an
+    empty that stands upright, an image without pixels, or a hidden empty that Blender would have to evaluate.
     """
     found = []
     for child in terrain.original.children_recursive:

@@ -40,8 +40,8 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
     """Return `make(image, pixels)`, cached until the image changes.
 
     pixels: float32 [rows, columns, channels], row 0 at the lower edge. kind: type of the value, of which an image has
-    one each. user: its reader in words, for errors. Raises TerrainError for an image without pixels, or with a
-    truncated file.
+    one each, always by the same `make`. user: its reader in words, for errors. Raises TerrainError for an image without
+    pixels, for a truncated PNG file and for a pipe or a device.
     """
     image = image.original
     check_image_files(image, user)
@@ -78,7 +78,10 @@ def check_image_files(image, user: str) -> None:
 
 
 def numbered_files(path: Path, source: str) -> list[Path]:
-    """Return the files of a tiled image or of a sequence, of which `path` names one or the pattern."""
+    """Return the files of a tiled image or of a sequence, of which `path` names one or the pattern.
+
+    source: of the image; [] for one that is neither TILED nor SEQUENCE.
+    """
     number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)", "MOVIE": None}.get(source)
     if number is None or not path.name:
         return []
@@ -106,7 +109,10 @@ def _check_not_truncated(image, user: str) -> None:
 
 @persistent
 def forget_changed(_scene, depsgraph) -> None:
-    """Drop the cached values of images that have changed, and tag the terrains that read them."""
+    """Drop the cached values of images that have changed, and tag the terrains whose layers or displacement have them.
+
+    Without a cached value nothing has read the image, and nothing is tagged.
+    """
     changed = {update.id.name_full for update in depsgraph.updates if isinstance(update.id, bpy.types.Image)}
     read = [key for key in _read if key[0] in changed]
     if not read:

@@ -55,7 +55,8 @@ class LayerSources:
 def dress(obj, sources: LayerSources) -> bpy.types.Material:
     """Give the object a material with the group, or rebuild the group of the material that it has; return the material.
 
-    A material that another object uses, or that is linked from a file, is copied first.
+    A material that an object with another mesh uses, or that is linked from a file, is copied first. The inputs of the
+    layers get their colours; other inputs and links stay. The group's normal is linked to shaders without one.
     """
     material, node = _find_group(obj) or _create_material(obj)
     names = _socket_names([name for name, _ in sources.layers])
@@ -78,7 +79,7 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
 
 
 def new_plain_material(name: str, color: tuple[float, float, float], size: float) -> bpy.types.Material:
-    """Return a material of one color with the variation of a terrain's layers, of `size` metres."""
+    """Create a material of one color, linear RGB, with the variation of a terrain's layers, of `size` metres."""
     material = bpy.data.materials.new(name)
     material.diffuse_color = *color, 1.0
     tree = tree_of_new(material)
@@ -171,7 +172,7 @@ def _socket_names(names: Sequence[str]) -> list[str]:
 def build_group(tree, sources: LayerSources, size: float) -> None:
     """Build the nodes of the group `tree` anew; links to its inputs stay.
 
-    size: default of the input Variation Size, metres.
+    sources: with layer names that are unique among all sockets. size: default of the input Variation Size, metres.
     """
     names = [name for name, _ in sources.layers]
     strengths = {SKY: OCCLUSION, SUN: SHADOW}  # input that sets how much each darkens
@@ -264,7 +265,10 @@ def _add_seam_mask(n: Nodes, place, tile: float):
 
 
 def _add_weights(n: Nodes, sources: LayerSources, group: int):
-    """Add nodes that read the weights of the four layers of a group: three as a colour, and the fourth as alpha."""
+    """Add nodes that read the weights of four layers; return two sockets: three as a colour, and the fourth as alpha.
+
+    group: number of the four, from 0: the attribute or map `splat_1` has the first ones.
+    """
     name = f"splat_{group + 1}"
     if name in sources.maps:
         outputs = _add_map(n, sources, name)

@@ -98,7 +98,7 @@ class AddPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
 def preset_text(layers) -> str:
     """Return a preset file: Python that recreates these layers on the active object.
 
-    Painted images stay with their file.
+    It has no painted images, which belong to their .blend file.
     """
     lines = ["import bpy", "", "settings = bpy.context.object.adaptive_terrain", "settings.layers.clear()"]
     for layer in layers:

@@ -173,7 +173,7 @@ for _kind, _group in BANDS.items():
 
 
 def add_default_layers(settings) -> None:
-    """Add the default layers to a terrain, for the user to change: grass, scree, rock and snow."""
+    """Add the default layers to a terrain that has none, for the user to change: grass, scree, rock and snow."""
     for declared, color in zip(rules.DEFAULT, DEFAULT_COLORS, strict=True):
         layer = settings.layers.add()
         for name in ("name", "strength", "on_top", "noise_size", "ragged", "seed"):
@@ -215,9 +215,9 @@ def _numbers(layer: rules.Layer) -> list[float]:
 
 
 def layers_of(settings) -> tuple[rules.Layer, ...]:
-    """Return the layers of a terrain's settings for the engine, () without any.
+    """Return the layers in the list of a terrain's settings for the engine, () without any.
 
-    Raises TerrainError for an invalid one.
+    Raises TerrainError for an invalid one, as with an image that cannot be read.
     """
     found = tuple(_layer_of(settings.layers, number) for number in range(len(settings.layers)))
     if found:
@@ -226,13 +226,19 @@ def layers_of(settings) -> tuple[rules.Layer, ...]:
 
 
 def layer_parameters(settings) -> dict[str, object]:
-    """Return the parameter "layers" of the splat attributes; {} for a terrain with the default layers."""
+    """Return the parameter "layers" of the splat attributes; {} without any in the list, which means the default ones.
+
+    Raises TerrainError for an invalid layer.
+    """
     layers = layers_of(settings)
     return {"layers": layers} if layers else {}
 
 
 def color_parameters(settings) -> dict[str, object]:
-    """Return the parameters "layers" and "colors" of the attribute "color"; {} for the default layers."""
+    """Return the parameters "layers" and "colors" of the attribute "color"; {} without layers in the list.
+
+    Raises TerrainError for an invalid layer.
+    """
     layers = layer_parameters(settings)
     return layers | {"colors": tuple(color for _, color in colors_of(settings))} if layers else {}
 
@@ -245,18 +251,22 @@ def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
 
 
 def _layer_of(layers, number: int) -> rules.Layer:
-    """Return the layer at position `number` of the list, with its mask by another layer."""
+    """Return the layer at position `number` of the list, with its mask by a layer above it as one rule more.
+
+    Raises TerrainError if that is not above it.
+    """
     settings = layers[number]
     alone = layer_alone(settings)
     if not settings.mask:
         return alone
-    return replace(alone, rules=(*alone.rules, rules.cover_rule(_find_mask(layers, settings.mask, number))))
+    return replace(alone, rules=(*alone.rules, rules.cover_rule(_mask_position(layers, settings.mask, number))))
 
 
 def layer_alone(settings) -> rules.Layer:
     """Return the layer of a LayerSettings with its own rules, without its mask by another layer.
 
-    The rule of aspect has the cosine of the largest angle from its direction as its low limit.
+    The rule of aspect has the cosine of the largest angle from its direction, which is in radians, as its low limit.
+    settings: a LayerSettings, of a layer or a scatter. Raises TerrainError for an image that cannot be read.
     """
     layer_rules = []
     for kind in BANDS:
@@ -292,10 +302,10 @@ def empty_layers_note(layers: tuple[rules.Layer, ...]) -> str:
     return "; ".join(notes)
 
 
-def _find_mask(layers, name: str, before: int) -> int:
-    """Return the position of the layer `name`, which masks the layer at `before` and must be above it.
+def _mask_position(layers, name: str, before: int) -> int:
+    """Return the position of the first layer `name`, which masks the layer at `before` and must be above it.
 
-    Raises TerrainError if it is not above.
+    Raises TerrainError if no such layer is above.
     """
     for number in range(before):
         if layers[number].name == name:

@@ -49,10 +49,12 @@ def bake_maps(
 ) -> Baked:
     """Bake the requested maps of a height field into images, without touching Blender, so on any thread.
 
+    Images that are up to date are not made again. Raises TerrainError.
+
     Args:
-        field: the height field.
+        field: the height field of the request's store or land, without an anchor.
         on_progress: called with the fraction done; may raise to stop.
-        lock: held while the engine works, for other threads that use it.
+        lock: held while the engine works, for other threads that use it; None for none.
     """
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}

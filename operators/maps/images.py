@@ -41,7 +41,10 @@ def reserve_folder(obj) -> None:
 
 
 def index_of(obj) -> dict | None:
-    """Return the maps of a terrain as maps.json of its folder lists them; None if they are not of its height map."""
+    """Return the maps of a terrain as maps.json of its folder lists them; None without any of its present height map.
+
+    Raises TerrainError for a store that cannot be read.
+    """
     settings = obj.adaptive_terrain
     if not settings.store:
         return None
@@ -54,7 +57,8 @@ def index_of(obj) -> dict | None:
 def map_image(obj, name: str) -> bpy.types.Image | None:
     """Return Blender's image of a terrain's baked map `name`; None if it is not baked, or its files are gone.
 
-    The image is tiled (source TILED) unless the terrain is one tile.
+    The image is tiled (source TILED) unless the terrain is one tile. It is loaded unless it is in the file, and gets
+    its name, colour space and alpha anew. Raises TerrainError for a store that cannot be read.
     """
     index, folder = index_of(obj), map_folder(obj)
     entry = index and index["maps"].get(name)
@@ -95,7 +99,8 @@ def map_vector(tree, obj) -> bpy.types.NodeSocket:
 def tile_metres(obj) -> float:
     """Return the length in the world that one tile of a terrain's maps covers with its margins, metres; 0 without maps.
 
-    index["margin"]: of each side, as a fraction of a tile.
+    It is that of the tile's shorter side, by the larger scale of the object. index["margin"]: of each side, as a
+    fraction of a tile.
     """
     index = index_of(obj)
     if index is None:

@@ -35,14 +35,14 @@ class BakeMaps(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, lambda: _shape_and_bake(request, job)))
 
     def finish(self, _context, obj, baked: Baked) -> None:
-        """Load the baked images and report on them."""
+        """Have Blender read baked images again that it has loaded, and report; a material loads the others."""
         map_images.reserve_folder(obj)  # an undo may have removed it
         map_images.reload(map_images.map_folder(obj), _image_files(baked))
         self.report({"INFO"}, summary(baked, obj.name))
 
 
 def _shape_and_bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
-    """Bake the maps of a request on the job's thread, after its land is shaped."""
+    """Shape the land of a request if that is not done, and bake its maps, on the job's thread. Raises TerrainError."""
     with session.engine_lock:
         field = raster_of(request.store, request.land, session.open_field, verified=True)
     return bake_maps(request, field, job.progress, session.engine_lock)

@@ -25,7 +25,7 @@ WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs n
 def chosen_maps(obj, depsgraph) -> set[str]:
     """Return the attributes whose maps the terrain's settings choose, or that its materials read.
 
-    Raises TerrainError if nothing reads any.
+    It is empty if the user has chosen none. Raises TerrainError if materials count and read none.
     """
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
@@ -64,11 +64,11 @@ def visit_for_request(
     """Visit the frames whose views decide how fine the maps are; yield the fraction done after each, then the
     MapRequest.
 
-    The scene then returns to its frame. Raises TerrainError.
+    The scene then returns to its frame. The terrain gets its own folder of maps if it has none. Raises TerrainError.
 
     Args:
         names: maps in place of those of the settings.
-        frames: frames in place of those of the settings.
+        frames: frames in place of those of the settings; ground that none of them shows gets the coarsest images.
         options: keyword arguments of `gather`: `camera` or `resolution` in place of those of the scene.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()

@@ -13,7 +13,7 @@ SEA = "sea"  # parameter of height operators: all ground up to this height is se
 
 
 def keep_dry(settings, terrain) -> str:
-    """Keep a scatter out of a terrain's water; return a sentence about the result.
+    """Keep a scatter out of a terrain's water; return a clause about the result, without a capital and a full stop.
 
     Water Depth is on in any case: it acts once the stack has *Water* or *Flood* and the land is shaped. Above the Sea
     is on for land that reaches down to the level of the sea: that of *Add Water* if there is one.
@@ -33,8 +33,9 @@ def keep_dry(settings, terrain) -> str:
 def follow_sea(terrain, before: float | None, is_new: bool) -> None:
     """Keep the scatters of a terrain out of the sea that *Add Water* shows now.
 
-    before: the level that it showed before in metres, None for no water. is_new: the water was just added, which
-    switches *Above the Sea* on; later a scatter's level is changed only where it was that of the water.
+    The water object has to show a sea. before: the level that it showed before in metres of the height map, None for
+    no sea. is_new: it showed none before, which switches *Above the Sea* on; later a scatter's level is changed only
+    where it was that of the water.
     """
     settings, sea = terrain.adaptive_terrain, shown_sea(terrain)
     for scatter in (obj.adaptive_scatter for obj in scatters_of(terrain)):

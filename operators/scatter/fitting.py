@@ -65,7 +65,7 @@ def scale_of(terrain) -> float:
 
 
 def count_on_land(terrain, spacing: float) -> int | None:
-    """Return the number of points at full density on all the land of a terrain; None without a height field.
+    """Return the number of points at full density on all the land of a terrain, without rules; None without a store.
 
     spacing: metres of the terrain's space.
     """
@@ -77,7 +77,8 @@ def fit(obj) -> None:
     """Set spacing and distances of a scatter to suit the size of its collection's objects.
 
     Points are as far apart as the objects are wide, and further on land that would get more than MAX_ON_LAND of them.
-    A number that the user has changed since it was last fitted stays.
+    A number that the user has changed since it was last fitted stays. Without a collection that has an extent, or
+    without a terrain, nothing changes.
     """
     settings, terrain = obj.adaptive_scatter, obj.parent
     width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
@@ -96,7 +97,7 @@ def put_numbers(settings, spacing: float, full_until: float, reach: float, first
     """Set the fitted numbers of a scatter and remember them, to tell later which ones the user has changed.
 
     spacing: metres of the terrain's space. full_until, reach: metres of the world. first: set all, otherwise only those
-    without changes. The size is 1.
+    that the user has not changed. The size is set to 1.
     """
     for number, (name, value) in enumerate(zip(NAMES, (spacing, full_until, 1.0, reach), strict=True)):
         if first or getattr(settings, name) == settings.fitted[number]:
@@ -105,6 +106,6 @@ def put_numbers(settings, spacing: float, full_until: float, reach: float, first
 
 
 def rounded(value: float, digits: int = 1, toward=round) -> float:
-    """Round to a number of significant digits. toward: `round`, or `math.ceil` to round up."""
+    """Round a positive number to `digits` significant digits. toward: `round`, or `math.ceil` to round up."""
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
     return toward(value / unit) * unit

@@ -20,7 +20,7 @@ HABITATS = {"CONIFERS": (*PLANTS, WOODS), "BROADLEAVES": (*PLANTS, WOODS), "BUSH
 def set_habitat(scatter, kind: str) -> None:
     """Set the rules of a kind on a scatter, unless it has rules already. kind: key of starter.KINDS.
 
-    Land without ground above SNOW_M gets no tree line.
+    Land without ground of SNOW_M or more gets no tree line, nor does a scatter without a terrain.
     """
     where = scatter.adaptive_scatter.where
     if has_habitat(where):

@@ -112,9 +112,10 @@ class ScatterSettings(bpy.types.PropertyGroup):
 
 
 def scatter_of(settings, terrain_settings) -> Scatter:
-    """Return the engine's Scatter of evaluated settings. Raises TerrainError.
+    """Return the engine's Scatter of evaluated settings.
 
-    terrain_settings: settings of the terrain below the scatter; one of its layers may limit the scatter.
+    terrain_settings: settings of the terrain below the scatter; one of its layers may limit the scatter. Raises
+    TerrainError for a layer that the terrain lacks, and for invalid layers and numbers.
     """
     layers, on = (), -1  # on: number of the layer that limits the scatter, -1 for none
     if settings.layer:

@@ -86,7 +86,8 @@ def scatters_of(terrain) -> list:
 def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
     """Return the requests of a terrain's scatters that are visible in a render or in the viewport.
 
-    views: returns the views that limit the points; called only if there is a visible scatter. Raises TerrainError.
+    render: all scatters that the dependency graph has evaluated are visible, without a look at the viewport. views:
+    returns the views that limit the points; called only if there is a visible scatter. Raises TerrainError.
     """
     settings, items = terrain.evaluated_get(depsgraph).adaptive_terrain, []
     for obj in scatters_of(terrain):
@@ -121,10 +122,10 @@ def make_points(
 ) -> None:
     """Compute the points of all scatters of a request into their records, without Blender's data.
 
-    Points whose inputs have not changed are reused.
+    Points whose inputs have not changed are reused. Raises TerrainError; that scatter's points are made again later.
 
     Args:
-        records: by session_uid of the scatter's object.
+        records: by session_uid of the scatter's object; missing ones are added.
         request: the terrain's Request.
         terrain: the terrain's engine.
         surface: the terrain's mesh, for points on it.
@@ -172,7 +173,7 @@ def make_points(
 def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
     """Write the points of a request into the meshes of the scatters' objects, unless they are there already.
 
-    records: from `make_points`, by session_uid of the object.
+    records: from `make_points`, by session_uid of the object; those of objects that are gone are removed.
     """
     uids = {item.uid for item in request.scatters.items}
     children = {obj.session_uid: obj for obj in scatters_of(terrain)}

@@ -71,7 +71,10 @@ def put_kind(context, scatter, kind: str) -> bpy.types.Collection:
 
 
 def add_starter(context) -> dict[str, bpy.types.Collection]:
-    """Add the kinds that the file lacks, hidden from all view layers; return the collection of each kind."""
+    """Add the kinds that the file lacks, hidden from the scene's view layers; return the collections by key of KINDS.
+
+    A root collection that the file has already is among them, as ROOT.
+    """
     found = {collection[MARK]: collection for collection in bpy.data.collections if MARK in collection}
     missing = [kind for kind in KINDS if kind not in found]
     if missing:

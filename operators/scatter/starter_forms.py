@@ -2,7 +2,8 @@
 """Plants and rocks as geometry nodes: each function builds one form in a node tree, in metres, on its origin.
 
 The attribute `shade` goes from 0 inside to 1 at the tips; the materials mix two colours by it. Variables are sockets: a
-vector or a number for each point of the geometry that they are linked to.
+vector or a number for each point of the geometry that they are linked to. `materials` are materials by the names of
+starter.MATERIALS; `size` is 1 for the height in a form's docstring.
 """
 
 import math

@@ -61,7 +61,7 @@ def _stands_alone(obj) -> bool:
 
 
 def _is_cube(obj) -> bool:
-    """Return whether an object is a cube of 2 metres that is not turned, by its vertices, with a mesh of its own."""
+    """Return whether an object is a cube of 2 metres that is not turned, by its vertices, and has an unshared mesh."""
     if obj.type != "MESH" or obj.data.users > 1 or len(obj.data.vertices) != len(CORNERS):
         return False
     corners = sorted(tuple(vertex.co) for vertex in obj.data.vertices)
@@ -69,7 +69,7 @@ def _is_cube(obj) -> bool:
 
 
 def _is_lamp(obj) -> bool:
-    """Return whether an object is a white point light of LAMP_WATTS without further nodes, with data of its own."""
+    """Return whether an object is a white point light of LAMP_WATTS without further nodes, and has unshared data."""
     if obj.type != "LIGHT" or obj.data.users > 1 or obj.data.type != "POINT" or obj.data.animation_data is not None:
         return False
     return obj.data.energy == LAMP_WATTS and np.allclose(obj.data.color, 1.0) and not _has_nodes(obj.data)

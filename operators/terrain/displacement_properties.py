@@ -51,7 +51,10 @@ class DisplacementSettings(bpy.types.PropertyGroup):
 
 
 def displacement_of(settings) -> Detail | Tiled | None:
-    """Return the engine's displacement for a DisplacementSettings; None if its amplitude is 0."""
+    """Return the engine's displacement for a DisplacementSettings; None if its amplitude is 0.
+
+    Raises TerrainError for an invalid number or an image that cannot be read.
+    """
     if settings.image is not None:
         detail = Tiled(settings.amplitude, settings.tile, painted_of(settings.image, "of a displacement"))
     else:

@@ -20,7 +20,10 @@ def encode_tree(tree: bytes, meshlet: int) -> str:
 
 @lru_cache(maxsize=4)  # the same at every update
 def decode_tree(text: str) -> tuple[bytes, int]:
-    """Return the saved tree and the meshlet level of a text by `encode_tree`. Raises TerrainError for another text."""
+    """Return the saved tree and the meshlet level of a text by `encode_tree`.
+
+    Raises TerrainError for another text. The tree itself is checked when it is restored.
+    """
     try:
         meshlet, packed = text.split()
         max_bytes = 2 * MAX_LEAVES  # a damaged text may claim any size

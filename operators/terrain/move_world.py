@@ -68,7 +68,11 @@ class MoveWorld(bpy.types.Operator):
 
 
 def middle_of_path(scene) -> np.ndarray:
-    """Return x and y, float64 [2], of the middle of the box around the camera's path; of the 3D cursor without one."""
+    """Return x and y, float64 [2], of the middle of the box around the camera's path; of the 3D cursor without one.
+
+    The path is the camera's places in up to MAX_FRAMES frames of the render range; the scene then returns to its frame.
+    Raises TerrainError for a location that is not finite.
+    """
     camera = cameras.active_camera(scene)
     if camera is None:
         return np.array(scene.cursor.location[:2], np.float64)
@@ -86,9 +90,10 @@ def middle_of_path(scene) -> np.ndarray:
 
 
 def move_world(context, by: np.ndarray) -> list[str]:
-    """Move all objects, the 3D cursor, viewports and the scene's origin by (x, y) metres of the world.
+    """Move all objects, the 3D cursor, viewports and the scene's origin by (x, y) metres of the world, float64 [2].
 
-    Return the names of objects whose location is driven: their delta location moves instead.
+    Objects with a parent or a moved constraint target follow by themselves; linked ones stay. The scene loses its
+    latitude and longitude. Return the names of objects whose location is driven: their delta location moves instead.
     """
     scene, step, driven_names = context.scene, Vector((*by, 0.0)), []
     if not by.any():
@@ -163,7 +168,8 @@ def nearest_anchor(obj) -> tuple[float, float]:
 def set_anchor(obj, x: float, y: float) -> None:
     """Make (x, y), metres from the raster's middle, the origin of a terrain's object; nothing moves in the world.
 
-    Raises TerrainError for an animated rotation or scale: the object's path would be another.
+    Raises TerrainError for an animated rotation or scale: the object's path would be another. Also for an anchor
+    outside of the raster, and for a raster whose place is unknown.
     """
     by = np.array([x, y]) - anchor_of(obj)
     if not by.any():

@@ -116,9 +116,9 @@ def gather(
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace those of the settings and the scene; a replaced value releases frozen triangles, and a
-    replaced error the time budget. `about_middle`: the terrain's space begins at the raster's middle, not at the
-    anchor. Raises TerrainError for a terrain that cannot be refined.
+    and `overrides` replace those of the settings and the scene. A `criterion`, and overrides other than `effects`,
+    release frozen triangles; a `criterion` and a replaced error release the time budget. `about_middle`: the terrain's
+    space begins at the raster's middle, not at the anchor. Raises TerrainError for a terrain that cannot be refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -201,7 +201,10 @@ def _name_terrain_in_errors(obj):
 
 
 def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
-    """Return the criterion of a DetailSettings, with `overrides` in place of its values."""
+    """Return the criterion of a DetailSettings, with `overrides` in place of its values.
+
+    Raises TerrainError for invalid values, as if every criterion is off.
+    """
     return Criterion(**{setting.name: value_of(detail, setting) for setting in SETTINGS} | overrides.criterion)
 
 
@@ -251,7 +254,11 @@ def record_time(request: Request, ms: float, correction: TimeCorrection) -> None
 
 
 def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
-    """Return the clean-up of a CleanupSettings for the evaluated object `terrain`."""
+    """Return the clean-up of a CleanupSettings for the evaluated object `terrain`.
+
+    Raises TerrainError for a boundary that is the terrain itself or whose shape in this frame is unknown, and for a
+    height that is not finite.
+    """
     boundary = None
     if settings.boundary is not None:
         if settings.boundary.original == terrain.original:  # its mesh would be cut by the last one, and never grow
@@ -270,8 +277,8 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
 def follows_viewport(settings, scene) -> bool:
     """Return whether viewports refine for their own views.
 
-    They do if the settings choose it, and in a window whose scene has no camera. Without a window a missing camera is
-    an error.
+    They do if the settings choose it, and in a window if the settings choose the scene's camera and there is none.
+    Without a window a missing camera is an error.
     """
     if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
         return cameras.active_camera(scene) is None
@@ -281,7 +288,8 @@ def follows_viewport(settings, scene) -> bool:
 def _find_views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
     """Return the views that a terrain is refined for: of viewports, of its chosen camera or of the scene's.
 
-    camera, resolution: replace those of the settings and of the scene unless they are None. Raises TerrainError.
+    A terrain that follows viewports gets the scene's camera if there are none, and in a render. camera, resolution:
+    replace those of the settings and of the scene unless they are None. Raises TerrainError without a camera.
     """
     scene = depsgraph.scene
     if camera is None and mode == VIEWPORT and follows_viewport(settings, scene):

@@ -20,7 +20,10 @@ def open_tab(viewports: list[tuple]) -> None:
 
 
 def _chose_tab(area) -> bool:
-    """Choose the tab in the sidebar of an area; return False if it is not there yet, so that a timer tries again."""
+    """Choose the tab in the sidebar of an area; return False if it is not there yet, so that a timer tries again.
+
+    True also if the area is gone or has no sidebar: there is nothing to try.
+    """
     try:
         sidebar = next(region for region in area.regions if region.type == "UI")
         sidebar.active_panel_category = TAB

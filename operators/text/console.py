@@ -43,7 +43,8 @@ class Progress:
     Args:
         total: number of steps. Steps without work do not count in the estimate of the time left.
         label: name of the work, before the bar.
-        show: OPENJD for a line on stdout at each whole per cent; None for a bar in a terminal only.
+        show: whether to draw the bar; OPENJD for a line on stdout at each whole per cent instead; None for a bar if
+            stderr is a terminal.
     """
 
     def __init__(self, total: float, label: str, show: bool | str | None = None):

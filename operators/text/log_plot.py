@@ -82,7 +82,10 @@ def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float)
 
 
 def _drawable(curves: Sequence[Curve]) -> list[Curve]:
-    """Return the curves without points that are 0, infinite or negligible, and without curves that are then empty."""
+    """Return the curves without points that are not positive, infinite or negligible, and without empty curves.
+
+    A point is negligible if its x or its y is below NEGLIGIBLE of the largest of all curves.
+    """
     valid = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
     limits = [NEGLIGIBLE * max(values) for values in zip(*valid, strict=True)]  # of x and of y
     found = []

@@ -7,7 +7,10 @@ SMALLEST, SHORTEST_MS = 0.001, 0.1  # smaller values are shown as `< 0.001` and 
 
 
 def plain(value: float, digits: int = 3) -> str:
-    """Format as `12,300`, `0.25` or `< 0.001`, with `digits` significant digits and all digits before the point."""
+    """Format as `12,300`, `0.25` or `< 0.001`, with `digits` significant digits and all digits before the point.
+
+    A number closer to 0 than SMALLEST is shown by that limit, without its sign; inf and nan by their names.
+    """
     if value != value or abs(value) == float("inf"):
         return str(value)
     if 0 < abs(value) < SMALLEST:

@@ -15,7 +15,10 @@ MAX_POINTS = 4000  # a few per pixel
 
 
 def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
-    """Draw heights over distances, float64 [n] metres each; NaN breaks the line where there is no ground."""
+    """Return the SVG of heights over distances, float64 [n] metres each; NaN breaks the line where there is no ground.
+
+    Of more than MAX_POINTS points an even selection is drawn, so short gaps may be bridged.
+    """
     known = np.isfinite(heights)
     if not known.any():
         return picture(WIDTH, HEIGHT, title, [text(LEFT, TOP, "No ground below the line")])
@@ -45,7 +48,7 @@ def _linear_axis(low: float, high: float, start: float, end: float):
 
 
 def _round_values(low: float, high: float) -> list[float]:
-    """Return about LINES multiples of 1, 2 or 5 times a power of ten between two values."""
+    """Return up to LINES + 1 multiples of 1, 2 or 5 times a power of ten in low .. high, which must differ."""
     rough = (high - low) / LINES
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(n * power for n in (1, 2, 5, 10) if n * power >= rough * (1 - 1e-9))

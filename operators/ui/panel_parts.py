@@ -43,7 +43,7 @@ class TerrainSubpanel:
 
 
 def split_column(layout):
-    """Return a column whose properties have their names on the left."""
+    """Return a new column of a layout whose properties have their names on the left and no button for keyframes."""
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     return column
@@ -111,7 +111,10 @@ def draw_message(layout, text: str, icon: str) -> None:
 
 
 def error_lines(status: session.Status) -> list[tuple[str, str]]:
-    """Return (text, icon) lines for the error of a terrain's last update: the problem, and the fix if it is known."""
+    """Return (text, icon) lines for the error of a terrain's last update: the problem, and the fix if it is known.
+
+    [] without an error. An error of a job, which has set `status.error` alone, has no separate fix.
+    """
     failure = status.failure
     if failure is None or str(failure) != status.error or not failure.fix:
         return [(status.error, "ERROR")] if status.error else []
@@ -128,7 +131,10 @@ def draw_fixed_lines(column, text: str, count: int) -> None:
 
 
 def wrap_words(text: str, width: int) -> list[str]:
-    """Return the text in lines of at most `width` characters, broken between words."""
+    """Return the text in lines of at most `width` characters, broken between words; a longer word gets its own line.
+
+    The result is [""] for a text without words.
+    """
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:

@@ -81,7 +81,10 @@ def _draw_without_terrain(layout, obj) -> None:
 
 
 def _figures_of(context, obj) -> list[tuple[str, str]]:
-    """Return three (name, value) rows about the last update: triangles, error bound and time."""
+    """Return three (name, value) rows about the last update: triangles, error bound and time.
+
+    A bound of 0 px is replaced by a word while the camera sees nothing or an update is due.
+    """
     sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
     return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing, live.is_behind())
 

@@ -17,7 +17,10 @@ _shown: tuple | None = None
 
 
 def current_work() -> tuple[float | None, str] | None:
-    """Return the progress (0 .. 1, None if unknown) and a text of the long work that runs now; None if nothing runs."""
+    """Return the progress (0 .. 1, None if unknown) and a text of the long work that runs now; None if nothing runs.
+
+    It is the first of: kernels, a render's wait, the oldest job, and a live update of a second or more.
+    """
     fraction = warmup.progress()
     if fraction is not None:
         return fraction, jobs.PREPARING

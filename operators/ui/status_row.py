@@ -27,7 +27,10 @@ FRAME, CAMERA_TO_VIEW, MOVE_WORLD = "adaptive_terrain.frame", "view3d.camera_to_
 
 
 def draw_status(layout, context, obj) -> None:
-    """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility."""
+    """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility.
+
+    layout: of a panel. obj: the shown terrain, which need not be the active object.
+    """
     row = layout.row(align=True)
     status = session.record_of(obj).status
     if _draw_progress(row, context, obj):
@@ -63,7 +66,7 @@ def _waits_for_import(obj, status) -> bool:
 
 
 def draw_preparation(layout) -> bool:
-    """Draw the progress of preparing the kernels; return whether they are prepared now."""
+    """Draw the progress of preparing the kernels; return whether they are being prepared: False once they are ready."""
     fraction = warmup.progress()
     if fraction is None or not warmup.preparing():
         return False
@@ -72,7 +75,7 @@ def draw_preparation(layout) -> bool:
 
 
 def _draw_progress(row, context, obj) -> bool:
-    """Draw the progress of compiling, importing or packing; return whether one of them runs."""
+    """Draw the progress of preparing kernels, importing or packing, the first that runs; return whether one runs."""
     if draw_preparation(row):
         return True
     job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
@@ -82,7 +85,11 @@ def _draw_progress(row, context, obj) -> bool:
 
 
 def sight_notice(context, obj) -> tuple[str, str, str]:
-    """Return why the terrain is out of sight, the operator that fixes it, and its button's text; "" for nothing."""
+    """Return a notice about the view of the terrain, the operator that fixes it, and its button's text.
+
+    It is the first that applies: the viewport beside the panel cuts the terrain off; the camera is underground, far
+    from the origin, sees nothing of it or cuts it off. Three times "" if all is well or the view cannot be known.
+    """
     try:
         box = sight.box_of(obj)
         if _viewport_cuts(context, box):

@@ -82,7 +82,7 @@ def absolute(path):
 
 
 def check_file():
-    """Make stale renders stop Blender in every scene, and fail if a terrain of the shown scene has no store."""
+    """Make stale renders stop Blender, and fail if the store of a terrain is missing."""
     for scene in bpy.data.scenes:
         scene.adaptive_terrain.stop_stale_renders = True
     for obj in bpy.context.scene.objects:

@@ -147,7 +147,10 @@ def _height_maps(obj, store: Path) -> list[Path]:
 
 
 def _platforms(zip_path: Path) -> list[str]:
-    """Return the platforms in the manifest of the extension's zip."""
+    """Return the platforms in the manifest of the extension's zip, [] if it names none.
+
+    Raises TerrainError for another file.
+    """
     try:
         with zipfile.ZipFile(zip_path) as archive:
             found = tomllib.loads(archive.read("blender_manifest.toml").decode()).get("platforms", [])
@@ -159,7 +162,10 @@ def _platforms(zip_path: Path) -> list[str]:
 
 
 def _zip_path(extension: str, out: Path) -> Path:
-    """Return the path of the zip for the job, after packing the running extension for INSTALLED."""
+    """Return the path of the zip for the job, after packing the running extension into the folder `out` for INSTALLED.
+
+    Raises TerrainError for a file that is no zip, and for an extension that was not installed from one.
+    """
     if extension != INSTALLED:
         if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # reading a pipe would wait
             raise TerrainError(f"{extension} is no zip", expected=f"the extension's, or {INSTALLED!r}")

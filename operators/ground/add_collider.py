@@ -78,7 +78,7 @@ def _add_collider(terrain):
 
 
 def _make_passive(context, collider) -> None:
-    """Make a collider a passive rigid body whose shape is its mesh."""
+    """Make a collider a passive rigid body whose shape is its mesh; a scene without a rigid body world gets one."""
     context.view_layer.update()
     if collider.rigid_body is None:
         with context.temp_override(object=collider, active_object=collider, selected_objects=[collider]):

@@ -153,6 +153,7 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
     Distances are horizontal, float64 [n] metres; points are float64 [n, 3], with height NaN without ground.
 
     Args:
+        ground: WorldGround of the terrain.
         line: float64 [n, 3], points of the world.
         spacing: metres between points; None for one at every cell border that the line crosses.
     """
@@ -167,7 +168,8 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
 def profile_csv(along: np.ndarray, points: np.ndarray, ground) -> str:
     """Return a CSV of distance, x, y and height in metres of the world, with an empty height without ground.
 
-    Two more columns have the coordinates in the system of the terrain, if it has one.
+    Two more columns have the coordinates in the system of the terrain, if it has one. along, points: result of
+    `along_line` for `ground`.
     """
     raster = ground.field.raster
     names, coordinates = "distance_m,x_m,y_m,height_m", np.empty((len(points), 0))

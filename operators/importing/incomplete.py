@@ -42,7 +42,7 @@ def note_incomplete(scene, terrains: list) -> None:
 
 
 def check_complete(obj, remedy: str) -> None:
-    """Raise TerrainError if the store of a terrain to be packed is incomplete. remedy: what the user should do."""
+    """Raise TerrainError if the store of a terrain to be packed is incomplete. remedy: the instruction of the error."""
     text = loaded_text(obj.adaptive_terrain)
     if text:
         what = f"The store of {obj.name!r} is incomplete ({text[0].lower()}{text[1:]})"

@@ -102,7 +102,7 @@ def plan_packing(objects: list) -> PackPlan:
 
 
 def _lands_of(obj, target: str) -> dict[str, str]:
-    """Return {folder of shaped land that a terrain uses: folder of its copy}: whole land, and that of views alone.
+    """Return {folder of shaped land that a terrain uses: folder of its copy}: renders' land, and that of views alone.
 
     {} without a stack that can be applied; land that is missing or damaged is left out. target: new path of the
     terrain's store.

@@ -37,7 +37,10 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
 
 
 def keep_anchor_inside(obj, imported: Imported | None) -> None:
-    """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster, or has no raster."""
+    """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster.
+
+    imported: facts of that raster; with None, any anchor is outside.
+    """
     half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
     if any(abs(offset) > border for offset, border in zip(anchor_of(obj), half, strict=True)):
         obj.adaptive_terrain.anchor = (0.0, 0.0)

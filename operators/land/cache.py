@@ -82,7 +82,7 @@ class ClearLandCache(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Refuse while land is being shaped, because that reads the tiles.
+        """Return whether the shown terrain has a store and no land is being shaped, which reads the tiles.
 
         Blender polls again when the dialog is confirmed, where the button's object is lost: the panel's terrain counts.
         """

@@ -109,7 +109,10 @@ def _on_shaping(land: Land, fraction: float, message: str) -> None:
 
 
 def wait_for_import(child: ChildJob) -> None:
-    """Wait on a render's thread until a child process that imports has ended. Raises TerrainError after Esc."""
+    """Wait on a render's thread until a child process that imports has ended, well or not; its error is not raised.
+
+    Raises TerrainError after Esc, without cancelling the child process.
+    """
     global waiting
     wait = waiting = ImportWait("", time.monotonic())
     try:

@@ -204,7 +204,7 @@ def build_group(tree, sources: LayerSources, size: float) -> None:
 
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
-    """Give the group these sockets in this order; sockets that exist already stay with their links.
+    """Give the group these sockets in this order; those that it has already stay with their links, others are removed.
 
     inputs, outputs: socket type by name.
     """

@@ -62,7 +62,7 @@ def add_sky(scene, towards: Vector) -> None:
     """Give the scene a new world with a sky whose sun is in the direction `towards`, a unit vector.
 
     A sun below the horizon is put on it. The haze of the horizon continues below it, where the terrain ends. The
-    scene's world before remains in the file.
+    scene's world before loses the scene as its user.
     """
     world = bpy.data.worlds.new(SKY)
     keep_built(scene, built.SKY, world)

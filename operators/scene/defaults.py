@@ -51,7 +51,7 @@ def is_default_world(world) -> bool:
 
 
 def _stands_alone(obj) -> bool:
-    """Return whether an object has its first location, no scale, and nothing attached to it.
+    """Return whether an object has its first location, a scale of 1, and nothing attached to it.
 
     Attached are parents, children, modifiers, constraints and animation. Its name has to be one of LOCATIONS.
     """

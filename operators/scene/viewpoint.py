@@ -97,7 +97,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
 
     x [n], y [m]: positions of the heights z [m, n], metres. water_level: height up to which ground counts as water.
     The eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
-    after a mean. A score is the sum of what is seen, 1 each at most, less the faults of the skyline and the border.
+    after a mean. A score is the sum of the seen kinds, 1 each at most, less the faults of the skyline and the border.
     """
     side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
     slope = np.hypot(*np.gradient(z, y, x))

@@ -53,7 +53,7 @@ def is_terrain(obj) -> bool:
 
 
 def all_terrains() -> list:
-    """Return every terrain of the open file that may be written, and drop the records of objects that are none."""
+    """Return every terrain of the open file that may be written, and drop the records of all other objects."""
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]

@@ -153,7 +153,10 @@ def unwritten(error: Exception) -> str:
 
 @contextmanager
 def quiet(*streams: int):
-    """Suppress output of native code, such as Blender's reports of files. `streams`: descriptors, stdout by default."""
+    """Suppress output of native code, such as Blender's reports of files. `streams`: descriptors, stdout by default.
+
+    Everything that the process writes to them in the `with` block is lost, on any thread.
+    """
     streams = streams or (1,)
     _flush()
     copies, nowhere = [os.dup(stream) for stream in streams], os.open(os.devnull, os.O_WRONLY)

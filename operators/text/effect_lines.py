@@ -11,7 +11,7 @@ BYTES = 4  # of a float32
 
 
 def about(effect: AttributeDeclaration) -> dict:
-    """Return an attribute's declaration as fields for the command line, which omits empty ones."""
+    """Return an attribute's declaration as texts and numbers by name for the command line, which omits empty ones."""
     return {
         "about": effect.about,
         "unit": effect.unit,

@@ -199,7 +199,7 @@ def _block_to_html(block) -> str:
 
 
 def document(title: str, body: list[str]) -> str:
-    """Return a self-contained page from its title and the pieces of its body."""
+    """Return a self-contained page. title: text, which is escaped here. body: pieces of HTML, a line each."""
     head = (
         '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

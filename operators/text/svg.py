@@ -21,7 +21,7 @@ svg .soft { fill: var(--soft); } svg .small { font-size: 12px; } svg .bold { fon
 
 
 def picture(width: float, height: float, label: str, parts: Iterable[str]) -> str:
-    """Return a drawing on an opaque card. `label`: its description in words."""
+    """Return a drawing, width x height pixels, on an opaque card. `label`: its description. `parts`: SVG elements."""
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img" '

@@ -50,8 +50,8 @@ NUMBERS = ("range_base", "range_step", "min_height", "max_height", "steepest_x",
 def interpolated(field: HeightField, name: str) -> HeightField:
     """Return a field with the same samples and another surface between them; `field` itself if it has that surface.
 
-    name: one of INTERPOLATIONS. The surface is computed once and cached in the field's store, if it has one. Raises
-    TerrainError for another name.
+    A detail of the field stays. name: one of INTERPOLATIONS. The surface is computed once and cached in the field's
+    store, if it has one. Raises TerrainError for another name, finer tiles, or a sample that is not finite.
     """
     if name not in INTERPOLATIONS:
         raise TerrainError(f"The interpolation is {name!r}", expected=" or ".join(INTERPOLATIONS))
@@ -59,12 +59,15 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         return field
     field.raster.check_no_finer("Bicubic interpolation")
     plain, surfaces = with_detail(field, None), field.cache.surfaces
-    surfaces.setdefault(plain.surface, plain)
+    surfaces.setdefault(plain.surface, plain)  # so a bilinear field is always found here, never computed
     return with_detail(cached(surfaces, SurfaceSpec(name), lambda: bicubic(plain)), field.detail)
 
 
 def bicubic(field: HeightField) -> HeightField:
-    """Return the bicubic surface through the samples of a bilinear field, cached in its store, if it has one."""
+    """Return the bicubic surface through the samples of a bilinear field, cached in its store, if it has one.
+
+    field: without detail and finer tiles. Raises TerrainError for a sample that is not finite.
+    """
     arrays = derived_arrays.derive(
         field.raster, arrays_of(field.lattice), lambda arrays: build(field, arrays), _are_valid
     )
@@ -74,7 +77,7 @@ def bicubic(field: HeightField) -> HeightField:
         error=arrays["error_c"],
         ranges=arrays["ranges_c"],
         source_max=LEVERAGE * field.source_max,
-        **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),
+        **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),  # the exponents follow
         exponents=[int(exponent) for exponent in arrays["numbers_c"][len(NUMBERS) :]],
     )
 
@@ -94,9 +97,9 @@ def _are_valid(arrays: dict[str, np.ndarray]) -> bool:
 
 
 def build(field: HeightField, arrays: dict[str, np.ndarray], threads: int | None = None) -> None:
-    """Fill the zeroed arrays of a bicubic surface, by name; the same bytes for any number of threads.
+    """Fill the zeroed arrays of a bicubic surface (`arrays_of`), by name; the same bytes for any number of threads.
 
-    Raises TerrainError for a sample that is not finite.
+    field: the bilinear one. threads: None for the default number. Raises TerrainError for a sample that is not finite.
     """
     threads = threads or launch.default_threads()
     field.raster.check_samples()
@@ -108,7 +111,7 @@ def build(field: HeightField, arrays: dict[str, np.ndarray], threads: int | None
 def _numbers(field: HeightField, threads: int) -> list[float]:
     """Return range base and step, lowest and highest height (metres), and largest slopes along x and y, rounded up.
 
-    They are NUMBERS of the bicubic surface.
+    Heights and slopes, along x and along y, are bounds from control values; the slopes are rounded up.
     """
     lattice = field.lattice
     rows = lattice.cells_y
@@ -126,7 +129,8 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
 def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarray, threads: int) -> None:
     """Compute the ranges of heights of the patches, and above them those of all patches that they touch.
 
-    base, step: a range is two 16-bit numbers n that stand for base + n step metres. ranges: uint16 [n, 2], filled.
+    base, step: a range is two 16-bit numbers n that stand for base + n step metres. ranges: uint16 [n, 2], zeroed. A
+    raster with a shorter side of one or two cells has ranges of patches alone.
     """
     lattice, out = field.lattice, flat(ranges, wp.uint16)
     columns, rows = lattice.cells_x, lattice.cells_y

@@ -2,9 +2,9 @@
 """The error hierarchy of the bicubic surface (bicubic.py), computed tile by tile, so that memory has a bound.
 
 A tile computes its cells and the TILE_DEPTHS bisections above them, in a window with the cells around it that they
-depend on. Coarser diamonds, one in 250, are computed for the whole raster at once. Results are codes, in place. A tile
-with a larger error than all earlier ones raises the exponent of a group, and the codes so far are translated, which
-gives the codes of the errors themselves (codes.py).
+depend on. Coarser diamonds, one for 256 cells, are computed for the whole raster at once. Results are codes, in place.
+A tile with a larger error than all earlier ones raises the exponent of a group, and the codes so far are translated,
+which gives the codes of the errors themselves (codes.py).
 
 A cell's curvature is at least that of a cell n steps away times 2^-n, so any cell of the raster may count. If no
 curvature of the tile is below a bound of all curvatures times 2^-n, cells n steps away have no effect. A tile with
@@ -47,8 +47,10 @@ class _Window:
 
     Attributes:
         box: cells of the window. A raster's cell beyond is missing.
-        depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them.
-        errors, off, curvatures: float32 metres; `off` is the distance to the bilinear surface.
+        depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them, or as many as the raster
+            has.
+        errors, off: float32 metres, of all depths; `off` is the largest distance to the bilinear surface.
+        curvatures: float32 metres, of the cells alone.
     """
 
     box: Box
@@ -63,7 +65,10 @@ class _Window:
 
 
 def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
-    """Fill the codes of errors and curvatures, uint8, zeroed; return the exponents of the tables by group."""
+    """Fill the codes of errors and curvatures; return the exponents of the tables, in the order of `codes.parts`.
+
+    field: the bilinear one. out: uint8 [nodes + cells], zeroed.
+    """
     lattice = field.lattice
     bases, parts = lattice.layout()[0], codes.parts(lattice, len(out))
     first = int(bases[min(FIRST_WHOLE, lattice.groups)])
@@ -71,9 +76,9 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
     largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
 
     def raise_to(found: dict[int, float], unused: int = MIN_EXPONENT) -> None:
-        """Raise the exponents for the largest errors in groups, and translate the codes so far.
+        """Raise the exponents for the largest errors found in groups, metres, and translate the codes so far.
 
-        unused: exponent of a group without errors.
+        unused: exponent of a group without errors. At the end it is 0, that of `exponent_of(0)`, as in other fields.
         """
         for group, error in found.items():
             largest[group] = max(largest[group], error)
@@ -116,7 +121,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
 
 
 def _tiles(lattice: Lattice) -> Iterator[Box]:
-    """Yield the cells of all tiles, row by row."""
+    """Yield the cells of all tiles, row by row; the last of a row or column may have fewer than TILE a side."""
     across, up = (
         [(first, min(first + TILE, cells)) for first in range(0, cells, TILE)]
         for cells in (lattice.cells_x, lattice.cells_y)
@@ -125,8 +130,11 @@ def _tiles(lattice: Lattice) -> Iterator[Box]:
 
 
 def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
-    """Return the errors of a tile in a window that is large enough for it."""
-    bound = STEEPEST * (float(field.max_height) - float(field.min_height))
+    """Return the errors of a tile in a window that is large enough for it.
+
+    The second window, which has all cells that can count, is used only if the first one fails the module's test.
+    """
+    bound = STEEPEST * (float(field.max_height) - float(field.min_height))  # of all curvatures, metres
     far = ALIGNED * (1 + -(-(SMALLEST + int(np.ceil(np.log2(max(bound, 1.0))))) // ALIGNED))
     for around in (2 * ALIGNED, far):
         window = _make_window(field.lattice, tile, around)
@@ -148,7 +156,7 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
 
 
 def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
-    """Return the window of a tile and `around` cells on its sides, with arrays of zeros."""
+    """Return the window of a tile and `around` cells on its sides, less at the border, with arrays of zeros."""
     ends = lattice.cells_x, lattice.cells_y
     across, up = (
         (max(first - around, 0), min(end + around, last)) for (first, end), last in zip(tile, ends, strict=True)
@@ -171,7 +179,10 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
 
 
 def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
-    """Return the smallest curvature on which a tile depends; infinity if the window has all cells of the raster."""
+    """Return the smallest curvature, metres, of a tile and ALIGNED cells around it, on which its diamonds depend.
+
+    Infinity if the window has all cells of the raster.
+    """
     if window.box == ((0, lattice.cells_x), (0, lattice.cells_y)):
         return np.float32(np.inf)
     (rows, columns) = (
@@ -184,7 +195,7 @@ def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
 
 
 def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
-    """Return the largest errors of a window in the groups that tiles encode.
+    """Return the largest errors of a window, metres, by number of a group that tiles encode, cells and curvatures too.
 
     Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
@@ -198,7 +209,10 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
 
 
 def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:
-    """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1."""
+    """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1 to `out`, those of the raster.
+
+    table: float32 [parts, 256] metres, in the order of `codes.parts`.
+    """
     after = [flat(table, wp.float32)]
     for bisections in range(min(TILE_DEPTHS, len(window.depths))):
         depth = lattice.cell_depth - bisections
@@ -224,6 +238,8 @@ def _rows(
     """Launch a kernel over the rows of a tile's diamonds `bisections` above the cells.
 
     The diamonds on a tile's western and southern side belong to it. The last tiles have those at the border and beyond.
+    whole: layout of this depth in the raster's array that the kernel writes. values: arrays of the window that it
+    reads. more: its other arguments, the written array last.
     """
     side, part = bisections // 2, window.depths[bisections]
     ends = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
@@ -247,7 +263,10 @@ def _add_errors(
     errors: np.ndarray,
     threads: int,
 ) -> None:
-    """Compute `off` and `errors` of the depth `bisections` above the cells from those below it."""
+    """Compute `off` and `errors` of the depth `bisections` above the cells from those of the depth below it.
+
+    below, above: layouts of both depths in `off` and `errors`. corner: the first diamond of `above` in the raster.
+    """
     depth = field.lattice.cell_depth - bisections
     inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]
     inputs += [field.lattice.group(depth), flat(field.error, wp.uint8), flat(off, wp.float32), flat(errors, wp.float32)]

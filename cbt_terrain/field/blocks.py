@@ -10,9 +10,10 @@ ROWS = 256  # rows of blocks that are computed together; even
 
 
 def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0) -> np.ndarray:
-    """Apply `reduce` (np.maximum, np.minimum) to the samples [rows, columns] of every `side` x `side` cells.
+    """Return `reduce` (np.maximum, np.minimum) of the samples of every `side` x `side` cells, an entry for each block.
 
-    A block includes its border samples and `around` more on each side. A last block is cut off at the raster's end.
+    samples: [rows, columns], at least 2 x 2. A block includes its border samples and `around` more on each side. A last
+    block is cut off at the raster's end.
     """
     for axis in (0, 1):
         last = samples.shape[axis] - 1
@@ -58,7 +59,7 @@ def fill_levels(
 ) -> None:
     """Fill all levels of a pyramid, concatenated in one flat array, some rows at a time.
 
-    rows, columns: blocks of the finest level. finest(rows): returns some rows of it, or fewer at the end.
+    rows, columns: blocks of the finest level. finest(some): returns these rows of it, at most ROWS, [rows, columns].
     """
     shapes = level_shapes(rows, columns)
     ends = np.cumsum([rows * columns for rows, columns in shapes])
@@ -71,7 +72,7 @@ def fill_levels(
 
 
 def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the levels of a pyramid in one flat array, with their `level_offsets`."""
+    """Return the levels of a pyramid, from the finest on, in one flat array, with their two `level_offsets`."""
     return np.concatenate([level.ravel() for level in levels]), *level_offsets(
         [(len(level), level.shape[1]) for level in levels], below
     )
@@ -80,7 +81,8 @@ def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray
 def level_offsets(shapes: list[tuple[int, int]], below: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the offset and the width of each level of a flat pyramid, int64 and int32 [below + levels].
 
-    The first `below` entries are for levels without blocks. Rays skip empty space with them.
+    shapes: rows and columns of the stored levels, the finest first. The first `below` entries, 0, are for finer levels
+    without blocks. Rays skip empty space with them.
     """
     first = np.cumsum([0] * (below + 1) + [rows * columns for rows, columns in shapes[:-1]], dtype=np.int64)
     return first, np.array([0] * below + [columns for _, columns in shapes], np.int32)

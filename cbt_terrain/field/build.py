@@ -31,10 +31,10 @@ class Rows(Protocol):
 
 
 def content_key(samples: Rows, lattice: Lattice, source_max: float, valid: Rows | None) -> str:
-    """Return a hex digest of everything that determines a terrain's shape and its bounds.
+    """Return a hex digest of everything that determines the shape and the bounds of a raster without finer tiles.
 
-    samples: float32 metres. valid: 1 where a sample is given and 0 in holes; None without holes. source_max: largest
-    error of the source, metres.
+    samples: float32 metres, filled. valid: 1 where a sample is given and 0 in holes; None without holes. source_max:
+    largest error of the source, metres.
     """
     digest = hashlib.blake2b(digest_size=16)
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
@@ -82,9 +82,12 @@ def build(
         holes: whether missing samples are cut out.
         source_max: largest rounding error of the source's heights, metres.
         name: the raster's name, in errors.
-        allocate: allocate(name, shape, dtype) returns the other arrays; "errors" is not needed afterwards.
+        allocate: allocate(name, shape, dtype) returns the other arrays, zeroed: "valid" (only with holes), "ranges",
+            "error", and "errors", which is not needed afterwards.
+        threads: None for the default number.
+        on_progress: gets the finished fraction, 0.98 at most.
 
-    Raises TerrainError.
+    Raises TerrainError for a raster that is too large, has no height, or has holes that leave no ground.
     """
     threads = threads or launch.default_threads()
     height, width = samples.shape
@@ -140,13 +143,16 @@ def from_array(
     crs: str = "",
     provenance: dict | None = None,
 ) -> HeightField:
-    """Return a height field in memory of a 2-D array of heights in metres, row 0 south.
+    """Return a height field in memory of a 2-D array of heights in metres, row 0 south. The array is not changed.
+
+    A single row or column is repeated. Raises TerrainError for another kind of array, distances that are not positive,
+    and for what `build` and `clean_rows` refuse.
 
     Args:
         step_x, step_y: metres between samples (step_y defaults to step_x).
         source_max: largest rounding error of the samples, metres.
         holes: whether samples that are not finite are cut out instead of filled.
-        threads: largest number of threads.
+        threads: largest number of threads, None for the default.
         origin: float64 [3], coordinates of the raster's middle. crs: coordinate system. provenance: record of the
             source, with which an import can be repeated.
     """

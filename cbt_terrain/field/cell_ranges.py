@@ -19,8 +19,9 @@ def rectangle_ranges(
     """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2].
 
     In metres before vertical scaling. A range encloses the ground of its rectangle, without the detail, and no more
-    than that within a sixteenth of the smallest rectangle's side around it, apart from rounding and from the largest
-    change of finer tiles.
+    than that within an eighth of the smallest rectangle's side (and 8 samples) around it, apart from rounding and from
+    the largest change of finer tiles. Where no ranges of that size are stored, all are the limits of the whole field,
+    which include its detail: for a raster with a side of one or two cells, and for rectangles much larger than it.
 
     Args:
         columns: west and east side of each column, in samples from the raster's western border.
@@ -46,7 +47,10 @@ def rectangle_ranges(
 
 
 def _cells(field: HeightField, bits: int) -> np.ndarray:
-    """Return the stored ranges, uint16 [rows, columns, 2], of the cells of 2^bits samples a side in the raster."""
+    """Return the stored ranges, uint16 [rows, columns, 2], row 0 south, of all cells of 2^bits samples a side.
+
+    bits: FINEST_BITS to lattice.levels. A range is that of the diamond in the cell's centre, which encloses its box.
+    """
     lattice = field.lattice
     depth = ranges_at(lattice, 2 * (lattice.levels - bits) + 1)
     x = depth.first + np.arange(-(-lattice.cells_x >> bits), dtype=np.int64) * depth.step

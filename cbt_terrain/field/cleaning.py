@@ -18,7 +18,11 @@ LARGEST_HEIGHT = 1e30
 
 
 def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, int]:
-    """Return rows as float32 with NaN for missing samples and no negative zeros, and the number of missing samples."""
+    """Return a float32 copy of rows with NaN for missing samples and no negative zeros, and the number of the missing.
+
+    Samples are missing if they are not finite in float32. Raises TerrainError for a height beyond LARGEST_HEIGHT. name:
+    the raster's, in the error.
+    """
     with np.errstate(over="ignore"):
         rows = rows.astype(np.float32) + np.float32(0.0)
     missing = ~np.isfinite(rows)
@@ -43,7 +47,7 @@ def largest_of(rows: np.ndarray) -> float:
 def fill_missing(samples: np.ndarray, threads: int) -> None:
     """Replace every NaN in `samples` (float32, in place) by the nearest valid sample, counted in samples.
 
-    Of several as near the westernmost counts, of these the southernmost.
+    Of several as near the westernmost counts, of these the southernmost. At least one sample must be valid.
     """
     fill_rows(lambda: samples, lambda rows: np.isnan(samples[rows]), samples.shape, threads)
 
@@ -54,10 +58,11 @@ def fill_rows(
     shape: tuple[int, ...],
     threads: int,
 ) -> None:
-    """Replace each missing sample of a raster that need not be in memory by the nearest valid one.
+    """Replace each missing sample of a raster that need not be in memory by the nearest valid one, as `fill_missing`.
 
-    opened: maps the samples, of any type. missing_in: returns, for rows, which samples are missing. shape: rows and
-    columns of the raster.
+    opened: maps the samples, of any type, for writing; it is called for each block of rows with missing ones.
+    missing_in: returns, for rows, which samples are missing, bool; it is called twice for all rows, never after their
+    samples are filled. shape: rows and columns of the raster.
     """
     height, width = shape
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
@@ -76,7 +81,10 @@ def fill_rows(
 
 
 def _first_valid(valid: np.ndarray, rows: range, beyond: np.ndarray) -> np.ndarray:
-    """Return, for each column, the first of `rows` with a valid sample, int32; that of `beyond` if there is none."""
+    """Return, for each column, the first of `rows` with a valid sample, int32; that of `beyond` if there is none.
+
+    valid: bool [len(rows), columns], in the order of `rows`, which may count down.
+    """
     if valid[0].all():  # as in most rasters
         return np.full(valid.shape[1], rows[0], np.int32)
     return np.where(valid.any(axis=0), rows[0] + rows.step * valid.argmax(axis=0), beyond).astype(np.int32)
@@ -87,7 +95,8 @@ def _nearest(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return, for rows from `first` on, the nearest valid row of each column, and the column of the nearest sample.
 
-    below, above: nearest valid rows outside these rows, -1 for none.
+    Both are int32 like `missing`; the nearest valid sample of [y, x] is in column c = column[y, x], row nearest[y, c].
+    Columns at valid samples are undefined. below, above: nearest valid rows outside these rows, -1 for none.
     """
     height, width = missing.shape
     nearest, column = np.empty((2, height, width), np.int32)
@@ -108,7 +117,7 @@ def _nearest(
 def repeat_single_line(samples: np.ndarray) -> np.ndarray:
     """Repeat the samples of a raster that is one sample wide or high, because one row is a legitimate profile.
 
-    Raises TerrainError for an empty raster.
+    Return a copy with at least two rows and columns. Raises TerrainError for an empty raster.
     """
     height, width = samples.shape
     if height == 0 or width == 0:

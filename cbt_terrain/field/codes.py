@@ -49,28 +49,34 @@ SHAPE = _table_shape()
 
 
 def tables(exponents: Sequence[int]) -> np.ndarray:
-    """Return the values of all codes in metres, float32 [groups, 256].
+    """Return the values of all codes in metres, float32 [len(exponents), 256], rising in each row.
 
-    exponents: of each group, whose largest error is 2^exponent.
+    exponents: of each table, whose largest error is 2^exponent; in the order of `parts` for a whole hierarchy.
     """
     return np.ldexp(SHAPE, np.asarray(exponents)[:, None]).astype(np.float32)
 
 
 def exponent_of(largest: float) -> int:
-    """Return the exponent of the smallest power of two, within limits, that is not below an error in metres."""
+    """Return the exponent of the smallest power of two, within limits, that is not below an error in metres.
+
+    It is 0 for an error of 0.
+    """
     part, exponent = np.frexp(largest)
     return int(np.clip(exponent - (part == 0.5), MIN_EXPONENT, MAX_EXPONENT))
 
 
 def parts(lattice: Lattice, count: int) -> list[slice]:
-    """Return the slices of the arrays for each group, the cells, and then the curvatures of a bicubic surface."""
+    """Return the slices of arrays of `count` entries for each group, from fine to coarse, and then the cells.
+
+    Entries beyond `lattice.node_count` are a last slice, the curvatures of a bicubic surface.
+    """
     ends = lattice.layout()[0].tolist()
     ends += [count] if count > ends[-1] else []
     return [slice(first, end) for first, end in pairwise(ends)]
 
 
 def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int) -> list[int]:
-    """Fill `codes` with the smallest codes that are not below `errors`; return the exponents by group.
+    """Fill `codes` with the smallest codes that are not below `errors`; return the exponents in the order of `parts`.
 
     errors: float32 metres, nested (none is below its children's). codes: uint8, zeroed.
     """
@@ -80,7 +86,7 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 
 
 def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
-    """Return exponents by group, raised so that no coarser group has a smaller one, nor the cells than curvatures / 2.
+    """Return the exponents, raised so that no coarser group has a smaller one, nor the cells than half the curvatures.
 
     exponents: each group's own, in the order of `parts`.
     """
@@ -94,7 +100,7 @@ def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
 def encode_with_table(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarray, threads: int) -> None:
     """Fill `codes` (uint8, zeroed) with the smallest entries of `table` that are not below `errors`.
 
-    table: float32 [groups, 256] metres.
+    table: float32 [parts, 256] metres, in the order of `parts`; each must reach the largest error of its part.
     """
     for values, part in zip(table, parts(lattice, len(errors)), strict=True):
         encode_part(errors[part], values, codes[part], threads)
@@ -124,13 +130,14 @@ def translation(old: np.ndarray, new: np.ndarray, factor: float = 1.0) -> np.nda
     """Return the codes of another table for all codes of one, whose errors are multiplied by `factor`: uint8 [256].
 
     old, new: float32 [256] metres. If the largest entry of `new` is not below that of `old` times `factor`, no error is
-    rounded down, and one that was rounded up to `old` before gets the code of the error itself.
+    rounded down, and one that was rounded up to `old` before gets the code of the error itself. Errors above the
+    largest entry get the last code.
     """
     return np.minimum(np.searchsorted(new, old * np.float32(factor)), len(new) - 1).astype(np.uint8)
 
 
 def translate(codes: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` with values[codes], in blocks, because numpy converts all indices to 64 bits first."""
+    """Fill `out`, which may be `codes`, with values[codes], in blocks, because numpy makes 64-bit copies of indices."""
     for first in range(0, len(codes), BLOCK):
         out[first : first + BLOCK] = values[codes[first : first + BLOCK]]
 
@@ -170,7 +177,7 @@ def pack_samples(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
 
 
 def steps_of(stored: np.dtype, scale: float, offset: float) -> Steps | None:
-    """Return the conversion of a source of integers with 16 bits or fewer; None for any other source.
+    """Return the conversion of a source of integers with 16 bits or fewer; None for any other source or a scale of 0.
 
     stored: type of the source's numbers. A height is number * scale + offset, metres.
     """
@@ -180,7 +187,10 @@ def steps_of(stored: np.dtype, scale: float, offset: float) -> Steps | None:
 
 
 def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
-    """Fill `numbers` (uint16) with those of `heights`. Return False if a height has no number."""
+    """Fill `numbers` (uint16) with those from which `steps` gives the same bits as `heights`, float32 metres.
+
+    Return False, with some rows filled, as soon as a height has no such number.
+    """
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
         with np.errstate(over="ignore"):  # infinity is out of range, too

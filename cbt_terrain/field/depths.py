@@ -26,7 +26,10 @@ def depth_limit(field: HeightField) -> int:
 
 
 def usual_depth(field: HeightField) -> int:
-    """Return the default depth at which refinement stops; with displacement it resolves the shortest wave."""
+    """Return the default depth of a root square at which refinement stops, at most `depth_limit`.
+
+    With displacement it resolves the shortest wave, with finer tiles their cells.
+    """
     lattice, depth = field.lattice, field.lattice.cell_depth + DEPTH_BELOW_CELLS
     if field.raster.finer is not None:
         depth += 2 * field.raster.finer.bits

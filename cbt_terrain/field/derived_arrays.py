@@ -33,7 +33,8 @@ def derive(
     """Return arrays by name from the raster's store; compute and cache all of them if one is missing or damaged.
 
     shapes: (shape, dtype) of each array by name. fill(arrays): fills zeroed arrays by name, and keeps no reference to
-    them. is_valid: further test of cached arrays.
+    them; it is called again, for arrays in memory, if the store cannot be written. is_valid: further test of cached
+    arrays; False computes them again.
     """
     found = load(raster, shapes)
     if found is None or not (is_valid is None or is_valid(found)):
@@ -42,10 +43,7 @@ def derive(
 
 
 def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
-    """Return arrays by name: of a large raster cached in its store, of others computed in memory.
-
-    fill(arrays): fills zeroed arrays by name, and keeps no reference to them.
-    """
+    """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive`, of others computed in memory."""
     if raster.samples.size >= MIN_CACHED:
         return derive(raster, shapes, fill)
     return _fill_in_memory(shapes, fill)
@@ -70,7 +68,10 @@ def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:
 
 
 def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> bool:
-    """Compute arrays into files of the raster's store; return False if there is none or it cannot be written."""
+    """Compute arrays into files of the raster's store; return False if there is none or it cannot be written.
+
+    Other errors of `fill` than OSError are raised. The files appear only after all are complete.
+    """
     folder = store.data_folder(raster)
     if folder is None:
         return False

@@ -62,7 +62,8 @@ class Detail:
     def waves(self, finest: float) -> list[tuple[float, float]]:
         """Return the (amplitude, wavelength), metres, of the octaves that leaves with edges of `finest` metres resolve.
 
-        The longest octave is always there. The amplitudes add up to that of the detail.
+        The longest octave is always there, others without amplitude are left out; none is there if the detail has no
+        amplitude. The amplitudes add up to that of the detail.
         """
         lengths = [self.wavelength * 0.5**k for k in range(MAX_OCTAVES)]
         shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]

@@ -112,7 +112,7 @@ def radius_at(steps: tuple[float, float], levels: int, depth: int) -> float:
 
 
 def _over(base: float, height: float) -> float:
-    """Return the radius for a triangle with its apex over the middle of its base."""
+    """Return the radius of the smallest circle around a triangle with its apex over the middle of its base, metres."""
     return 0.5 * base if height <= 0.5 * base else (0.25 * base * base + height * height) / (2 * height)
 
 
@@ -123,8 +123,8 @@ def tables(
 
     These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
     edges. parts: summands of the displacement. steps: metres between samples. levels: a root square has 2**levels cells
-    a side. Entry 0 holds for all triangles, and also for depths above `smooth_from`: with a mask the depth of half a
-    cell.
+    a side. Entry 0 holds for all triangles. So do the bounds of depths before `smooth_from`, whose triangles may meet
+    several cells: with a mask that is the depth of half a cell.
     """
     limit = 2 * highest(parts)
     found = [(limit, limit)]

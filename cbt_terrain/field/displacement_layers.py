@@ -32,7 +32,7 @@ class LayerMask:
     Attributes:
         values: uint8 [height, width], one a sample.
         max_cells: their maximum of each cell, of 2 x 2 cells, and so on, uint8 [n], in the order of `mask_levels`;
-            computed if it is empty.
+            computed if it is empty, otherwise trusted.
         digest: identifies the values.
     """
 
@@ -130,7 +130,8 @@ def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet
     """Return the bounds of the layers without a mask, then of each layer with one at a mask of 1 of 255.
 
     finest: shortest edge of a mesh, metres. meshlet: leaves are drawn as 4**meshlet triangles. The result is float32 [1
-    + masks, 64, 2] metres. The first table holds the climbs of all layers.
+    + masks, 64, 2] metres, a `tables` of detail_bounds.py for each. The first one holds the climbs of all layers
+    together, at masks of 255; the climbs in the others are not used.
     """
     steps, cell = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)

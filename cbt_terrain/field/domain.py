@@ -21,7 +21,8 @@ NO_BORDER = 2**31 - 1
 def make_domain(field: HeightField, meshlet: int, height_scale: float, height_offset: float) -> Domain:
     """Return the field, scaled and shifted in height, as the kernels of a frame read it.
 
-    meshlet: leaves are drawn as 4**meshlet triangles. Memory is shared, nothing is read.
+    meshlet: leaves are drawn as 4**meshlet triangles; its errors are loaded or computed on first use (`error_for`).
+    height_scale: factor, height_offset: metres. Memory is shared, no sample is read.
     """
     lattice = field.lattice
     domain = Domain()
@@ -61,8 +62,9 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
 
 
 def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return float64 [2, 3]: the corners of the terrain's bounding box in its own space, metres.
+    """Return float64 [2, 3]: lowest and highest corner of the terrain's bounding box in its own space, metres.
 
+    Heights are those of `field`, its detail included, times `vertical_scale` plus `vertical_offset` metres.
     Raises TerrainError if a mesh, which has float32 positions, cannot hold it.
     """
     west, south, east, north = field.lattice.rectangle()

@@ -17,16 +17,17 @@ def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarr
 
 
 def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
+    """Return the maxima of all blocks (minima with np.minimum), float32 metres, level after level from FINEST on.
 
-    Also the first index of each level, int64 [levels], and the blocks in its rows, int32 [levels], 0 below FINEST.
-    Those of a large raster are cached in its store.
+    A block of level k has 2^k cells a side, border samples included; the detail and finer tiles are not. Also the first
+    index of each level, int64 [levels], and the blocks in its rows, int32 [levels], 0 below FINEST. Those of a large
+    raster are cached in its store.
     """
     lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
     rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))
 
     def finest(some: slice) -> np.ndarray:
-        """Read the samples of some rows of blocks."""
+        """Return the extremes of some rows of blocks."""
         return over_cells(field.heights(slice(some.start * side, some.stop * side + 1)), side, reduce)
 
     def fill(arrays: dict[str, np.ndarray]) -> None:

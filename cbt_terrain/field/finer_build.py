@@ -54,7 +54,8 @@ def with_finer_tiles(
             the raster is known. Samples that two tiles share must be equal.
         allocate: allocate(name, shape, dtype) returns a zeroed array.
 
-    Raises TerrainError for a bicubic surface, and for numbers that cannot be used.
+    Raises TerrainError for a bicubic surface, a detail or other finer tiles, for `bits` and `known` beyond the raster,
+    and for another shape of `read`.
     """
     _check(plain, bits)
     shape = tile_shape(plain.lattice, bits)
@@ -122,7 +123,7 @@ def raster_heights(plain: HeightField, bits: int, x: np.ndarray, y: np.ndarray) 
 
 
 def _ends(heights: np.ndarray) -> tuple[float, float]:
-    """Return the lowest and the highest height of all tiles, metres."""
+    """Return the lowest and the highest height of all tiles, metres; (infinity, -infinity) without tiles."""
     low, high = np.inf, -np.inf
     for tile in heights:
         inner = tile[1 : SIDE + 2, 1 : SIDE + 2]
@@ -161,7 +162,10 @@ def _fill_heights(
 
 
 def _lay(found: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
-    """Write the heights `found` of a box that are not NaN into the samples of a tile."""
+    """Write the heights `found` of a box that are not NaN into the samples of the tile at a column and row.
+
+    tile: float32 [STRIDE, STRIDE], changed where the box meets it.
+    """
     x, y = SIDE * column - 1, SIDE * row - 1
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
     y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)

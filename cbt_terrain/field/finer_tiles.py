@@ -48,8 +48,8 @@ class FinerTiles:
         ranges: uint16 [tiles, RANGES, 2], codes of the lowest and highest heights of diamonds.
         range_base, range_step: metres of code 0, and of a step.
         exponent: of the table of the error codes (codes.py).
-        limits: float32 [blocks, 2], largest change, metres, and its slope, of each place of `numbers`, of 2 x 2 places,
-            and so on.
+        limits: float32 [blocks, 2], largest change, metres, and its largest slope along an axis, of each place of
+            `numbers`, of 2 x 2 places, and so on to all.
         digest: identifies the content; "" for those of a store.
     """
 
@@ -71,7 +71,7 @@ class FinerTiles:
 
     @property
     def entry(self) -> dict[str, Any]:
-        """Return the entry of a store's JSON."""
+        """Return the entry of a store's JSON: NUMBERS and the number of tiles with heights."""
         numbers = {name: getattr(self, name) for name in NUMBERS}
         return {"tiles": len(self.heights)} | numbers
 
@@ -105,7 +105,7 @@ class FinerTiles:
 
 
 def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
-    """Return shape and type of each array of finer tiles, by the name of its file."""
+    """Return shape and type of each array of `tiles` finer tiles, by the name of its file without suffix."""
     rows, columns = tile_shape(lattice, bits)
     blocks = sum(int(high * wide) for high, wide in level_shapes(rows, columns))
     return {

@@ -66,7 +66,7 @@ class Georeference:
         return a, b, self.middle[0], d, e, self.middle[1]
 
     def with_steps_times(self, along_x: float, along_y: float) -> "Georeference":
-        """Return the georeference of a coarser raster with the same middle; its samples are further apart."""
+        """Return the georeference of a raster with the same middle and steps times `along_x` and `along_y`."""
         across, up = (
             None if step is None else (step[0] * ratio, step[1] * ratio)
             for step, ratio in ((self.across, along_x), (self.up, along_y))
@@ -131,8 +131,8 @@ def degree_lengths(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> t
 def border_error(latitude: float, borders: list[float], ellipsoid: tuple[float, float] = WGS84) -> float:
     """Return how wrong lengths become at the latitudes `borders` where the length of a degree at `latitude` is used.
 
-    The result is the largest relative error; all latitudes are degrees. ellipsoid: semi-major axis in metres, and
-    inverse flattening (0 for a sphere).
+    The result is the largest relative error, infinity if a border is at or beyond a pole; all latitudes are degrees.
+    ellipsoid: semi-major axis in metres, and inverse flattening (0 for a sphere).
     """
     used = degree_lengths(latitude, ellipsoid)
     true = [degree_lengths(border, ellipsoid) for border in borders if abs(border) < 90.0]
@@ -142,9 +142,10 @@ def border_error(latitude: float, borders: list[float], ellipsoid: tuple[float, 
 
 
 def without_dust(transform: Transform) -> Transform:
-    """Return a geotransform whose skew is 0 where it is rounding: less than MAX_SKEW cells per cell.
+    """Return a geotransform whose skew is 0 where it is rounding: less than MAX_SKEW cells per cell along both axes.
 
-    Raises TerrainError for cells without an area.
+    If rows run along y, the skew is in a and e. Raises TerrainError for numbers that are not finite and for cells
+    without an area, whose rows and columns have one direction.
     """
     a, b, c, d, e, f = transform
     area, lengths = abs(a * e - b * d), length((a, d)) * length((b, e))
@@ -185,7 +186,7 @@ def from_transform(
         transform: (a, b, c, d, e, f) maps column and row of a cell's *corner* to x = a col + b row + c and
             y = d col + e row + f.
         degrees: degrees in the CRS's unit if that is an angle, else 0.
-        metres: metres in the CRS's unit if it is a length.
+        metres: metres in the CRS's unit if it is a length; not used for an angle.
         crs: its name, "" if the file has none.
         ellipsoid: semi-major axis in metres, and inverse flattening (0: a sphere).
 
@@ -229,7 +230,7 @@ def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float])
     """Return metres in a unit of a geographic CRS along x and y.
 
     y: the raster's middle, in that unit. degrees: degrees of a unit. ellipsoid: its semi-major axis, metres, and
-    inverse flattening.
+    inverse flattening. Raises TerrainError within a tenth of a degree of a pole.
     """
     latitude = y * degrees
     if abs(latitude) > 89.9:
@@ -242,7 +243,10 @@ def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float])
 
 
 def _border_warnings(latitude: float, borders: list[float], ellipsoid: tuple[float, float]) -> list[str]:
-    """Return a warning if lengths at the latitudes `borders` differ too much from those at the raster's middle."""
+    """Return a warning if lengths at the latitudes `borders` are off by MIN_SHOWN_ERROR or more, else [].
+
+    latitude: of the raster's middle; all are degrees.
+    """
     error = border_error(latitude, borders, ellipsoid)
     if error < MIN_SHOWN_ERROR:
         return []

@@ -110,13 +110,13 @@ class HeightRaster:
     cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
 
     def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
-        """Return samples[index], or all of them, in float32 metres."""
+        """Return samples[index], or all of them, in float32 metres: a view if samples are float32 and index slices."""
         samples = self.samples[index]
         return samples if self.steps is None else self.steps.heights(samples)
 
     @property
     def known_place(self) -> Place | None:
-        """Return `place`; without a CRS it is metres from the origin by default."""
+        """Return `place`; if it is None, metres from the origin without a CRS, and None with one (`known_place`)."""
         return known_place(self.place, self.crs, self.origin)
 
     def damage(self, what: str) -> TerrainError:
@@ -125,7 +125,7 @@ class HeightRaster:
         return TerrainError(f"{name} is damaged ({what})", fix="import it again")
 
     def check_no_finer(self, what: str) -> None:
-        """Raise TerrainError for a raster with finer tiles, for which something is not supported. what: names it."""
+        """Raise TerrainError for a raster with finer tiles. what: subject of the error, a feature that lacks them."""
         if self.finer is not None:
             raise TerrainError(
                 f"{what} is not supported for a terrain with finer tiles",
@@ -133,7 +133,10 @@ class HeightRaster:
             )
 
     def check_samples(self) -> None:
-        """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
+        """Raise TerrainError if a sample or a height of a finer tile is not finite. 16-bit samples always are.
+
+        This reads all others, so only slower code should call it.
+        """
         arrays = [*([self.samples] if self.steps is None else []), *([self.finer.heights] if self.finer else [])]
         if not all(map(all_finite, arrays)):
             raise self.damage("it has heights that are not finite")
@@ -149,8 +152,8 @@ class HeightField:
         exponents: powers of two that multiply the table of codes for each group of depths (codes.py).
         ranges: uint16 [lattice.range_count, 2] of diamonds of 4 x 4 cells and more, without the detail: heights from
             range_base + q * range_step metres; for a bicubic surface those of the raster's cells follow.
-        min_height, max_height: limits of the surface, metres.
-        steepest_x, steepest_y: largest slopes of the surface along each axis, without the detail.
+        min_height, max_height: limits of the surface, metres, with the detail.
+        steepest_x, steepest_y: largest slopes of the surface along each axis, with finer tiles and without the detail.
         source_max: largest distance, metres, by which the rounding of the source has moved the surface.
     """
 
@@ -228,7 +231,7 @@ class HeightField:
         return self.raster.heights(*index)
 
     def with_raster(self, **changes: Any) -> "HeightField":
-        """Return the same surface of a raster with other attributes and an empty cache."""
+        """Return the same surface of a raster with other attributes (`changes`) and an empty cache."""
         return replace(self, raster=replace(self.raster, **changes))
 
 
@@ -236,8 +239,8 @@ def anchored(field: HeightField, x: float, y: float) -> HeightField:
     """Return the same surface in a space whose origin is (x, y), metres from the raster's middle: the anchor.
 
     Positions become float32 relative to it, so they are exact near it. Samples and errors are shared; only the last
-    result is cached. field: without an anchor. Raises TerrainError if the anchor is outside of the raster or its CRS
-    coordinates are unknown.
+    result is cached. field: without an anchor and without detail. Raises TerrainError if the anchor is outside of the
+    raster or its CRS coordinates are unknown.
     """
     if not (x or y):
         return field
@@ -266,7 +269,8 @@ def anchored(field: HeightField, x: float, y: float) -> HeightField:
 def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     """Return the same surface with another detail or none. Arrays are shared, nothing is read.
 
-    A detail without amplitude counts as none. The last few results are cached.
+    A detail without amplitude counts as none. MAX_DETAILED results are cached. field: if it has a detail, it is a
+    result of this function or `interpolated`, whose cache has the surface without one.
     """
     surfaces = field.cache.surfaces
     plain = surfaces[SurfaceSpec(field.interpolation)] if field.detail else field

@@ -64,7 +64,7 @@ def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, bis
 
 
 def upward(finest: int, layout_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
-    """Yield every depth above `finest`, the deepest first: its number, the layout below it, its layout, and its items.
+    """Yield all depths above `finest`, the deepest first: its number, the layout below it, its layout, and its `items`.
 
     layout_of(depth): layout of a depth.
     """
@@ -76,7 +76,7 @@ def upward(finest: int, layout_of: Callable[[int], Depth]) -> Iterator[tuple[int
 
 
 def items(depth: Depth) -> int:
-    """Return the number of items of a launch over the diamonds of a depth."""
+    """Return the number of items of a launch over the diamonds of a depth; some of them have none (`holds`)."""
     return (depth.columns // 2 + 1) * (depth.rows + 1) if depth.sides else depth.columns * depth.rows
 
 
@@ -117,9 +117,10 @@ def measure_triangles(
     measured: np.ndarray | None = None,
     coarsest: int = 1,
 ) -> None:
-    """Fill `errors` above the raster's cells, whose entries are there; the coarsest depth is `coarsest`.
+    """Fill `errors` above the raster's cells, whose entries are there, up to the depth `coarsest`.
 
-    measured: samples with NaN where they do not count, as in holes; None if all count.
+    Other arguments are those of `build_errors`; on_progress gets fractions up to 1. A tile of a large raster, which
+    knows only a part of the coarser diamonds, ends below them.
     """
     out = flat(errors, wp.float32)
     raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
@@ -154,7 +155,10 @@ def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads:
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:
-    """Return base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535."""
+    """Return base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535.
+
+    The step is 1 if both heights are equal.
+    """
     step = (high - low) / 65535.0
     while low + 65535.0 * step < high:
         step = np.nextafter(step, np.inf)
@@ -177,7 +181,7 @@ def build_ranges(
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
 
     The two finest depths, three quarters of all, are not stored: the walk intersects the ranges of their parents, which
-    is nested, and costs one triangle in a thousand.
+    is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser ones.
     """
     if lattice.range_depth == 0:
         return
@@ -191,7 +195,7 @@ def build_ranges(
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
-    """Fill the ranges of heights above the finest stored depth from those below, level by level."""
+    """Fill the ranges of heights above the finest stored depth, whose entries are there, depth by depth."""
     out = flat(ranges, wp.uint16)
     for _, finer, coarser, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
         launch.spread(range_kernels.unite_children, count, [finer, coarser, out], step="height ranges", threads=threads)

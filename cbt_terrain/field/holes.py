@@ -21,7 +21,10 @@ from .lattice import Lattice
 
 
 def holes_leave_ground(valid: np.ndarray) -> bool:
-    """Return whether any cell has all its four samples, so that a mesh remains. valid: bool [height, width]."""
+    """Return whether any cell has all its four samples, so that a mesh remains.
+
+    valid: bool [rows, columns], of a raster or of at least two of its rows.
+    """
     rows = (south & north for south, north in zip(valid[:-1], valid[1:], strict=True))
     return any((row[:-1] & row[1:]).any() for row in rows)
 
@@ -29,7 +32,8 @@ def holes_leave_ground(valid: np.ndarray) -> bool:
 def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int) -> np.ndarray:
     """Raise `errors` (float32 [lattice.node_count], metres) of diamonds on the border of a hole.
 
-    Return the kinds of cells (ground 1, hole 2) below each diamond, uint8 like `errors`. valid: uint8 [height, width],
+    Return the kinds of cells (ground 1, hole 2, both 3) below each diamond, uint8 like `errors`; tiles of a large
+    raster store them. valid: uint8 [height, width],
     0 where a sample is missing.
     """
     found = np.zeros(lattice.node_count, np.uint8)

@@ -95,7 +95,7 @@ class Lattice:
 
     @property
     def squares(self) -> int:
-        """Number of root squares."""
+        """Return the number of root squares."""
         return self.columns * self.rows
 
     @property
@@ -146,8 +146,8 @@ class Lattice:
     def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
         """Return first entries and pages a row of the images in which groups of depths are stored, and of the cells.
 
-        A root square has 2**levels cells a side. Both results are int arrays, an item for each group and one for the
-        cells.
+        levels: as if a root square had 2**levels cells a side: one less for ranges, which have every other vertex. The
+        first entries, int64, end with the total; pages, int32, have an item for each group and one for the cells.
         """
         sizes, pages = [0], []
         for group in range((levels + 1) // 2 + 1):
@@ -174,7 +174,7 @@ class Lattice:
 
     @property
     def range_depth(self) -> int:
-        """Return the deepest bisection with stored ranges: a cell of 4 x 4 samples and its sides, if any."""
+        """Return the deepest bisection with stored ranges, of sides of cells of 4 x 4 samples; 0 if there is none."""
         return max(2 * self.levels - 2, 0)
 
     @property

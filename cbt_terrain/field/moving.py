@@ -45,7 +45,8 @@ class MovedStores:
 def move_stores(old: Path, new: Path) -> MovedStores:
     """Move all entries of the folder `old` into the folder `new`, which is created if it is missing.
 
-    Raises OSError if `old` cannot be read.
+    An entry that cannot be moved stays, and the others are moved. `old` is removed if it is empty then. Raises OSError
+    if `old` cannot be read.
     """
     moved = MovedStores()
     for folder in (old, new):
@@ -63,7 +64,10 @@ def move_stores(old: Path, new: Path) -> MovedStores:
 
 
 def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
-    """Move a store, under its old name if that is free, and the folders that belong to it."""
+    """Move a store or another entry, under its old name if that is free, and the folders that belong to it.
+
+    A folder of shaped land or maps is moved only with its store or when that is gone. moved: gets the name of a store.
+    """
     ending = next((ending for ending in BESIDE if entry.name.endswith(ending)), "")
     if ending:
         if not os.path.lexists(entry.with_name(entry.name.removesuffix(ending))):  # its store was moved
@@ -79,7 +83,10 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
 
 
 def _move_to(source: Path, target: Path) -> bool:
-    """Move an entry, and return True, if the target is free or holds a copy of it from an interrupted move."""
+    """Move an entry, and return True, if the target is free or holds a copy of it from an interrupted move.
+
+    Return False, with both as they were, if the target holds something else.
+    """
     if not os.path.lexists(target):
         move_entry(source, target)
         return True
@@ -114,7 +121,8 @@ def names_of(name: str) -> Iterator[str]:
 def find_moved(path: str, new: Path) -> str:
     """Return the path in the folder `new` of an entry that `path` named in the old folder; "" if there is none.
 
-    path: in any system's notation. The last two names of the old folder are those of `new`.
+    path: in any system's notation. The last two names of the old folder are those of `new`. A move takes the first free
+    name of a store, so of several that exist the last one is meant.
     """
     parts = path.replace("\\", "/").split("/")
     pairs = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
@@ -132,7 +140,7 @@ def find_moved(path: str, new: Path) -> str:
 def move_entry(source: Path, target: Path) -> None:
     """Move a file or a folder to a free path, also on another file system.
 
-    Raises OSError or TerrainError; nothing is lost then.
+    Raises OSError, or TerrainError, also for a link; nothing is lost then.
     """
     check_no_link(source, "start Blender again")
     if os.lstat(source).st_dev == os.stat(target.parent).st_dev:

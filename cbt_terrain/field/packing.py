@@ -25,7 +25,7 @@ CHUNK_BYTES = 1 << 24
 def copy_store(
     source: str | os.PathLike, target: str | os.PathLike, on_progress: Callable[[float], None] = lambda _fraction: None
 ) -> None:
-    """Make `target` a copy of the store at `source`, if it is not one already.
+    """Make `target` a copy of the store at `source`, with its derived arrays, if it is not one already.
 
     on_progress(fraction) is called between chunks of some megabytes; an exception from it stops the copy. Raises
     TerrainError if no store may be written at `target`, if it holds another one, or if it cannot be written.
@@ -72,7 +72,10 @@ def copy_store(
 
 
 def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None]) -> None:
-    """Copy all arrays of a folder into another. Raises OSError, also for a copy that differs from its source."""
+    """Link all arrays of a folder in another, or copy them. on_progress: gets the fraction of bytes that are there.
+
+    Raises OSError, also for a copy that differs from its source.
+    """
     files = [file for file in sorted(source.iterdir()) if file.suffix == ".npy"]
     for file in files:
         open_regular(file).close()

@@ -100,9 +100,10 @@ def check_exists(store: str) -> int:
 
 
 def read_json(path: Path, file: Path | None = None) -> dict:
-    """Return the content of a store's JSON file, checked entry by entry. Raises TerrainError.
+    """Return the content of a store's JSON file, checked entry by entry.
 
-    file: JSON file to read instead of that of the store `path`.
+    file: JSON file to read instead of that of the store `path`. Raises TerrainError if it is missing, a link, of
+    another version or damaged.
     """
     file = file or path / JSON_NAME
     owned_files.check_no_link(file, AGAIN)
@@ -191,7 +192,7 @@ def _open(path: Path, content: dict) -> HeightField:
 
 
 def is_intact(field: HeightField) -> bool:
-    """Return whether the files that a field has mapped still have their length."""
+    """Return whether the files that a field and its cache have mapped still have their length (`is_cut_off`)."""
     surfaces = field, *field.cache.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
@@ -281,7 +282,7 @@ def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
 
 
 def data_folder(raster: HeightRaster) -> Path | None:
-    """Return the folder of a raster's arrays; None for a raster in memory or whose store was replaced."""
+    """Return the folder of a raster's arrays; None for a raster in memory or with a replaced or damaged store."""
     if raster.path is None:
         return None
     try:
@@ -292,7 +293,10 @@ def data_folder(raster: HeightRaster) -> Path | None:
 
 
 class Draft:
-    """A version of a store while it is written; invisible until `publish`."""
+    """A version of a store while it is written; invisible until `publish`.
+
+    Its arrays are in `folder`. The caller ends it with `publish`, `discard_unless_published`, or both.
+    """
 
     def __init__(self, path: Path, name: str | None = None, may_exist: bool = False):
         """Create the folder of a new version and lock it.
@@ -326,9 +330,10 @@ class Draft:
         os.replace(self.folder / f"{name}.npy", self.folder / f"{new}.npy")
 
     def publish(self, field: HeightField, digest: str, report: dict, layers: Mapping[str, str] | None = None) -> None:
-        """Make this version the store's content.
+        """Make this version the store's content, and remove the arrays of the version before.
 
         Args:
+            field: made of the allocated arrays; those of an import's work, _SCRATCH, are removed.
             digest: identifies the source and settings.
             report: for the user.
             layers: units of the allocated layers, by name.
@@ -370,7 +375,7 @@ class Draft:
         remove_abandoned(self.path, with_work=True)
 
     def _checked_text(self, content: dict) -> str:
-        """Return the JSON of a new version. Raises TerrainError if reading it would fail."""
+        """Return the JSON of a new version; `content` gets its "sum". Raises TerrainError if reading it would fail."""
         try:
             content["sum"] = _sum_of(json.loads(json.dumps(content)))
             check_entries(json.loads(json.dumps(content)))
@@ -387,7 +392,7 @@ class Draft:
     def discard_unless_published(self, with_work: bool = True) -> None:
         """Remove the draft's files if it was not published. An earlier store at its path is untouched.
 
-        with_work: also remove the files of a tiled import that could be completed later.
+        with_work: also remove the files of a tiled import that could be completed later. Its lock is released.
         """
         if self.published:
             return

@@ -57,7 +57,7 @@ def file_bytes(nbytes: int) -> int:
 def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.ndarray:
     """Return the CRC-32 of some blocks of a contiguous array, uint32 [len(blocks)].
 
-    blocks: numbers of blocks of BLOCK_BYTES each.
+    blocks: numbers of blocks of BLOCK_BYTES each; the last block of the array may be shorter.
     """
     data, found = array.reshape(-1).view(np.uint8).data, np.zeros(len(blocks), np.uint32)
 
@@ -71,7 +71,10 @@ def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.
 
 
 def all_checksums(array: np.ndarray) -> bytes:
-    """Return the checksums of an array as the bytes that follow its data in the file."""
+    """Return the checksums of an array as the bytes that follow its data in the file.
+
+    Pages of a mapped array are released from memory; their content is in the file.
+    """
     threads, count, found = launch.default_threads(), block_count(array.nbytes), []
     mapped = getattr(array.base, "_mmap", None)
     for first in range(0, count, SUMMED):
@@ -92,7 +95,7 @@ def write_array(file: Path, array: np.ndarray) -> None:
 def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Return a zeroed array in a new file, or the array in the file that is there, mapped for writing.
 
-    `append_checksums` completes the file.
+    `append_checksums` completes the file. An array without entries is in memory.
 
     Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without space
     would kill the process later.
@@ -110,7 +113,7 @@ def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
 
 
 def append_checksums(file: Path, array: np.ndarray) -> None:
-    """Write the checksums of an array of `allocate_array` behind it in its file. Raises OSError."""
+    """Write the checksums of an array of `allocate_array` after its data in its file. Raises OSError."""
     with file.open("r+b") as handle:
         handle.seek(PAGE_BYTES + array.nbytes)
         handle.write(all_checksums(array))
@@ -124,8 +127,8 @@ def all_finite(array: np.ndarray) -> bool:
 def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Map an array copy-on-write: kernels use it like any other array, and nothing can change the file.
 
-    Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk reads
-    single pages, so reading ahead is switched off: it would read ten times as much.
+    At most SAMPLED of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk
+    reads single pages, so reading ahead is switched off: it would read ten times as much.
     """
     array, sums = _map_unchecked(file, shape, dtype)
     count = len(sums)
@@ -159,7 +162,7 @@ def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:
 def _map_unchecked(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
     """Return the array of a file, mapped and copied on write, and its stored checksums, uint32.
 
-    Only header and length are checked.
+    Only header and length are checked. Raises FileNotFoundError, and TerrainError for any other fault.
     """
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize

@@ -80,7 +80,7 @@ LARGEST = 1e39  # metres: above all float32, and without overflow in squares and
 
 
 def _is_exponents(value: JsonValue) -> bool:
-    """Return whether a JSON value is a list of exponents of error codes."""
+    """Return whether a JSON value is a list of exponents of error codes. Its length is checked in `check_entries`."""
     return isinstance(value, list) and all(type(e) is int and MIN_EXPONENT <= e <= MAX_EXPONENT for e in value)
 
 
@@ -166,7 +166,10 @@ _OPTIONAL: dict[str, _Entry] = {
 
 
 def check_entries(content: dict) -> None:
-    """Raise ValueError that names the first missing or invalid entry of store.json."""
+    """Raise ValueError that names the first entry of store.json that is missing, invalid or contradicts others.
+
+    Entries that are in neither table are ignored.
+    """
     for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
             raise ValueError(f"{name!r} is missing, expected {expected}")

@@ -36,7 +36,10 @@ _TILE = re.compile(r"[0-9a-f]{32}\.npy")
 
 
 def check_target(path: str | os.PathLike) -> None:
-    """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store."""
+    """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store.
+
+    Folders of arrays of this program, and any files in a folder of shaped land, do no harm.
+    """
     folder = Path(path)
     check_path("The store", path)
     if not os.fspath(path) or not folder.parts:
@@ -69,7 +72,10 @@ def is_land(folder: Path) -> bool:
 
 
 def foreign(folder: Path) -> list[Path]:
-    """Return the entries in the folder of a store, or in its folders of arrays, that this program did not write."""
+    """Return the entries of a folder without store.json, and of its folders of arrays, that this program did not write.
+
+    Their paths are sorted.
+    """
     found = []
     with suppress(FileNotFoundError):  # another import has just removed it
         for entry in folder.iterdir():
@@ -82,7 +88,7 @@ def foreign(folder: Path) -> list[Path]:
 
 
 def is_array_folder(folder: Path) -> bool:
-    """Return whether this program wrote a folder of arrays, by its name and by every file in it."""
+    """Return whether this program wrote a folder of arrays or of tiles, by its name and by every file in it."""
     if folder.name == TILES and owned_files.is_real_folder(folder):
         return all(is_tile_name(entry.name) or is_array_file(entry) for entry in folder.iterdir())
     if not is_data_name(folder.name) or not owned_files.is_real_folder(folder):
@@ -131,10 +137,11 @@ def missing_folders(path: Path) -> list[Path]:
 
 
 def discard(path: Path, folder: str, new_folders: list[Path], with_work: bool = True) -> None:
-    """Remove the folder of arrays of an unfinished version, and the folders that were created for it.
+    """Remove the folder of arrays of an unfinished version, its temporary files, and the folders created for it.
 
-    A published version stays, even if a later step has failed. with_work: whether a version that can be completed later
-    is removed, too.
+    path: the store's folder. folder: name of the folder of arrays. new_folders: from `missing_folders`. A published
+    version stays, even if a later step has failed. with_work: whether a version that can be completed later is removed,
+    too.
     """
     if named_folder(path) == path / folder or not with_work and os.path.lexists(path / folder / WORK_NAME):
         return
@@ -173,7 +180,10 @@ def new_data_name() -> str:
 
 
 def scratch_name(folder: str) -> str:
-    """Return the name of the folder for temporary files beside a folder of arrays. Both carry the machine's mark."""
+    """Return the name of the folder for temporary files beside a folder of arrays.
+
+    Both carry the machine's mark, the first eight digits; the others are in reverse order.
+    """
     token = folder.removeprefix(DATA_PREFIX)
     return f"{DATA_PREFIX}{token[:8]}{token[:7:-1]}"
 
@@ -194,7 +204,7 @@ def remove_abandoned(path: Path, with_work: bool = False) -> None:
 
 
 def _can_be_continued(folder: Path) -> bool:
-    """Return whether a folder holds work that can be completed."""
+    """Return whether a folder holds work that can be completed, written to within WORK_SECONDS. Raises OSError."""
     newest = max(entry.lstat().st_mtime for entry in (folder, *folder.iterdir()))
     return os.path.lexists(folder / WORK_NAME) and time.time() - newest < WORK_SECONDS
 

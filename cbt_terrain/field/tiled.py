@@ -63,7 +63,10 @@ class Tiled:
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
     def _net(self, finest: float) -> tuple["_Net", float]:
-        """Return the finest net that leaves with edges of `finest` metres show, and the metres between its pixels."""
+        """Return the finest net that leaves with edges of `finest` metres show, and the metres between its pixels.
+
+        If none is coarse enough, it is the coarsest.
+        """
         nets, texel = _nets(self.image), self.size / self.image.values.shape[1]
         number = 0
         while number + 1 < len(nets) and 2 * texel * 2**number < EDGES_A_WAVE * finest:
@@ -83,7 +86,10 @@ class Tiled:
         return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per, 2 * texel, splits)]
 
     def packed(self, finest: float) -> tuple[kernels.PackedDetail, np.ndarray]:
-        """Return the detail as kernels read it, and its control heights, float32 [rows, columns]."""
+        """Return the detail as kernels read it, and its control heights for the amplitude 1, float32 [rows, columns].
+
+        finest: metres of the shortest edges of meshes.
+        """
         (net, texel), d = self._net(finest), kernels.PackedDetail()
         d.rows, d.columns = net.heights.shape
         d.amplitude, d.frequency = self.amplitude, 1.0 / texel
@@ -103,6 +109,7 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     """Return the image's net and coarser ones, the finest first, each for pixels a metre apart.
 
     A net has the control heights of a B-spline, -1 .. 1 for values 0 .. 1; a coarser one has half the rows and columns.
+    The last one has an odd number of rows or columns.
     """
     first = 2.0 * image.values.astype(np.float64) - 1.0
     heights, off = [first.astype(np.float32)], []

@@ -53,7 +53,8 @@ class CostCurve:
         """Return the curve through measured (error, triangles, ms), in any order.
 
         Errors measured more than once give their median. Where a finer error was measured to cost less, which is noise,
-        the points are levelled to the nearest monotone curve (least squares of the logarithms).
+        the points are levelled to the nearest monotone curve (least squares of the logarithms). Raises TerrainError for
+        fewer than two different errors and for values outside of SMALLEST .. LARGEST.
         """
         found: dict[float, list] = {}
         for error, *costs in points:
@@ -67,7 +68,10 @@ class CostCurve:
         return cls(unit, tuple(errors), triangles, ms)
 
     def at(self, error: float) -> tuple[float, float]:
-        """Return (triangles, ms) at an error; beyond the measured points, along the slope at that end."""
+        """Return (triangles, ms) at an error; beyond the measured points, along the slope at that end.
+
+        A cost that overflows is infinite. Raises TerrainError for an error that is not finite and above 0.
+        """
         if not 0 < error < math.inf:
             raise TerrainError(f"The error is {error} {self.unit}", expected="a finite number above 0")
         return self._cost(self.triangles, error), self._cost(self.ms, error)
@@ -75,7 +79,8 @@ class CostCurve:
     def error_for_ms(self, ms: float) -> float:
         """Return the finest error whose update takes at most `ms`, rounded up to four digits.
 
-        It is within a quarter of the finest measured error and 16 times the coarsest.
+        It is between a quarter of the finest measured error and 16 times the coarsest, and this largest one also if its
+        update takes longer. ms: infinity is allowed. Raises TerrainError unless it is above 0.
         """
         if not ms > 0:
             raise TerrainError(f"The budget is {ms} milliseconds", expected="more than 0")
@@ -160,7 +165,7 @@ def _geometric_mean(values: list[float]) -> float:
 
 
 def _round_up(value: float) -> float:
-    """Round up to DIGITS digits. A value that is a rounding error above such a number becomes that number."""
+    """Round a positive value up to DIGITS digits. One that is a rounding error above such a number becomes that."""
     digits = DIGITS - 1 - math.floor(math.log10(value))
     scaled = math.ceil(value * 10.0**digits * (1 - SAME))
     return float(f"{scaled}e{-digits}")

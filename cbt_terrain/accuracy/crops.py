@@ -39,10 +39,11 @@ class Crop:
 
 
 def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
-    """Return a crop of the picture at each error, pixels, through the frame's first view; [] for a panorama.
+    """Return a crop of the picture at each error, pixels, through the frame's first view.
 
-    The part is the one in which the first and the last error differ most. Each crop shows the edges of triangles in its
-    lower left half. base: criterion whose error is replaced; None for the default.
+    [] for a panorama, and without errors or views. The part, SIDE pixels a side or those of a smaller frame, is the one
+    in which the first and the last error differ most. Each crop shows the edges of triangles in its lower left half.
+    terrain: updated for each error. base: criterion whose error is replaced; None for the default.
     """
     if not errors_px or not frame.views or frame.views[0].kind == PANORAMIC:
         return []
@@ -78,10 +79,16 @@ def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
 
 
 class _ProjectedSurface:
-    """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
+    """A surface as a view sees it, in pixels. A triangle that reaches behind the eye is left out.
+
+    `triangles`: number of all triangles, those left out included.
+    """
 
     def __init__(self, surface: Surface, view: View, placement: np.ndarray | None) -> None:
-        """Project a surface into the pixels of a view; triangles with a corner behind the camera are left out."""
+        """Project a surface into the pixels of a view, not a panorama.
+
+        placement: float64 [4, 4], terrain to world, None for identity.
+        """
         camera = view.world_to_camera if placement is None else product(view.world_to_camera, placement)
         points = product(np.c_[surface.positions, np.ones(len(surface.positions))], camera.T)
         assert view.projection is not None  # a panorama has no crops
@@ -91,7 +98,7 @@ class _ProjectedSurface:
         w = np.where(ahead, clip[:, 3], 1.0)
         self._pixels = (clip[:, :2] / w[:, None] + 1) / 2 * np.array(view.resolution)
         self._weight = 1 / w  # of values interpolated over a triangle
-        self._depth_keys = 1 / w if perspective else points[:, 2]
+        self._depth_keys = 1 / w if perspective else points[:, 2]  # larger for nearer points
         self._normals = surface.normals
         self._corners = surface.triangles[ahead[surface.triangles].all(axis=1)]
         self.triangles = len(surface.triangles)

@@ -13,11 +13,12 @@ def interpolation(field: HeightField) -> Errors:
     """Return |bilinear - bicubic| in metres at the centres of the raster's cells and at the middles of their sides.
 
     The bicubic surface is the C1 cubic convolution with a = -1/2 (Keys 1981), known as Catmull-Rom: in the middle
-    between two samples it weighs four by (-1, 9, 9, -1) / 16. Beyond the border heights go on straight.
+    between two samples it weighs four by (-1, 9, 9, -1) / 16. Beyond the border heights go on straight. Only the
+    samples of `field` count, not its own interpolation or detail.
     """
     distances, (height, width) = [], field.samples.shape
     for row in range(0, height, ROWS):
-        # the rows of the block, one before and two behind
+        # The rows of the block, one before it and two after it.
         inside, mirrored = _with_mirrored(row - 1, min(row + ROWS + 2, height + 1), height)
         h = 2 * field.heights(inside).astype(np.float64) - field.heights(mirrored)
         inside, mirrored = _with_mirrored(-1, width + 1, width)
@@ -30,7 +31,7 @@ def interpolation(field: HeightField) -> Errors:
 
 
 def _with_mirrored(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return for numbers `first` to `end` the nearest of `count` samples, and the sample mirrored at that one.
+    """Return for numbers `first` .. `end` - 1 the nearest of `count` samples, and the sample mirrored at that one.
 
     Twice the height of the first minus that of the other goes on straight beyond the border, and inside is the height
     of the sample.
@@ -41,10 +42,10 @@ def _with_mirrored(first: int, end: int, count: int) -> tuple[np.ndarray, np.nda
 
 
 def _linear(h: np.ndarray) -> np.ndarray:
-    """Return heights in the middle between rows, linear; the first and the last row have no middle."""
+    """Return heights in the middle between rows, linear, without the middles next to the first and the last row."""
     return (h[1:-2] + h[2:-1]) / 2
 
 
 def _cubic(h: np.ndarray) -> np.ndarray:
-    """Return heights in the middle between rows, cubic; the first and the last row have no middle."""
+    """Return heights in the middle between rows, cubic, without the middles next to the first and the last row."""
     return (9 * (h[1:-2] + h[2:-1]) - h[:-3] - h[3:]) / 16

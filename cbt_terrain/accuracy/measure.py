@@ -72,7 +72,8 @@ def measure(
     placement, vertical_scale and vertical_offset are those of the update that made the mesh. `random_points` are drawn
     with `seed`. The result does not depend on `threads`. `sight`: from `look` with the same arguments, where several
     meshes are measured under one view: most of the time goes into its rays. `on_progress` receives the fraction done;
-    an exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
+    an exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain, for
+    another `sight`, and for a view or placement that cannot be inverted.
     """
     if view is None:
         sight = None
@@ -134,7 +135,8 @@ def triangle_errors(
 
     The error is evaluated at its samples and, along its edges, where it is vertically furthest from the reference in
     each cell (8 points there for a bicubic reference), if these are in the frame, hidden or not; and at the point seen
-    in each pixel. 0 for triangles with no part in any frame. Without views: metres, the maximum over the triangle.
+    in each pixel. 0 for triangles with no part in any frame. Without views: metres, the maximum over the triangle; then
+    TerrainError is raised where the mesh does not cover the terrain.
     """
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh, views = MeasuredMesh(ground, surface), listed_views(views)
@@ -164,7 +166,7 @@ def popping(
     threads: int | None = None,
     sight: Sight | None = None,
 ) -> Errors:
-    """Return by how many pixels points jump on screen where mesh `after` takes the place of `before` under one view.
+    """Return by how many pixels visible points jump where mesh `after` takes the place of `before` under one view.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
     from the height that one mesh has there to that of the other. `sight`: from `look` for the same view, None to
@@ -192,8 +194,8 @@ def shading_change(
     """Return by how much the shading of pixels changes where mesh `after` takes the place of `before`, in 255ths.
 
     The change at the point of the reference in each pixel is 255 times the distance between the two unit normals that
-    the meshes have there. No light changes Lambert's shading of white ground by more. `sight`: from `look` for
-    the same view, None to compute it.
+    the meshes have there; a point in a hole of either does not count. No light changes Lambert's shading of white
+    ground by more. `sight`: from `look` for the same view, None to compute it.
     """
     sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     points = sight.visible_points()
@@ -204,7 +206,7 @@ def shading_change(
 
 
 def _checked_sight(sight: Sight | None, looked: Sight) -> Sight:
-    """Return the given sight if its view and terrain are those of `looked`; `looked` if none was given."""
+    """Return the given sight, `looked` if there is none. Raises TerrainError for one of another view or terrain."""
     if sight is not None and sight.key != looked.key:
         raise TerrainError(
             "The sight is of another view or terrain",

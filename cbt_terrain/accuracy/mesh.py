@@ -48,7 +48,10 @@ NONE = Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def errors_of(values: np.ndarray) -> Errors:
-    """Return the distribution of magnitudes of float32 or float64 `values`, sums in float64; `values` are reordered."""
+    """Return the distribution of magnitudes of float32 or float64 `values`, sums in float64.
+
+    `values` become their magnitudes, in another order.
+    """
     values = values.reshape(-1)
     if not values.size:
         return NONE
@@ -69,7 +72,10 @@ def _blocks_of(values: np.ndarray) -> Iterator[np.ndarray]:
 
 
 class MeshGround:
-    """The reference surface of a height field as the kernels of the measurement read it; its samples are not copied."""
+    """The reference surface of a height field as the kernels of the measurement read it; its samples are not copied.
+
+    `key`: equal for equal surfaces. `bits`: coordinates of vertices are multiples of 2^-bits of a sample's spacing.
+    """
 
     def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> None:
         """Pack the reference surface of a height field for kernels, at a vertical scale and offset (metres).
@@ -106,7 +112,7 @@ class MeshGround:
         return (lattice.width - 1) << self.bits + POINT_BITS, (lattice.height - 1) << self.bits + POINT_BITS
 
     def random_points(self, count: int, seed: int) -> np.ndarray:
-        """Return int64 [count, 2]: points of the domain in the units of points, evenly distributed."""
+        """Return int64 [count, 2]: random points of the domain, borders included, in the units of `point_ends`."""
         return np.random.default_rng(seed).integers(0, np.array(self.point_ends) + 1, (count, 2))
 
 
@@ -132,7 +138,7 @@ class MeasuredMesh:
     def _even_cuts(self, surface: Surface) -> list[int]:
         """Return the cuts of the list of triangles between threads, from 0 to the number of triangles.
 
-        They are even by the number of samples in the triangles' boxes.
+        They are even by the number of samples in the triangles' boxes; equal cuts are listed once.
         """
         threads = self.ground.threads if self.triangles >= 2 else 1
         low = high = surface.positions[surface.corner_verts[::3], :2]
@@ -153,8 +159,9 @@ class MeasuredMesh:
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mesh minus reference at every sample, float32 [height, width] metres, rounded toward zero.
 
-        Also return the largest magnitude of each triangle, float64 [T]. Raises TerrainError where the mesh does not
-        cover every sample; with holes, samples that it does not cover or that are no ground are 0.
+        Also return the largest magnitude at the samples of each triangle, float64 [T]. Raises TerrainError where the
+        mesh does not cover every sample. With holes it sets `covered` instead, and samples that the mesh does not cover
+        or that are no ground are 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
@@ -193,7 +200,8 @@ class MeasuredMesh:
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mesh minus reference at points, float64 [n] metres, and the triangle that covers each.
 
-        The latter is int32 [n], -1 in a hole. points: int64 [n, 2], in units of `MeshGround.point_ends`.
+        The former is 0 and the latter, int32 [n], -1 where none does. points: int64 [n, 2], in units of
+        `MeshGround.point_ends`.
         """
         g, count = self.ground, len(points)
         difference, owner = np.zeros(count), np.full(count, -1, np.int32)
@@ -212,7 +220,8 @@ class MeasuredMesh:
     def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the unit vertex normals interpolated at points, float64 [n, 3], and the triangle that covers each.
 
-        The latter is int32 [n], -1 in a hole. points: int64 [n, 2], in units of `MeshGround.point_ends`.
+        The latter is int32 [n], -1 where none does; the normal there has no meaning. points: int64 [n, 2], in units of
+        `MeshGround.point_ends`.
         """
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface

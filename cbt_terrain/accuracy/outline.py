@@ -95,7 +95,7 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
     """Return where between two neighbouring pixels the coverage flips, for pairs in rows and in columns.
 
     Both are float64 [n, 2] in pixels. flips: the first pixel of each pair. covers: returns for positions in the frame
-    whether a ray there hits the surface; it is called HALVINGS times (bisection).
+    whether a ray there hits the surface; it is called for the first pixels, and HALVINGS times (bisection).
     """
     found = []
     for places, step in zip(flips, np.eye(2), strict=True):

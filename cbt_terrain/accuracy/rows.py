@@ -96,7 +96,7 @@ class Row:
 def curve_of(rows: Sequence[Row]) -> CostCurve:
     """Return the cost curve through `curve_rows`, in processor time to the finished mesh.
 
-    Raises TerrainError if these all have one error.
+    Raises TerrainError if these have fewer than two different errors.
     """
     points = [(row.setting.error, row.triangles, row.cost_ms) for row in curve_rows(rows)]
     return CostCurve.through(rows[0].setting.unit if rows else "px", points)
@@ -130,7 +130,10 @@ def unsteady_text(setting: str, spread_ms: tuple[float, float]) -> str:
 
 
 def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
-    """Return how many times longer the slowest run took than the fastest; infinity if that is unknown."""
+    """Return how many times longer the slowest run took than the fastest, 1 for a single run (None).
+
+    Infinity if the fastest took no time that could be measured.
+    """
     low, high = spread_ms or (1.0, 1.0)
     return high / low if low > 0.0 else math.inf
 
@@ -138,14 +141,14 @@ def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
 def curve_rows(rows: Sequence[Row]) -> list[Row]:
     """Return the plain rows of the first row's unit and interpolation.
 
-    Rows that the triangle limit held back are left out.
+    Rows that the triangle limit alone held back are left out.
     """
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
     return [r for r in alike if r.setting.is_plain and r.limited != ("max_triangles",)]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the points (error, cost) that no other beats, by rising cost.
+    """Return the indices of the points (error, cost) that no other beats, by rising cost.
 
     Each is better than all cheaper ones by DIFFERENT or more, so that rounding and noise make no front.
     """

@@ -63,7 +63,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
 def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_kernels.Eye:
     """Return the view for the kernels of the measurement: from cells and metres of height to the camera and back.
 
-    placement: float64 [4, 4], terrain to world.
+    placement: float64 [4, 4], terrain to world. Raises TerrainError if the camera or the terrain cannot be inverted.
     """
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
@@ -235,7 +235,7 @@ class Sight:
 
 
 def pixel_blocks(columns: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield blocks of at most BLOCK pixels: the first row, and the pixels' middles.
+    """Yield blocks of whole rows, of at most BLOCK pixels or one row: the first row, and the pixels' middles.
 
     The middles are float64 [n, 2], in pixels from the frame's middle.
     """
@@ -247,6 +247,6 @@ def pixel_blocks(columns: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _row_blocks(rows: int, columns: int) -> Iterator[tuple[int, int]]:
-    """Return first row and number of rows of blocks of at most BLOCK items."""
+    """Yield first row and number of rows of blocks of at most BLOCK items, or of one row if that has more."""
     at_once = max(1, BLOCK // columns)
     return ((row, min(at_once, rows - row)) for row in range(0, rows, at_once))

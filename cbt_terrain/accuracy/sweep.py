@@ -218,7 +218,7 @@ def _transitions(
     threads: int | None,
     sight: LookUp,
 ) -> list[list[Errors]]:
-    """Measure popping (pixels) and changes of shading (255ths) from one frame to the next, for each view.
+    """Return popping (pixels) and changes of shading (255ths) from one frame to the next: a list of both for each view.
 
     before: surface of the first frame; the terrain is updated to `frame`, the next one. sight: function that makes
     the Sight of a view, cached by the caller.

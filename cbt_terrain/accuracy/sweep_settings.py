@@ -92,6 +92,9 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
 
 
 def metre_steps(relief_m: float) -> list[float]:
-    """Return errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
+    """Return METRE_STEPS errors in metres that suit a terrain of that relief, each half of the one before.
+
+    They are powers of two; for a relief of 0 the first is 1.
+    """
     coarsest = 2.0 ** math.floor(math.log2(relief_m * COARSEST_PART)) if relief_m > 0 else 1.0
     return [coarsest / 2**i for i in range(METRE_STEPS)]

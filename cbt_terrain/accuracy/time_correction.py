@@ -23,13 +23,14 @@ class TimeCorrection:
     _ratios: deque = field(default_factory=lambda: deque(maxlen=MAX_UPDATES))
 
     def error_for_ms(self, curve: CostCurve, ms: float) -> float:
-        """Return the finest error whose update is expected to take at most `ms` milliseconds."""
+        """Return the finest error whose update is expected to take at most `ms` milliseconds, as the curve's method."""
         return curve.error_for_ms(ms / self.factor)
 
     def record(self, curve: CostCurve, error: float, ms: float) -> None:
         """Note that an update at an error took `ms` milliseconds, to correct the curve's times.
 
-        `factor` changes only after MIN_UPDATES of them, if their median is off by more than TOLERANCE.
+        With MIN_UPDATES or more, up to MAX_UPDATES, `factor` becomes the median of their times over the curve's if it
+        differs from that by more than TOLERANCE; then these updates are forgotten.
         """
         self._ratios.append(ms / curve.at(error)[1])
         median = statistics.median(self._ratios)

@@ -18,11 +18,11 @@ def y_up(vectors: np.ndarray) -> np.ndarray:
 
 
 def glb_of(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles: np.ndarray, extras: dict) -> bytes:
-    """Return a .glb file.
+    """Return the bytes of a .glb file. The mesh has at least one triangle.
 
     Args:
         positions: float32 [n, 3] metres, z up.
-        normals: float32 [n, 3], z up.
+        normals: float32 [n, 3], z up, of any length.
         uv: float32 [n, 2], from west to east and from south to north.
         triangles: int [t, 3], counter-clockwise from outside.
         extras: entries for JSON, of the file's asset and of its mesh.

@@ -102,7 +102,7 @@ class _Layer:
         self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
 
     def encode(self, values: np.ndarray) -> np.ndarray:
-        """Return the file's numbers for float64 values, and keep the largest error of the encoding in `max_error`."""
+        """Return the file's numbers for finite float64 values; `max_error` keeps the largest error of the encoding."""
         if self.form.is_integer:
             steps = np.clip(np.rint((values - self.offset) / self.scale), 0, np.iinfo(self.form.dtype).max)
             numbers = steps.astype(self.form.dtype)
@@ -174,7 +174,7 @@ class _Samples:
             yield slice(row, min(row + LINES, end))
 
     def groups(self) -> Iterator[range]:
-        """Yield the tiles of a row in groups whose files and samples fit into memory together."""
+        """Yield the columns of the tiles of a row in groups whose files and samples fit into memory together."""
         across = self.axes[0]
         count = max(1, min(MAX_OPEN // len(self.layers), MAX_COLUMNS // across.size))
         for first in range(0, across.tiles, count):
@@ -195,7 +195,7 @@ def export_height_tiles(
 ) -> dict:
     """Write the tiles of a store's field and NAME.json into the folder `out`; return the content of that file.
 
-    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError.
+    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError, also for finer tiles.
     """
     suffix = f".{settings.form.lower()}"
     if suffix not in FORMATS:
@@ -289,7 +289,7 @@ def placing_or_middle(field: HeightField) -> Placing:
 
 
 def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:
-    """Widen the ranges of integer layers without a given range to all samples, before their values are coded."""
+    """Widen the ranges of layers without a given range to all samples on the terrain, before values are coded."""
     total, lack_range = samples.axes[1].inside, [not layer.has_range for layer in layers]
     for rows in samples.row_blocks(0, total):
         for tiles in samples.groups():
@@ -301,10 +301,10 @@ def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[flo
 
 
 def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, placing: Placing) -> None:
-    """Write some tiles of row `y`, side by side, of all layers, in blocks of rows.
+    """Write some tiles of row `y`, side by side, of all layers, in blocks of rows. Raises OSError.
 
-    names: file names by layer, column and row of the tile. group: columns of the tiles. placing: conversion to the
-    coordinate system of the files.
+    names: file names by layer, column and row of the tile. group: columns of the tiles, whose files appear when all
+    are complete. placing: conversion to the coordinate system of the files.
     """
     (across, down), columns = samples.axes, samples.columns_of(group)
     with ExitStack() as stack:

@@ -27,9 +27,10 @@ class TileMesh:
 
 
 def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
-    """Divide the triangles that cross the line where coordinate `axis` is `vertices_alone`, a float32 number.
+    """Return the mesh with triangles divided that cross the line where coordinate `axis` is `at`, a float32 number.
 
-    Each crossing edge gets one vertex, so the mesh stays welded.
+    Each crossing edge gets one vertex, so the mesh stays welded. Vertices keep their numbers, new ones follow; the mesh
+    itself is returned if no triangle crosses.
     """
     side = np.sign(mesh.positions[:, axis].astype(np.float64) - at).astype(np.int8)
     signs = side[mesh.triangles]
@@ -54,7 +55,7 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
 
 
 def _cut_edges(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
-    """Return new vertices where edges cross the line at coordinate `vertices_alone` of an axis (0 or 1).
+    """Return new vertices where edges cross the line at coordinate `at` of an axis (0 or 1), without triangles.
 
     pairs: the edges' vertices, int [n, 2], on both sides of the line.
     """
@@ -92,7 +93,8 @@ def edge_keys(edges: np.ndarray) -> np.ndarray:
 def with_skirt(mesh: TileMesh, edges: np.ndarray, down: np.ndarray) -> TileMesh:
     """Return the mesh with a wall below the border `edges`, two triangles each.
 
-    down: float64 [n, 3], from each vertex to the one below it.
+    edges: of `border_edges`; without any the mesh itself is returned. down: float64 [n, 3] metres, from each vertex of
+    the mesh to the one below it. The wall has the normals and uv of the border.
     """
     if not len(edges):
         return mesh

@@ -20,7 +20,7 @@ BAND = 256  # rows
 
 
 def write_world_file(picture: Path, transform: Sequence[float]) -> Path:
-    """Write the world file beside a picture; return its path. Raises OSError."""
+    """Write the world file beside a picture, whose suffix is one of WORLD_FILES; return its path. Raises OSError."""
     a, b, x, d, e, y = transform
     lines = a, d, b, e, x + (a + b) / 2, y + (d + e) / 2
     path = picture.with_suffix(WORLD_FILES[picture.suffix.lower()])
@@ -30,9 +30,9 @@ def write_world_file(picture: Path, transform: Sequence[float]) -> Path:
 
 
 def write_geotiffs(pictures: Sequence[tuple[Path, Path, Sequence[float]]], crs: str) -> None:
-    """Write pictures into GeoTIFF files: (picture, file, transform) of each. Raises TerrainError.
+    """Write pictures, at least one, into GeoTIFF files: (picture, file, transform) of each. Raises TerrainError.
 
-    A file may have the picture's name.
+    A file may have the picture's name. crs: name of the coordinate system, "" for none.
     """
     listed = [[str(picture.absolute()), str(file.absolute()), list(numbers)] for picture, file, numbers in pictures]
     ask(MODULE, {"pictures": listed, "crs": crs}, f"the picture {pictures[0][0]}")

@@ -54,7 +54,9 @@ class TileAxis:
 
 
 def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap: int) -> tuple[TileAxis, TileAxis]:
-    """Return the axes from west to east and between north and south. Raises TerrainError.
+    """Return the axes from west to east and between north and south.
+
+    Raises TerrainError for sizes and overlaps out of range, and for more than MAX_TILES tiles.
 
     Args:
         lattice: the terrain's lattice.

@@ -71,7 +71,10 @@ def export_tileset(
     triangles: int = TRIANGLES,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> TilesetReport:
-    """Write a tileset and its tiles, NAME_LEVEL_X_Y.glb, into one folder. Raises TerrainError.
+    """Write a tileset and its tiles, NAME_LEVEL_X_Y.glb, into one folder.
+
+    Raises TerrainError for numbers and a path that cannot be used, a terrain whose holes leave nothing, and files that
+    cannot be written.
 
     Args:
         field: a store's height field.
@@ -105,8 +108,8 @@ def export_tileset(
             partial.write_text(json.dumps(_tileset_json(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
         raise unwritable(f"The tileset {path}", reason) from reason
-    triangles = sum(int(count) for _, count in tiles.values())
-    return TilesetReport(len(tiles), triangles, tuple(level.bound for level in levels), frame is not None)
+    num_triangles = sum(int(count) for _, count in tiles.values())
+    return TilesetReport(len(tiles), num_triangles, tuple(level.bound for level in levels), frame is not None)
 
 
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
@@ -131,7 +134,7 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
 
 
 def _depth(cells: tuple[int, int], tiles: float) -> int:
-    """Return the level with at least `tiles` tiles, or whose tiles are a cell long or the finest.
+    """Return the first level with at least `tiles` tiles, or whose tiles are about a cell long, at most MAX_LEVELS.
 
     A level has four times the tiles of the one above, and twice as many once tiles are as narrow as a cell.
     """
@@ -263,7 +266,11 @@ def _box_json(low: np.ndarray, high: np.ndarray) -> list[float]:
 
 
 def _tileset_json(root: dict, level: _Level, frame: GlobeFrame | None) -> dict:
-    """Return the content of the tileset's JSON file. frame: position on the globe, None for no position."""
+    """Return the content of the tileset's JSON file.
+
+    root: from `_tile_json`; its "box" is removed. level: that of the root. frame: position on the globe, None for no
+    position.
+    """
     low, high = root.pop("box")
     placed = {} if frame is None else {"transform": frame.transform()}
     return {

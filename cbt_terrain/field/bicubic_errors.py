@@ -47,8 +47,8 @@ class _Window:
 
     Attributes:
         box: cells of the window. A raster's cell beyond is missing.
-        depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them, or as many as the raster
-            has.
+        depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them, fewer for a small
+            raster.
         errors, off: float32 metres, of all depths; `off` is the largest distance to the bilinear surface.
         curvatures: float32 metres, of the cells alone.
     """

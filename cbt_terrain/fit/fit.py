@@ -53,8 +53,9 @@ def fit(
 
     Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
     of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
-    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. Raises
-    TerrainError if a number cannot be used.
+    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. The error
+    is exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for a bicubic surface, a
+    detail or finer tiles.
     """
     check_interpolation(field.interpolation)
     field.raster.check_no_finer("A fitted mesh")
@@ -130,7 +131,7 @@ def bake(
     `fitted`: vertices leave the surface within that error, so that fewer triangles do (a `Fitted`, without meshlets);
     `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles` the finest error
     that fits. Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError if a number cannot
-    be used.
+    be used, and for a fit as `fit`.
     """
     heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
     if fitted:
@@ -155,7 +156,8 @@ def _fit_within(
 
     Bisection finds it. It has at most `triangle_limit` triangles when cut. None if no such error is below `plain_m`.
 
-    relaxed, plain_m: by how much interpolation had to coarsen the error for that limit, and the bound that it reached.
+    relaxed, plain_m: factor by which interpolation had to coarsen the error for that limit, and the bound that it
+    reached, metres.
     """
     if not plain_m > error_m:
         return None

@@ -107,7 +107,8 @@ class Fitter:
     def run(self, error_m: float) -> FittedMesh | None:
         """Fit a mesh to one error in metres.
 
-        Returns None if that was given up, or if the raster has holes, whose filled samples it would fit.
+        Returns None if MAX_MESHES did not reach it, for a vertical scale of 0, or if the raster has holes, whose filled
+        samples it would fit.
         """
         if not self.scale or self.field.valid is not None:
             return None
@@ -172,7 +173,10 @@ class Fitter:
         return max(error_m, left_of(error_m, self.source) + self.source)
 
     def _mesh(self, error_m: float) -> mesh_kernels.FitMesh:
-        """Return an empty mesh for the kernels, with its error and its bound in metres."""
+        """Return an empty mesh for the kernels, with its error and its bound in metres.
+
+        The bound, which measured distances must not exceed, is the error without the rounding that is added to them.
+        """
         m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
@@ -204,7 +208,10 @@ class Fitter:
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
 
     def _measure(self, m: mesh_kernels.FitMesh, surface: Surface) -> None:
-        """Compute the distance of each triangle of `m` from the surface."""
+        """Compute the largest distance of each triangle of `m`, metres, into its array `worst` ("fit_worst").
+
+        surface: the mesh that `Sweeps.bind` has given to `m`.
+        """
         triangles = len(surface.triangles)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 

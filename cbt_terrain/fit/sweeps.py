@@ -39,7 +39,7 @@ class Sweeps:
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
-        """Start the sweeps from a welded mesh, all of its triangles active.
+        """Start the sweeps from a welded mesh, all of its triangles active and none measured.
 
         `known`: Warp arrays of the heights and states of vertices that are known, so that they are not computed again.
         """
@@ -105,7 +105,10 @@ class Sweeps:
                 break
 
     def _sweep(self) -> int:
-        """Move the vertices; returns the number of triangles beyond the bound before the last move."""
+        """Move the vertices up to SWEEPS times, and measure.
+
+        Return the number of triangles beyond the bound before the last move.
+        """
         for _ in range(SWEEPS):
             self._measure_pushes()
             inputs = [self.count, self.triangles, self.m, self.found]

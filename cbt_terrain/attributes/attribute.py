@@ -57,7 +57,7 @@ class SamplePoints:
         return len(self.positions)
 
     def only(self, which: np.ndarray) -> "SamplePoints":
-        """Return some of the points. which: indices or a mask."""
+        """Return some of the points, with the same field and scales. which: indices or a mask."""
         return replace(self, positions=self.positions[which], level=self.level[which])
 
 
@@ -122,9 +122,10 @@ class AttributeDeclaration:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
-        """Raise TerrainError for an unknown parameter, or a number out of its range.
+        """Raise TerrainError for an unknown parameter, or a number out of its range or NaN.
 
-        Parameters that are no numbers are not checked here, but by the function that computes the attribute.
+        values: by name, any of the parameters. Those that are no numbers are not checked here, but by the function that
+        computes the attribute.
         """
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in values.items():
@@ -156,7 +157,10 @@ class AttributeRequest:
 
 
 def _plain(value: ParameterValue) -> ParameterValue:
-    """Return numbers, alone or in tuples, as floats, and anything else as it is."""
+    """Return numbers, alone or in tuples, as floats, and anything else, also booleans, as it is.
+
+    Raises TerrainError for an array of several numbers.
+    """
     if isinstance(value, tuple):
         return tuple(map(_plain, value))
     is_number = (isinstance(value, Real) and not isinstance(value, bool)) or isinstance(value, np.ndarray)

@@ -83,8 +83,8 @@ def bake(
     """Update the maps of requested attributes in `folder`; `resolutions`: texels along a side of each tile.
 
     Heights are `height * vertical_scale + vertical_offset` metres. `form`: PNG or EXR. `on_progress` gets the finished
-    fraction and may raise, which cancels without a change of the folder. `lock` is held for each band of texels. Raises
-    TerrainError.
+    fraction and may raise, which cancels without a change of the folder. `lock` is held for each band of texels. Images
+    that the earlier maps.json lists and the new one does not are removed. Raises TerrainError.
     """
     folder, tiling = Path(folder), tiling_of(field.lattice)
     ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())

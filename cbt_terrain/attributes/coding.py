@@ -28,16 +28,16 @@ class Coding:
 
     @property
     def texel_bytes(self) -> int:
-        """Bytes of a texel in a renderer's memory."""
+        """Bytes of a texel in Blender's memory."""
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 
 def coding_of(effect: AttributeDeclaration, form: str) -> Coding:
-    """Return the coding of an attribute.
+    """Return the coding of an attribute in a form of FORMS.
 
-    Attributes without a unit and colours have 8 bits, measures 16 bits, and half floats in EXR.
-
-    Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError.
+    In PNG files, attributes without a unit and colours have 8 bits, measures 16 bits. In EXR files all are half floats.
+    Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError for another
+    form.
     """
     if form not in FORMS:
         raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")

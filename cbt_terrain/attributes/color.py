@@ -20,7 +20,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     """Compute the attribute color at points: colours of the splat layers times their weights, decals over it.
 
     wanted: {"color": parameters: layers, colors (linear RGB of each layer), decals}. read: the attributes that the
-    layers' rules read. Returns {"color": float32 [n, 3], linear}.
+    layers' rules read. Returns {"color": float32 [n, 3], linear}. Raises TerrainError unless each layer has a colour.
     """
     values = wanted["color"]
     layers, colors = values["layers"], values["colors"]

@@ -45,7 +45,8 @@ class DecalPicture:
 def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
     """Return the picture of pixels, float [rows, columns, 4], 0 .. 1, row 0 at the lower edge, not premultiplied.
 
-    tilts: the pixels are a normal map, of which slopes are stored; else linear colours.
+    tilts: the pixels are a normal map, of which slopes are stored; else linear colours, which may exceed 1. Values that
+    are not finite become finite.
     """
     finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
     rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
@@ -106,7 +107,8 @@ class Decal:
     def sample(self, places: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the indices of the points that it covers, int64 [n], and its values there, float32 [n, 4].
 
-        Values are interpolated between the two mipmaps nearest to each point's scale, and multiplied by the opacity.
+        Values are those of `DecalPicture`, interpolated between the two mipmaps nearest to each point's scale, and
+        multiplied by the opacity.
         """
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
         y = places.positions[:, 1].astype(np.float64) - self.corner[1]
@@ -144,7 +146,10 @@ def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.n
 
 
 def cover(colors: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
-    """Composite colour decals over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
+    """Composite colour decals over `colors`, float32 [n, 3], in place and in order (Porter and Duff 1984, "over").
+
+    Decals that are normal maps are skipped.
+    """
     for decal in decals:
         if not decal.picture.tilts:
             which, values = decal.sample(places)
@@ -154,7 +159,7 @@ def cover(colors: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> 
 def tilt(normals: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
     """Add the slopes of decals that are normal maps to those of the ground, in place: `normals`, float32 [n, 3].
 
-    The first two values of such a decal are the slopes along the two sides of its image.
+    The first two values of such a decal are the slopes along the two sides of its image. Colour decals are skipped.
     """
     for decal in decals:
         if decal.picture.tilts:

@@ -160,7 +160,10 @@ def _evaluate_steps(
 
 
 def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
-    """Return the values of attributes and of those that they read at points, by name, without a history."""
+    """Return the values of attributes and of those that they read at points, by name, without a history.
+
+    Raises TerrainError for parameters that cannot be used, and for values that are not finite.
+    """
     steps = list(plan(requests).steps)
     values: dict[str, np.ndarray] = {}
     while steps:

@@ -11,7 +11,7 @@ from .evaluate import on_samples
 
 
 def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters: Any) -> np.ndarray:
-    """Return an attribute at every inner sample of a raster, samples `step` metres apart.
+    """Return an attribute at the samples of a raster, `step` metres apart, but for two at each border.
 
     float32 [rows - 4, columns - 4] or [rows - 4, columns - 4, width].
     """

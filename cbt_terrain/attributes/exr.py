@@ -60,7 +60,10 @@ class ExrFile:
         self._file.write(bytes(8 * -(-(lines or side) // BLOCK)))
 
     def add(self, values: np.ndarray) -> None:
-        """Write the next lines, float32 [lines, side, channels]; whole blocks except for the last."""
+        """Write the next lines, float32 [lines, side, channels]; whole blocks except for the last.
+
+        Numbers beyond the range of half floats become the largest ones.
+        """
         limit = np.finfo(self._dtype).max
         lines = np.clip(values, -limit, limit).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
         for first in range(0, len(lines), BLOCK):
@@ -107,7 +110,8 @@ def _header_entry(name: str, kind: str, value: bytes) -> bytes:
 def comment_of(path: Path) -> str | None:
     """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one.
 
-    The offset of the last block is written last, so a file is complete if that block ends with the file.
+    The offset of the last block is written last, so a file is complete if that block ends with the file. The file is a
+    square of whole blocks, as every map is.
     """
     try:
         with open_regular(path, links=True) as file:
@@ -120,8 +124,7 @@ def comment_of(path: Path) -> str | None:
             (length,) = struct.unpack("<i", head[text : text + 4])
             window = head.find(b"dataWindow\0box2i\0") + 21  # after name, type and size
             side = struct.unpack("<iiii", head[window : window + 16])[2] + 1
-            # The table follows the last entry (24 bytes of name and type, size, value) and the header's final 0. Maps
-            # are squares of whole blocks.
+            # The table follows the last entry (24 bytes of name and type, size, value) and the header's final 0.
             file.seek(end + 33 + 8 * (side // BLOCK - 1))
             (last,) = struct.unpack("<Q", file.read(8))
             file.seek(last + 4)  # a block: number of its first line, size, data

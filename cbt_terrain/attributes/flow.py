@@ -31,7 +31,10 @@ def routed_level(field: HeightField) -> int:
 
 
 def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightRaster:
-    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a cached raster."""
+    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a cached raster.
+
+    Its south-western sample is that of the field, though the middle, where its own space has the origin, may differ.
+    """
     level = routed_level(field)
     (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
     # Slopes are only compared with each other, so that only the sign of their scale matters.

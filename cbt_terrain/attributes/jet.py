@@ -40,7 +40,8 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     """Compute those of height, slope, aspect, curvatures and normals that `wanted` names, at points.
 
     They come from the heights' first and second derivatives at the scale of each point. wanted: parameters by name;
-    only detail_normal has one, decals. read: unused, they read no attribute. Returns float32 [n] or [n, 3] by name.
+    only detail_normal has one, decals. read: unused, they read no attribute. Returns by name float32 [n], [n, 2] for
+    aspect, or [n, 3] for detail_normal.
     """
     values, arrays = kernels.Values(), {}
     for name in wanted:

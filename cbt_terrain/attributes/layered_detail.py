@@ -56,7 +56,8 @@ def displaced(
     """Return the field with a displacement below its samples, which the surface then includes.
 
     ground: Detail, layers of it, or LayeredDetail whose layers are weighted by splat layers, computed here with
-    this vertical scale and offset; None for no displacement.
+    this vertical scale and offset; None for no displacement. Raises TerrainError for splat layers or attributes that
+    cannot be evaluated.
     """
     if not isinstance(ground, LayeredDetail):
         return with_detail(field, ground)
@@ -93,9 +94,10 @@ def _compute_masks(
     vertical: tuple[float, float],
     threads: int,
 ) -> list[LayerMask]:
-    """Return the masks of the splat layers `numbers` at all samples, 8 bits each, from the field's store if it can.
+    """Return the masks of the splat layers `numbers`, at least one, at all samples, 8 bits each.
 
-    An attribute of the splat map holds the weights of four layers.
+    Those of a large raster are cached in its store, MAX_CACHED sets of them. An attribute of the splat map holds the
+    weights of four layers.
     """
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
     versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())

@@ -40,9 +40,10 @@ def azimuths() -> np.ndarray:
 
 
 def strongest(suns: Iterable[Iterable[float]]) -> tuple[float, float, float, float] | None:
-    """Return the strongest of suns (x, y, z, angle) or (x, y, z, angle, strength), the first of equals.
+    """Return x, y, z and angle of the strongest sun, the first of equals; None if none has a strength above 0.
 
-    Raises TerrainError for an invalid direction or angle.
+    suns: (x, y, z, angle), of strength 1, or (x, y, z, angle, strength), as the parameter in sun.py. Raises
+    TerrainError for rows of other lengths, numbers that are not finite, no direction, and angles beyond 0 .. pi.
     """
     rows = [tuple(float(number) for number in sun) for sun in suns]
     for row in rows:

@@ -23,7 +23,7 @@ def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
     """Return the visible fraction of the sky at points, weighted by the cosine, float32 [n], by rays from each point.
 
     The sweeps of sky.py are faster, but know no distance of the ground that hides. Ground farther than `far` metres
-    does not hide; all below the slope `lowest` is hidden.
+    does not hide; all below the slope `lowest` is hidden, as if it were a horizon.
     """
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)

@@ -14,7 +14,7 @@ NOTHING_READS_IT = "nothing reads it"
 
 @dataclass(frozen=True)
 class AttributePlan:
-    """Steps in the order of computation, and the names of the attributes that are read from the mesh."""
+    """Steps in the order of computation, and the sorted names of the requested attributes, which the mesh gets."""
 
     steps: tuple[AttributeRequest, ...] = ()
     attributes: tuple[str, ...] = ()
@@ -29,8 +29,8 @@ class AttributePlan:
 def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
     """Return the plan that computes the requested attributes, with those that they read, in order.
 
-    Names outside the catalogue belong to others and are ignored. Raises TerrainError for an unknown parameter or an
-    invalid value.
+    Names outside the catalogue belong to others and are ignored. An attribute that others read has its default
+    parameters unless it was requested, too. Raises TerrainError for an unknown parameter or an invalid value.
     """
     merged: dict[str, AttributeRequest] = {}
     for request in requests:
@@ -58,7 +58,10 @@ def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:
 
 
 def _merge(one: AttributeRequest, other: AttributeRequest) -> AttributeRequest:
-    """Merge two requests for an attribute. GEOMETRY wins, since all that geometry reads has one scale."""
+    """Merge two requests for an attribute. GEOMETRY wins, since all that geometry reads has one scale.
+
+    Parameters of `other` replace those of `one` with the same name.
+    """
     readers = tuple(dict.fromkeys((*one.readers, *other.readers)))
     family = GEOMETRY if GEOMETRY in (one.family, other.family) else one.family
     parameters = tuple(sorted((dict(one.parameters) | dict(other.parameters)).items()))

@@ -43,7 +43,10 @@ class PngFile:
         self._write_chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
 
     def add(self, rows: np.ndarray) -> None:
-        """Write the next rows, uint8 [rows, bytes of a row], 16-bit numbers with the higher byte first."""
+        """Write the next rows, uint8 [rows, bytes of a row], 16-bit numbers with the higher byte first.
+
+        The call with the file's last row ends the stream of compressed data.
+        """
         filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
         filtered[:, 0], filtered[0, 0] = UP, NO_FILTER  # bands are independent
         filtered[0, 1:] = rows[0]

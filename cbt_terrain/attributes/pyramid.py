@@ -35,7 +35,8 @@ def scaled_pyramid(
 ) -> kernels.Pyramid:
     """Return the raster's pyramid for kernels, with heights `height * vertical_scale + vertical_offset`.
 
-    Coarser levels are computed on first use and cached with the raster. name: of their array in a store.
+    Coarser levels are computed on first use and cached with the raster. name: of their array in a store, always the
+    same for one raster.
     """
     with caching:
         if not raster.cache.pyramid:

@@ -47,7 +47,7 @@ class Drainage:
         return d
 
     def filled(self) -> np.ndarray:
-        """Return the lowest surface above the heights from which every sample drains, float32 [n] metres."""
+        """Return the lowest surface at or above the heights from which every sample drains, float32 [n] metres."""
         out = np.empty_like(self.heights)
         launch.once(catchment.fill_lakes, [self.packed(out)], step="routing")
         return out
@@ -87,7 +87,8 @@ def route(
 
     Water leaves at the border and in `holes` (bool, same shape). Depressions drain over their lowest passes, flats
     along the shortest paths. draw: noise in the choice of receivers. cell_weight: float64 of the same shape, weight of
-    each sample in `catchments`. The result does not depend on `threads`.
+    each sample in `catchments`, None for 1. The result does not depend on `threads`. heights: without NaN, at least two
+    rows and columns; they are copied.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)

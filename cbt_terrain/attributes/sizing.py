@@ -24,7 +24,7 @@ MEGABYTE = 1_000_000
 
 
 def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return a box around each tile's displaced ground, float64 [tiles, 2, 3] metres, from the stored ranges."""
+    """Return a box around each tile's ground without its detail, float64 [tiles, 2, 3] metres, from stored ranges."""
     lattice = field.lattice
     found = np.empty((tiling.rows, tiling.columns, 2, 3))
     sides = []
@@ -91,7 +91,9 @@ def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarra
 def resolutions(
     tiling: Tiling, footprints: np.ndarray, shown: np.ndarray, texel_bytes: int, budget_mb: float | None = None
 ) -> list[int]:
-    """Return the side of each tile's image in texels, a power of two; a texel is no larger than the footprint.
+    """Return the side of each tile's image in texels, a power of two from MIN_SIDE to MAX_SIDE.
+
+    A texel is no larger than the footprint, as far as MAX_SIDE and the budget allow.
 
     `footprints`, `shown`: float64 [tiles] metres, of views and of the finest content (`shown_by`). `texel_bytes`: bytes
     of a texel of all maps in Blender. If images exceed `budget_mb`, all tiles get coarser. Raises TerrainError for an

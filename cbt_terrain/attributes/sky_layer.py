@@ -38,7 +38,10 @@ def layer_level(field: HeightField) -> int:
 
 
 def is_known(field: HeightField, scale: float) -> bool:
-    """Return whether the layer of a vertical scale is complete, so that values from it take no time."""
+    """Return whether the layer of a vertical scale is complete, so that values from it take no time.
+
+    The store is searched at the first call for a scale only.
+    """
     with caching:
         looked = field.cache.results.setdefault((LOOKED,), set())
         if (LAYER, scale) not in field.cache.results and scale not in looked:
@@ -152,9 +155,9 @@ def sweep(
     Lines in the direction of the azimuth cross the raster. `major` is the axis (rows or columns) that is more nearly
     along them, `minor` the other one, along which lines are a sample apart.
 
-    heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale`. steps: metres of a cell. azimuth:
-    float64 [2], unit vector to the east and north. first: row and column of sample [0, 0] in a larger raster, whose
-    lines are used.
+    heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale` here. steps: metres of a cell.
+    azimuth: float64 [2], unit vector to the east and north. first: row and column of sample [0, 0] in a larger raster,
+    whose lines are used.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]

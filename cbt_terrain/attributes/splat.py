@@ -79,7 +79,7 @@ def _rule_inputs(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], coun
 def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
     """Return layers, rules and image pixels as arrays for the kernel, those of all layers one after another.
 
-    `lowest`, `highest`: metres at which relief is 0 and 1.
+    `lowest`, `highest`: metres at which relief is 0 and 1. Raises TerrainError for layers that cannot be evaluated.
     """
     check_layers(layers)
     row, rows = 0, {}  # first row of each attribute in `_rule_inputs`

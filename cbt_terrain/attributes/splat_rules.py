@@ -120,7 +120,7 @@ def attributes_of_rules(layers: tuple[Layer, ...]) -> tuple[str, ...]:
 
 
 def covers_nothing(rule: Rule) -> bool:
-    """Return whether the low limit is so far above the high one that their edges do not overlap."""
+    """Return whether a rule's weight is 0 everywhere: its low limit is above the high one, and edges do not overlap."""
     if not rule.low > rule.high:
         return False
     if rule.of != FLOW:

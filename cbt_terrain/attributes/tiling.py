@@ -52,7 +52,7 @@ class Tiling:
         return FIRST + tile % self.columns + 10 * (tile // self.columns)
 
     def box(self, tile: int) -> tuple[float, float, float, float]:
-        """Return the west, south, east and north border of a tile without its margin."""
+        """Return the west, south, east and north border of a tile without its margin, metres in the terrain's space."""
         west = self.west + tile % self.columns * self.width
         south = self.south + tile // self.columns * self.height
         return west, south, west + self.width, south + self.height
@@ -73,7 +73,10 @@ class Tiling:
 
 
 def tiling_of(lattice: Lattice) -> Tiling:
-    """Return the tiling of a raster: about square tiles, within the limits of UDIM numbers."""
+    """Return the tiling of a raster: one tile up to SINGLE_CELLS, else about square ones.
+
+    They are larger than TILE_CELLS where MAX_COLUMNS or MAX_ROWS, the limits of UDIM numbers, require it.
+    """
     west, south, east, north = lattice.rectangle()
     if max(lattice.cells_x, lattice.cells_y) <= SINGLE_CELLS:
         return Tiling(1, 1, west, south, east - west, north - south, margin=0.0)

@@ -50,7 +50,10 @@ class EffectValues:
         return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
 
     def move_to(self, positions: np.ndarray) -> np.ndarray:
-        """Start another surface, float32 [V, 3]; this one becomes the last one. Return a copy of its points."""
+        """Start another surface with these points, float32 [V, 3]; the present one becomes the last one.
+
+        Return a copy of the points, which is valid until the second next call.
+        """
         self._last_count, self._count = self._count, len(positions)
         places, last = self.swap_arrays(PLACES, 3)
         launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._point_ranges()])
@@ -99,8 +102,9 @@ class EffectValues:
     def find_fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
         """Return the indices of the points that the last surface lacks or has at another level, int32 [n].
 
-        None if they are more than MAX_FRESH of all, as it is faster then to compute all. levels, last: float32, of the
-        points of this surface and of the last one.
+        None, for all, if they are more than MAX_FRESH of all, as it is faster then to compute all, and if both surfaces
+        have no common point. levels, last: float32, of the
+        points of this surface and of the last one, whose levels may be None.
         """
         if last is None or not len(self._runs):
             return None
@@ -150,7 +154,7 @@ def _match_runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
     ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
     launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
-    if found[1] < len(places):  # found: number of runs, and of the points in them
+    if found[1] < len(places):  # found: number of runs, and the first point that is not yet searched
         bits = len(last).bit_length() + 1  # few points share a hash
         table = np.full(1 << bits, -1, np.int32)
         launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")

@@ -30,11 +30,11 @@ _results: OrderedDict[str, HeightRaster] = OrderedDict()
 def whole(
     name: str, version: int, parameters: tuple, field: HeightField, lattice: Lattice, make: Callable[[], np.ndarray]
 ) -> HeightRaster:
-    """Return the result of the attribute `name`, finite float32 [lattice.height, lattice.width], as a raster.
+    """Return the result of the attribute `name`, float32 [lattice.height, lattice.width], as a raster.
 
-    `make` computes it if it is not cached. Other results may be evicted from memory for it. version: the attribute's.
-    parameters: everything else that the result depends on except the raster. lattice: of the result, which may be
-    coarser than the field's.
+    `make` returns finite values and is called if none are cached. Other results may be evicted from memory for it.
+    version: the attribute's. parameters: everything else that the result depends on except the raster. lattice: of the
+    result, which may be coarser than the field's.
     """
     file = result_file(name, version, parameters)
     key = f"{field.raster.digest}-{file}"
@@ -85,7 +85,10 @@ def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.nda
 
 
 def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarray:
-    """Write a float32 result into the field's store, if it has one, and return it mapped from there."""
+    """Write a float32 result into the field's store, in place of an older one, and return it mapped from there.
+
+    Without a store, or if it cannot be written, a copy in memory is returned.
+    """
     shapes = {file: (values.shape, np.float32)}
     return derived_arrays.derive(field.raster, shapes, lambda arrays: np.copyto(arrays[file], values), _never)[file]
 

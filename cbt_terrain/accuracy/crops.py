@@ -50,7 +50,9 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     [view, *_] = frame.views
     surfaces = []
     for error in errors_px:
-        update = terrain.update(Setting("px", error).criterion(base or Criterion()), [view], *frame.heights)
+        update = terrain.update(
+            Setting("px", error).criterion(base or Criterion()), [view], *frame.placement_and_heights
+        )
         surfaces.append(update.surface)
     drawn = [_ProjectedSurface(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)

@@ -55,7 +55,7 @@ def sweep(
 
     def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
         """Return a cached sight: it is the same for every setting, and takes longest to compute."""
-        found = look(reference, view, *frame.heights, threads=threads)
+        found = look(reference, view, *frame.placement_and_heights, threads=threads)
         if found.key not in sights and len(sights) == MAX_SIGHTS:
             del sights[next(iter(sights))]
         return sights.setdefault(found.key, found)
@@ -111,7 +111,7 @@ def _measure_setting(
     bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []  # one item for each frame
     measured: list[Measurement] = []
     for frame in frames:
-        update = terrain.update(criterion, frame.views, *frame.heights)
+        update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m
         assert bound is not None  # the criterion has an error in this unit
         bounds.append((bound, update.terms_px if in_pixels else update.terms_m))
@@ -124,7 +124,7 @@ def _measure_setting(
                     heights,
                     surface,
                     view,
-                    *frame.heights,
+                    *frame.placement_and_heights,
                     threads=threads,
                     sight=sight(heights, view, frame) if view else None,
                     on_progress=partial(_report_part, on_part, len(measured), num_views),
@@ -132,7 +132,7 @@ def _measure_setting(
             )
 
         def make_attributes(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
-            request = EffectRequest(effects, surface, views, *frame.heights)
+            request = EffectRequest(effects, surface, views, *frame.placement_and_heights)
             return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
         before = surface if frame.after else None
@@ -193,7 +193,12 @@ def _measure_fit(
             break
     surface = fitted.surface
     measured = measure(
-        heights, surface, None, *frame.heights, threads=threads, on_progress=partial(_report_part, on_part, 2, 3)
+        heights,
+        surface,
+        None,
+        *frame.placement_and_heights,
+        threads=threads,
+        on_progress=partial(_report_part, on_part, 2, 3),
     )
     assert fitted.bound_m is not None  # a fit has an error in metres
     return Row(
@@ -223,11 +228,11 @@ def _transitions(
     before: surface of the first frame; the terrain is updated to `frame`, the next one. sight: function that makes
     the Sight of a view, cached by the caller.
     """
-    after = terrain.update(criterion, frame.views, *frame.heights).surface
+    after = terrain.update(criterion, frame.views, *frame.placement_and_heights).surface
     errors_by_view = []
     for view in frame.views:
         seen = sight(terrain.field, view, frame)
-        inputs = terrain.field, before, after, view, *frame.heights
+        inputs = terrain.field, before, after, view, *frame.placement_and_heights
         errors_by_view.append(
             [measured(*inputs, threads=threads, sight=seen) for measured in (popping, shading_change)]
         )

@@ -47,7 +47,7 @@ class TimedFrame:
         keep_plain_numbers(self, "The frame's")
 
     @property
-    def heights(self) -> tuple:
+    def placement_and_heights(self) -> tuple:
         """Placement, vertical scale and vertical offset: the arguments of `Terrain.update` that follow the views."""
         return self.placement, self.vertical_scale, self.vertical_offset
 
@@ -80,7 +80,7 @@ def timed_runs(
         views = [_move_right(view, side * step) for view in frame.views]
         update = surface = None  # the memory of the last run is free for this one
         start_cpu = cpu_ms()
-        update = terrain.update(criterion, views, *frame.heights)
+        update = terrain.update(criterion, views, *frame.placement_and_heights)
         if not update.changed:
             update, offset = None, frame.vertical_offset + side * nudge
             start_cpu = cpu_ms()

@@ -97,7 +97,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
         _encode(lattice, window, tile, codes.tables(exponents), out, threads)
         if len(window.depths) > TILE_DEPTHS:
             for values, target in ((window.errors, errors), (window.off, off)):
-                whole = _above(lattice, TILE_DEPTHS, first)
+                whole = _layout_from(lattice, TILE_DEPTHS, first)
                 _rows(
                     kernels.keep_rows,
                     lattice,
@@ -111,7 +111,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
                 )
         del window  # before the next one takes its memory
     for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
-        below, above = _above(lattice, bisections - 1, first), _above(lattice, bisections, first)
+        below, above = _layout_from(lattice, bisections - 1, first), _layout_from(lattice, bisections, first)
         _add_errors(field, bisections, below, above, wp.vec2i(0, 0), off, errors, threads)
     raise_to({g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, 0)
     table = codes.tables(exponents)
@@ -273,7 +273,7 @@ def _add_errors(
     launch_step(kernels.add_errors, items(above), inputs, threads)
 
 
-def _above(lattice: Lattice, bisections: int, first: int) -> Depth:
+def _layout_from(lattice: Lattice, bisections: int, first: int) -> Depth:
     """Return the layout of a depth in arrays that begin with entry `first` of the error hierarchy.
 
     bisections: number of bisections above the cells.

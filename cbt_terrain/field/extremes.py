@@ -12,11 +12,11 @@ from .store import derived_arrays as derived_shapes
 
 
 def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `find_tops` of a field, which is computed once."""
-    return cached(field.cache.results, ("tops", reduce), lambda: find_tops(field, reduce))
+    """Return `find_extremes` of a field, which is computed once."""
+    return cached(field.cache.results, ("tops", reduce), lambda: find_extremes(field, reduce))
 
 
-def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maxima of all blocks (minima with np.minimum), float32 metres, level after level from FINEST on.
 
     A block of level k has 2^k cells a side, border samples included; the detail and finer tiles are not. Also the first

@@ -141,7 +141,7 @@ def border_error(latitude: float, borders: list[float], ellipsoid: tuple[float, 
     return max(abs(used[axis] / lengths[axis] - 1.0) for lengths in true for axis in (0, 1))
 
 
-def without_dust(transform: Transform) -> Transform:
+def without_rounded_skew(transform: Transform) -> Transform:
     """Return a geotransform whose skew is 0 where it is rounding: less than MAX_SKEW cells per cell along both axes.
 
     If rows run along y, the skew is in a and e. Raises TerrainError for numbers that are not finite and for cells
@@ -193,7 +193,7 @@ def from_transform(
     Warnings about sizes are separate (`size_warnings`), since they do not apply to an extent that the user gives.
     Raises TerrainError for cells without an area, and for a middle that is not finite or lies near a pole.
     """
-    a, b, c, d, e, f = without_dust(transform)
+    a, b, c, d, e, f = without_rounded_skew(transform)
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f
     if not (math.isfinite(x) and math.isfinite(y)):
         raise TerrainError(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..field.georeference import Transform, without_dust
+from ..field.georeference import Transform, without_rounded_skew
 from ..field.store_folder import named_folder
 from ..formats.archives import UnpackedFiles
 from ..formats.sources import check_named, open_source
@@ -273,7 +273,7 @@ def _tile_of(entry: dict) -> SourceTile:
         raise ValueError("a tile lacks files or roundings")
     _check_types([tile.path, tile.crs, tile.datum, tile.format, *(entry[0] for entry in tile.files)], str)
     _check_numbers(*tile.transform, tile.scale, tile.offset)
-    without_dust(tile.transform)  # raises TerrainError for cells without an area
+    without_rounded_skew(tile.transform)  # raises TerrainError for cells without an area
     _check_kind(tile.stored)
     counts = tile.width, tile.height, tile.block_rows
     _check_types(counts, int)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
+from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_rounded_skew
 from ..view.linear import lengths, product
 from .rasterio_types import CRS, DatasetReader
 from .units import plane_metres
@@ -56,7 +56,7 @@ def grid_of(dataset: DatasetReader) -> FileGrid:
     GDAL returns the identity for a file without a geotransform.
     """
     if not dataset.transform.is_identity:
-        return FileGrid(dataset.crs, without_dust(tuple(dataset.transform)[:6]))
+        return FileGrid(dataset.crs, without_rounded_skew(tuple(dataset.transform)[:6]))
     points, crs = dataset.gcps
     if points:
         return _from_control_points(points, crs)
@@ -85,7 +85,7 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
             if lengths(off).max() <= MAX_GCP_CELLS:
                 (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]
                 a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
-                return FileGrid(crs, without_dust((a, b, c, d, e, f)))
+                return FileGrid(crs, without_rounded_skew((a, b, c, d, e, f)))
     problem = f"places its samples by {len(points)} ground control point(s) that fit no straight grid"
     return FileGrid(crs, None, problem, "gdalwarp -tps")
 

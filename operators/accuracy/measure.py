@@ -110,7 +110,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
         on_run()
         criterion = replace(request.criterion, **{name: error}, max_triangles=MAX_TRIANGLES)
-        update = terrain.update(criterion, frame.views, *frame.heights)
+        update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         if update.relaxed > 1:  # the limit of triangles holds it back, and would hold back every finer error
             break
         for _ in range(TRIES):
@@ -130,14 +130,14 @@ def measure_request(field, request: Request, on_progress) -> Result:
     curve = None if no_curve else CostCurve.through(unit, points)
     if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
         request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
-    surface = terrain.update(request.criterion, frame.views, *frame.heights).surface
+    surface = terrain.update(request.criterion, frame.views, *frame.placement_and_heights).surface
     measurements = []
     for i, view in enumerate(views, len(errors)):
 
         def on_part(fraction: float, done: int = i) -> None:
             on_progress((done + fraction) / steps, "errors")
 
-        measurements.append(measure(field, surface, view, *frame.heights, on_progress=on_part))
+        measurements.append(measure(field, surface, view, *frame.placement_and_heights, on_progress=on_part))
     on_progress(1.0, "done")
     return Result(curve, worst(measurements), request.digest(field.key), no_curve)
 

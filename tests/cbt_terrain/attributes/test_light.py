@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays, extremes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
-from adaptive_terrain.cbt_terrain.field.extremes import find_tops
+from adaptive_terrain.cbt_terrain.field.extremes import find_extremes
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, verify
 from adaptive_terrain.cbt_terrain.run import launch, stopping
 from adaptive_terrain.cbt_terrain.run.buffers import flat
@@ -358,11 +358,11 @@ def test_extremes_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
     samples[:] = raster(90, 70)
     draft.publish(build(samples, 5.0, 5.0, missing=0, allocate=draft.allocate), "", {})
     reductions = np.maximum, np.minimum
-    expected = [[array.tobytes() for array in find_tops(open_store(tmp_path), reduce)] for reduce in reductions]
+    expected = [[array.tobytes() for array in find_extremes(open_store(tmp_path), reduce)] for reduce in reductions]
     monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
     monkeypatch.setattr(blocks, "ROWS", 2)
     for _ in range(2):
-        found = [[array.tobytes() for array in find_tops(open_store(tmp_path), reduce)] for reduce in reductions]
+        found = [[array.tobytes() for array in find_extremes(open_store(tmp_path), reduce)] for reduce in reductions]
         assert found == expected
         monkeypatch.setattr(extremes, "over_cells", None)  # nothing is read again
     assert {"tops.npy", "bottoms.npy"} < verify(tmp_path).keys()

@@ -138,7 +138,7 @@ class Sight:
 
     @cached_property
     def blocks(self) -> ray_kernels.HeightBlocks:
-        """The surface as rays read it: heights with maxima of blocks, by which rays skip empty space."""
+        """The lowest and highest heights of blocks of the surface, by which rays skip empty space."""
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:

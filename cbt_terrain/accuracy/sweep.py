@@ -44,7 +44,7 @@ def sweep(
 ) -> list[Row]:
     """Return one row for each setting, measured over all frames.
 
-    Settings in metres depend on no view and take the first frame.
+    Settings in metres depend on no view and take the first frame, of which there is at least one.
 
     `base`: criterion with the guard band and culling. `write` puts a surface where it is used, a Blender mesh, and
     returns the milliseconds of that step, "ingest". `effects`: plan of the attributes that are made for every mesh.

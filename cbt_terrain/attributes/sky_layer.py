@@ -64,7 +64,7 @@ def advance(field: HeightField, scale: float, threads: int) -> bool:
 
 
 def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
-    """Add one azimuth to the sky over the raster and return the state.
+    """Add one azimuth, if one is missing, to the sky over the raster and return the state.
 
     The state has `azimuths`, the number of those that were added, and `sky`, float32 [rows, columns], their sum so
     far. Further calls complete it, so that a caller can show progress and stop between them.
@@ -180,7 +180,7 @@ def sweep(
 
 
 def _cache_entry(field: HeightField, kind: str, scale: float) -> dict:
-    """Return the cache entry of a kind at a vertical scale; remove the oldest so that MAX_SCALES remain."""
+    """Return the cache entry of a kind at a vertical scale; a new one replaces the oldest if there are MAX_SCALES."""
     if (kind, scale) not in field.cache.results:
         others = [key for key in field.cache.results if key[0] == kind]
         for key in others[: max(0, len(others) + 1 - MAX_SCALES)]:

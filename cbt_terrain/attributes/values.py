@@ -63,7 +63,8 @@ class EffectValues:
     def swap_arrays(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
         """Return an uninitialized array, float32 [V] or [V, width], and the last surface's array, or None.
 
-        The memory of the first is that of the surface before the last, if it is large enough.
+        Call it once a surface for each name. The memory of the first is that of the surface before the last, if it is
+        large enough; the array of this surface until now becomes the last surface's.
         """
         last, older = self._arrays.get(name, (None, None))
         if older is None or len(older) < self._count:

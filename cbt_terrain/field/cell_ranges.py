@@ -19,9 +19,10 @@ def rectangle_ranges(
     """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2].
 
     In metres before vertical scaling. A range encloses the ground of its rectangle, without the detail, and no more
-    than that within an eighth of the smallest rectangle's side (and 8 samples) around it, apart from rounding and from
-    the largest change of finer tiles. Where no ranges of that size are stored, all are the limits of the whole field,
-    which include its detail: for a raster with a side of one or two cells, and for rectangles much larger than it.
+    than that within an eighth of the smallest rectangle's side, or 8 samples if that is more, around it, apart from
+    rounding and from the largest change of finer tiles. Where no ranges of that size are stored, all are the limits of
+    the whole field, which include its detail: for a raster with a side of one or two cells, and for rectangles much
+    larger than it.
 
     Args:
         columns: west and east side of each column, in samples from the raster's western border.

@@ -109,7 +109,8 @@ def encode_with_table(lattice: Lattice, errors: np.ndarray, table: np.ndarray, c
 def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threads: int) -> None:
     """Write the codes of one group's errors: for each the first value of the table that is not below it.
 
-    errors: float32 metres. values: the group's table, float32 [256] metres, rising. codes: uint8, zeroed.
+    errors: float32 metres; one above the last value gets the last code. values: the group's table, float32 [256]
+    metres, rising. codes: uint8, zeroed.
     """
     arrays = [flat(values, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     inputs = [BLOCK, wp.int64(0), wp.int64(len(errors)), 0, *arrays]

@@ -59,7 +59,7 @@ def cells_of(values: np.ndarray) -> tuple[int, int]:
 
 
 def fill_max_cells(values: np.ndarray, max_cells: np.ndarray) -> None:
-    """Fill `LayerMask.max_cells` of the values of a mask."""
+    """Fill `max_cells`, uint8 [entries], with `LayerMask.max_cells` of the values of a mask, uint8 [height, width]."""
 
     def finest(rows: slice) -> np.ndarray:
         """Return the maxima of some rows of cells."""

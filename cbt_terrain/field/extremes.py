@@ -12,7 +12,10 @@ from .store import derived_arrays as derived_shapes
 
 
 def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `find_extremes` of a field, which is computed once."""
+    """Return `find_extremes` of a field: extremes of blocks, the levels' first indices, and the blocks in their rows.
+
+    It is computed once for each `reduce`, np.maximum or np.minimum, and cached with the field.
+    """
     return cached(field.cache.results, ("tops", reduce), lambda: find_extremes(field, reduce))
 
 

@@ -54,8 +54,8 @@ def with_finer_tiles(
             the raster is known. Samples that two tiles share must be equal.
         allocate: allocate(name, shape, dtype) returns a zeroed array.
 
-    Raises TerrainError for a bicubic surface, a detail or other finer tiles, for `bits` and `known` beyond the raster,
-    and for another shape of `read`.
+    Raises TerrainError for a bicubic surface, a detail or other finer tiles, for `bits` out of range, for tiles outside
+    of the raster, and for heights of another shape from `read`.
     """
     _check(plain, bits)
     shape = tile_shape(plain.lattice, bits)
@@ -99,7 +99,7 @@ def _digest(*texts: str) -> str:
 
 
 def _numbered(known: list[Tile], shape: tuple[int, int]) -> np.ndarray:
-    """Return the number of each tile that is known or beside a known one, -1 elsewhere: int32 of this shape."""
+    """Return the number, row by row, of each tile that is known or next to a known one, -1 elsewhere: int32 `shape`."""
     there = np.zeros(shape, bool)
     for (column, row), down, across in product(known, (-1, 0, 1), (-1, 0, 1)):
         if 0 <= row + down < shape[0] and 0 <= column + across < shape[1]:
@@ -108,7 +108,10 @@ def _numbered(known: list[Tile], shape: tuple[int, int]) -> np.ndarray:
 
 
 def raster_heights(plain: HeightField, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the heights of the raster's bilinear surface at finer columns x and rows y, float64; clamped outside."""
+    """Return the heights of the raster's bilinear surface at finer columns x and rows y, both rising, float64 [y, x].
+
+    Outside of the raster they are those at its border.
+    """
     lattice, sides = plain.lattice, []
     for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
         inside = np.clip(at, 0, cells << bits)
@@ -148,7 +151,7 @@ def _fill_heights(
         yield done / len(known)
         x, y = SIDE * column, SIDE * row
         box = FinerBox(x, y, min(x + SIDE, last[0]), min(y + SIDE, last[1]))
-        if box.x0 > box.x1 or box.y0 > box.y1:
+        if box.x0 > box.x1 or box.y0 > box.y1:  # entirely beyond the raster's border
             continue
         found = np.asarray(read(box), np.float32)
         expected = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1

@@ -238,9 +238,9 @@ class HeightField:
 def anchored(field: HeightField, x: float, y: float) -> HeightField:
     """Return the same surface in a space whose origin is (x, y), metres from the raster's middle: the anchor.
 
-    Positions become float32 relative to it, so they are exact near it. Samples and errors are shared; only the last
-    result is cached. field: without an anchor and without detail. Raises TerrainError if the anchor is outside of the
-    raster or its CRS coordinates are unknown.
+    For (0, 0) it is `field`. Positions become float32 relative to the anchor, so they are exact near it. Samples and
+    errors are shared; only the last result is cached. field: without an anchor and without detail. Raises TerrainError
+    if the anchor is outside of the raster or its CRS coordinates are unknown.
     """
     if not (x or y):
         return field

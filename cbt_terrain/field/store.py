@@ -299,7 +299,7 @@ class Draft:
     """
 
     def __init__(self, path: Path, name: str | None = None, may_exist: bool = False):
-        """Create the folder of a new version and lock it.
+        """Create the folder of a new version and lock it. Raises OSError and NotOursError.
 
         path: the store's folder. name: that of the folder of arrays in it; None for a new unpredictable one. may_exist:
         whether the folder of arrays may be there, with arrays that were allocated before.

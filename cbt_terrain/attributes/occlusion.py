@@ -23,7 +23,8 @@ def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
     """Return the visible fraction of the sky at points, weighted by the cosine, float32 [n], by rays from each point.
 
     The sweeps of sky.py are faster, but know no distance of the ground that hides. Ground farther than `far` metres
-    does not hide; all below the slope `lowest` is hidden, as if it were a horizon.
+    does not hide; all below the slope `lowest` is hidden, as if it were a horizon. Points count at
+    the height of the raster's ground, without displacement.
     """
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)

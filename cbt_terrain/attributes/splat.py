@@ -31,10 +31,11 @@ MIN_EDGE = 1e-30
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute splat weights at points: the cover of each of up to twelve layers, 0 to 1, four for each attribute.
+    """Compute splat weights at points: the share of the ground of each of up to twelve layers, four for each attribute.
 
-    wanted: the parameter `layers` for each of splat_1, splat_2, splat_3. read: the attributes that the layers'
-    rules read. Returns float32 [n, 4] by name.
+    Shares are 0 to 1 and add up to 1; numbers beyond the last layer are 0. wanted: the parameter `layers` for each of
+    splat_1, splat_2, splat_3. read: the attributes that the layers' rules read. Returns float32 [n, 4] by name. Raises
+    TerrainError for layers that cannot be evaluated.
     """
     weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):

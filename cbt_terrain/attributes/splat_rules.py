@@ -41,8 +41,9 @@ READ_FROM = {
 
 @dataclass(frozen=True)
 class Rule:
-    """A weight of 1 from `low` to `high`, 0 outside, and a smooth step of width `edge` centred on each limit.
+    """A weight of 1 from `low` to `high`, 0 outside, and a step of width `edge` centred on each limit.
 
+    The step is linear for layer and image, whose values are weights themselves, and smooth for other quantities.
     Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
     aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
     clockwise from north. `other`: index of an earlier layer, for a rule about LAYER. `image`: for one about IMAGE.

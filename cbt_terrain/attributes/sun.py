@@ -20,8 +20,9 @@ AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the fraction of the sun's disc that each point sees above the ground, 0 to 1; 0 without a sun.
 
-    wanted: {"sun": {"suns": lights of the scene}}, of which the strongest counts. read: unused. Returns {"sun":
-    float32 [n]}.
+    Points count at the height of the raster's ground, without displacement. wanted: {"sun": {"suns": lights of the
+    scene}}, of which the strongest counts. read: unused. Returns {"sun": float32 [n]}. Raises TerrainError for an
+    invalid sun.
     """
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)

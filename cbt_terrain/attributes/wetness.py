@@ -21,8 +21,9 @@ MIN_TANGENT = 1e-3
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the topographic wetness index at points: ln of drainage area per metre of width over the slope.
+    """Compute the topographic wetness index at points: ln of drainage area a metre of contour over the slope's tangent.
 
+    The contour of a point has the mean side of a cell that flow was routed over. The tangent is at least MIN_TANGENT.
     wanted: unused, it has no parameters. read: `flow` float32 [n] and `detail_normal` float32 [n, 3]. Returns
     {"wetness": float32 [n]}.
     """

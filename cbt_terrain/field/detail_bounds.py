@@ -123,8 +123,8 @@ def tables(
 
     These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
     edges. parts: summands of the displacement. steps: metres between samples. levels: a root square has 2**levels cells
-    a side. Entry 0 holds for all triangles. So do the bounds of depths before `smooth_from`, whose triangles may meet
-    several cells: with a mask that is the depth of half a cell.
+    a side. Entry 0 holds for all triangles, and also for those at depths before `smooth_from`, drawn ones for the first
+    bound and leaves for the second, since they may meet several cells: with a mask it is the depth of half a cell.
     """
     limit = 2 * highest(parts)
     found = [(limit, limit)]

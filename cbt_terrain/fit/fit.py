@@ -54,8 +54,8 @@ def fit(
     Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
     of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
     vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. The error
-    is exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for a bicubic surface, a
-    detail or finer tiles.
+    may be exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for bicubic surfaces,
+    a detail or finer tiles.
     """
     check_interpolation(field.interpolation)
     field.raster.check_no_finer("A fitted mesh")

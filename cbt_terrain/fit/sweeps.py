@@ -41,7 +41,8 @@ class Sweeps:
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
         """Start the sweeps from a welded mesh, all of its triangles active and none measured.
 
-        `known`: Warp arrays of the heights and states of vertices that are known, so that they are not computed again.
+        `known`: Warp arrays of the heights and states of the vertices of earlier meshes, by sample (`_nothing_known` of
+        Fitter); vertices of `surface` that were in one of them get these.
         """
         triangles, vertices = len(surface.triangles), len(surface.positions)
         if triangles + triangles // 8 > self.m.room:

@@ -29,6 +29,7 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
+from finer_fields import finer_field
 
 SEEN = View.look((0, -700, 500), (0, 0, 0), resolution=(640, 360))
 FURTHER = View.look((300, -1400, 700), (0, 0, 0), resolution=(640, 360))
@@ -87,6 +88,14 @@ def test_a_sweep_of_a_smooth_surface_includes_the_bilinear_one(field):
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
     assert [s.error for s in smooth if s.unit == "px" and s.is_plain] == list(PIXELS)
     assert all(s.is_plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
+
+
+def test_a_sweep_of_finer_tiles_is_bilinear_and_not_fitted():
+    field = finer_field(rows=33, columns=33, known=[(0, 0)])
+    settings = settings_for(field, TimedFrame([SEEN]))
+    assert {s.interpolation for s in settings} == {"bilinear"} and not any(s.fitted for s in settings)
+    for row in sweep(field, [s for s in settings if s.error in (PIXELS[0], settings[-1].error)], [TimedFrame([SEEN])]):
+        assert 0 < row.error <= row.bound * (1 + 1e-6)
 
 
 def test_transitions_are_measured_with_and_without_geomorph(field):

@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake a static mesh: one vertical error everywhere, no camera."""
 
+from dataclasses import replace
 from types import ModuleType
 
 import bpy
 
+from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.attributes.plan import plan
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.fit.fit import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
-from ...cbt_terrain.run import warmup
+from ...cbt_terrain.history.frame_history import FrameHistory
+from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.warmup import modules_of
 from ...cbt_terrain.view.criterion import Criterion
 from ...kernels import fitting
+from ..attributes.request import gather_effects
 from ..bridge.cleanup import clean_up
+from ..bridge.scene_paths import absolute_path
 from ..bridge.writer import write_mesh
 from ..kernel_operator import KernelOperator
+from ..land.request import land_of
+from ..land.shape_land import check_is_shaped
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
-from ..terrain.overrides import Overrides
-from ..terrain.request import gather
+from ..terrain.request import RENDER, Request, gather
 from ..terrain.request_kernels import kernels_for
 from ..text.shown_bounds import bound_text, limit_text
 
@@ -25,13 +35,40 @@ from ..text.shown_bounds import bound_text, limit_text
 def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
     """Add an ordinary object at the place of the terrain `obj`, whose mesh is at most `error_m` metres off in height.
 
-    Return it and the engine's Update. A limit of triangles may make the error larger. Raises TerrainError.
+    It has the terrain's materials and modifiers, and the attributes that renders and viewports read. Return it and the
+    engine's Update. A limit of triangles may make the error larger. Raises TerrainError.
 
     Args:
         fitted: move vertices off the surface to save triangles; each leaf is then one triangle. Otherwise the
             meshlet level of the render settings applies.
     """
-    detail = obj.adaptive_terrain.render
+    request = _request_of(obj, depsgraph, error_m)
+    if fitted:
+        check_interpolation(request.interpolation)
+    warmup.wait()
+    with session.engine_lock:
+        heights = session.field_of(request)
+        update = bake_mesh(
+            heights,
+            error_m,
+            fitted=fitted,
+            max_triangles=request.criterion.max_triangles,
+            meshlet=request.criterion.meshlet,
+            vertical_scale=request.vertical_scale,
+            vertical_offset=request.vertical_offset,
+        )
+        surface = clean_up(_with_attributes(update.surface, heights, request), request.cleanup)
+        mesh = bpy.data.meshes.new(f"{obj.name} baked")
+        write_mesh(mesh, surface, smooth=request.smooth)
+    return _add_object(obj, mesh), update
+
+
+def _request_of(obj, depsgraph, error_m: float) -> Request:
+    """Return the request of a baked mesh: its error, the shaped land, and what renders and viewports read.
+
+    Raises TerrainError for a terrain that cannot be refined.
+    """
+    evaluated, detail = obj.evaluated_get(depsgraph), obj.adaptive_terrain.render
     criterion = Criterion(
         error_px=0.0,
         error_m=error_m,
@@ -39,28 +76,46 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
     )
     request = gather(obj, depsgraph, criterion=criterion)
-    if fitted:
-        check_interpolation(request.interpolation)
-    warmup.wait()
-    with session.engine_lock:
-        update = bake_mesh(
-            session.field_of(request),
-            error_m,
-            fitted=fitted,
-            max_triangles=criterion.max_triangles,
-            meshlet=criterion.meshlet,
-            vertical_scale=request.vertical_scale,
-            vertical_offset=request.vertical_offset,
-        )
-        mesh = bpy.data.meshes.new(f"{obj.name} baked")
-        write_mesh(mesh, clean_up(update.surface, request.cleanup), smooth=request.smooth)
+    rendered = gather_effects(obj, evaluated, request.placement, depsgraph, RENDER, None)
+    effects = replace(request.effects, requests=request.effects.requests + rendered.requests)
+    land = land_of(obj, evaluated, depsgraph, waits=True)  # viewports may show a preview, and of a hidden terrain none
+    store = absolute_path(evaluated.adaptive_terrain.store)
+    return replace(request, effects=effects, land=land, store=store)
+
+
+def _with_attributes(surface: Surface, heights: HeightField, request: Request) -> Surface:
+    """Return a baked surface with the attributes of a request, at the raster's scale: no camera sets another."""
+    effects = EffectRequest(
+        plan(request.effects.requests),
+        surface,
+        placement=request.placement,
+        vertical_scale=request.vertical_scale,
+        vertical_offset=request.vertical_offset,
+        geometry_metres=request.effects.geometry_metres,
+    )
+    return surface.with_attributes(evaluate(heights, effects, FrameHistory(), launch.default_threads()).attributes)
+
+
+def _add_object(obj, mesh):
+    """Return a copy of a terrain's object in the same collections that is an ordinary object with another mesh.
+
+    Modifiers, material slots, visibility to rays, parent and animation are the terrain's.
+    """
     for material in obj.data.materials:
         mesh.materials.append(material)
-    baked = bpy.data.objects.new(mesh.name, mesh)
-    baked.matrix_world = obj.matrix_world
+    for name in ("active_color_index", "render_color_index"):  # counted anew: another mesh has other attributes
+        shown = getattr(obj.data.color_attributes, name)
+        if 0 <= shown < len(obj.data.color_attributes):
+            index = mesh.color_attributes.find(obj.data.color_attributes[shown].name)
+            if index >= 0:
+                setattr(mesh.color_attributes, name, index)
+    baked = obj.copy()
+    baked.property_unset("adaptive_terrain")
+    baked.name, baked.data = mesh.name, mesh
+    baked.hide_viewport = baked.hide_render = False
     for collection in obj.users_collection:
         collection.objects.link(baked)
-    return baked, update
+    return baked
 
 
 def _show_instead(baked, obj, view_layer) -> None:
@@ -78,18 +133,27 @@ def _show_instead(baked, obj, view_layer) -> None:
 
 
 class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
-    """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees, and hide the terrain,
-    which is in the same place. Use it to edit the terrain by hand or for other programs"""
+    """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees, and with all that the
+    material shows. It hides the terrain, which is in the same place. Edit it by hand or take it to other programs"""
 
     bl_idname = "adaptive_terrain.bake"
     bl_label = "Bake Static Mesh"
     bl_options = {"REGISTER", "UNDO"}
 
     def kernels(self, context) -> list[ModuleType]:
-        """Return the modules of the terrain's surface, and of the fit if the mesh is to be fitted."""
-        obj, depsgraph = context.object, context.evaluated_depsgraph_get()
-        found = kernels_for(gather(obj, depsgraph, overrides=Overrides(effects=())))
-        return found + modules_of(fitting) if obj.adaptive_terrain.bake_fit else found
+        """Return the modules of the terrain's surface and attributes, and of the fit if the mesh is to be fitted."""
+        settings = context.object.adaptive_terrain
+        found = kernels_for(_request_of(context.object, context.evaluated_depsgraph_get(), settings.bake_error_m))
+        return found + modules_of(fitting) if settings.bake_fit else found
+
+    def invoke(self, context, event):
+        """Refuse land that is not shaped yet, which has its own button; otherwise bake once the kernels are ready."""
+        try:
+            check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return KernelOperator.invoke(self, context, event)
 
     @cancelled_by_errors
     def execute(self, context):

@@ -14,6 +14,7 @@ from ...cbt_terrain.field.georeference import Place, to_crs
 
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
 LATITUDE, LONGITUDE = "latitude", "longitude"
+WGS84 = "EPSG:4326"
 METRES = "crs metres"  # our own: metres in a unit of x and of y, 1 if it is missing
 # Metres in a degree of latitude, on any ellipsoid and at any latitude.
 DEGREE = 1.10e5, 1.12e5

@@ -64,7 +64,7 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
 
 
 def _request_of(obj, depsgraph, error_m: float) -> Request:
-    """Return the request of a baked mesh: its error, the shaped land, and what renders and viewports read.
+    """Return the request of a baked mesh: its error, the shaped land, and attributes that renders or viewports read.
 
     Raises TerrainError for a terrain that cannot be refined.
     """

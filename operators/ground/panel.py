@@ -40,6 +40,7 @@ class GroundPanel:
         row.operator("adaptive_terrain.pick_ground", icon="EYEDROPPER")
         row.operator("adaptive_terrain.pick_ground", text="", icon="OBJECT_ORIGIN").moves = OBJECT  # not the 3D cursor
         column = layout.column(align=True)
+        column.operator("adaptive_terrain.place_at_coordinates", icon="EMPTY_AXIS")
         column.operator("adaptive_terrain.profile", icon="IPO_EASE_IN_OUT")
         column.operator("adaptive_terrain.viewshed", icon="HIDE_OFF")
         column.operator("adaptive_terrain.move_world", icon="WORLD")

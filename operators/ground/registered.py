@@ -6,11 +6,22 @@ from .drop_to_ground import DropToGround
 from .keep_above import KeepAboveGround, LetGo
 from .keep_ground import forget
 from .pick_ground import PickGround
+from .place_at_coordinates import PlaceAtCoordinates
 from .profile_curve import ProfileCurve
 from .properties import KeepSettings, look_again
 from .viewshed import Viewshed
 
-CLASSES = (KeepSettings, DropToGround, KeepAboveGround, LetGo, PickGround, ProfileCurve, Viewshed, AddCollider)
+CLASSES = (
+    KeepSettings,
+    DropToGround,
+    KeepAboveGround,
+    LetGo,
+    PickGround,
+    PlaceAtCoordinates,
+    ProfileCurve,
+    Viewshed,
+    AddCollider,
+)
 HANDLERS = (
     ("load_pre", forget),
     ("load_post", look_again),

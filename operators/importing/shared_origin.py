@@ -10,11 +10,10 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
 from ...cbt_terrain.importing.placing import reproject_point
 from ..bridge.evaluated import anchor_of
-from ..bridge.scene_origin import SceneOrigin, origin_of, set_origin, unit_lengths
+from ..bridge.scene_origin import WGS84, SceneOrigin, origin_of, set_origin, unit_lengths
 from ..terrain import move_world
 from .imported import Imported
 
-WGS84 = "EPSG:4326"
 SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 
 

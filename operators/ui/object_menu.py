@@ -15,6 +15,7 @@ OPERATORS = (
         "drop_to_ground",
         "keep_above_ground",
         "let_go",
+        "place_at_coordinates",
         "profile",
         "viewshed",
         "add_collider",

@@ -7,7 +7,6 @@ from . import import_verbs
 from .argument_types import MAX_ERROR_M, MAX_INT, argument, count_from_one, pair, path, path_text, positive
 
 PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
-TASK_TILES = 4  # of a farm's job
 
 
 def add_import(add_verb, subparsers) -> None:
@@ -67,7 +66,9 @@ def _add_parts(verb: argparse.ArgumentParser) -> None:
     part.add_argument("--job", type=path, metavar="DIR", help="write a job that a render farm runs, and import nothing")
     tiles = {"type": argument(parse_frames), "metavar": "A-B", "default": ()}
     verb.add_argument("--tiles", **tiles, help="numbers of the tiles to read or measure, from 0")
-    verb.add_argument("--chunk", type=count_from_one, metavar="N", help=f"tiles of one task of the job ({TASK_TILES})")
+    verb.add_argument(
+        "--chunk", type=count_from_one, metavar="N", help=f"tiles of one task ({import_verbs.TASK_TILES})"
+    )
 
 
 def add_info(add_verb, subparsers) -> None:

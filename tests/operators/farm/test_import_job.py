@@ -59,6 +59,15 @@ def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatc
     assert len(list((tmp_path / "store").glob("data-*"))) == 1
 
 
+def test_a_task_has_twelve_tiles_by_default(tmp_path, capsys, monkeypatch):
+    np.save(tmp_path / "a.npy", hills(120, 90))
+    monkeypatch.setattr(import_job, "TILED_SAMPLES", 1)
+    monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
+    job = "import", tmp_path / "a.npy", "--store", tmp_path / "store", "--job", tmp_path / "job"
+    assert run(*job) == 0 and "a job of 12 tiles, 12 a task" in capsys.readouterr().out
+    assert run(*job, "--chunk", "3") == 0 and "a job of 12 tiles, 3 a task" in capsys.readouterr().out
+
+
 def openjd():
     return Path(sys.executable).with_name("openjd")
 

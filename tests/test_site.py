@@ -9,6 +9,7 @@ import threading
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from browser import needs_chromium, opened
@@ -61,3 +62,19 @@ def test_the_site_has_the_hard_cases(site):
 def test_the_api_page_has_signatures(site):
     text = (site / "reference" / "python-api.html").read_text(encoding="utf-8")
     assert "vertical_offset" in text and "max_triangles" in text
+
+
+def test_a_link_to_another_checkout_is_remade(tmp_path, monkeypatch):
+    """Checkouts may share `.cache`, and the one that made the link may be gone."""
+    if importlib.util.find_spec("markdown") is None:
+        for name in ("markdown", "markdown.extensions"):
+            monkeypatch.setitem(sys.modules, name, SimpleNamespace(toc=None))
+    spec = importlib.util.spec_from_file_location("site_hooks", ROOT / "tools" / "site_hooks.py")
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    link, here = tmp_path / "kernels", tmp_path / "here"
+    here.mkdir()
+    for target in (tmp_path / "gone", here, here):
+        hooks.point_link(link, target)
+        assert os.readlink(link) == str(target)
+    assert link.is_dir() and sorted(path.name for path in tmp_path.iterdir()) == ["here", "kernels"]

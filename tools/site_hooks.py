@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hooks of mkdocs for the site of docs/: GitHub's names of repeated headings, and the package for the API page."""
 
+import os
 from pathlib import Path
 
 from markdown.extensions import toc
@@ -24,6 +25,13 @@ def on_startup(**_arguments):
     toc.unique = number_repeated
     PACKAGE.mkdir(parents=True, exist_ok=True)
     for name in ("__init__.py", "cbt_terrain", "kernels"):
-        link = PACKAGE / name
-        if not link.is_symlink():
-            link.symlink_to(ROOT / name)
+        point_link(PACKAGE / name, ROOT / name)
+
+
+def point_link(link: Path, target: Path) -> None:
+    """Make a link to a target, in place of one to another checkout, which may be gone, in a shared `.cache`."""
+    if link.is_symlink() and os.readlink(link) == str(target):
+        return
+    new = link.with_name(f"{link.name}.{os.getpid()}")
+    new.symlink_to(target)
+    os.replace(new, link)

@@ -108,7 +108,8 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         return np.rint((coordinates - axis[0]) / (axis[-1] - axis[0]) * (len(axis) - 1)).astype(int)
 
     spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
-    eye_x, eye_y = (grid.ravel() for grid in np.meshgrid(spread * np.ptp(x), spread * np.ptp(y)))
+    eyes_along = ((axis[0] + axis[-1]) / 2 + spread * np.ptp(axis) for axis in (x, y))
+    eye_x, eye_y = (grid.ravel() for grid in np.meshgrid(*eyes_along))
     around = [(i, j) for i in (-NEAR, 0.0, NEAR) for j in (-NEAR, 0.0, NEAR)]
     ground = np.max([z[nearest(eye_y + j * side, y), nearest(eye_x + i * side, x)] for i, j in around], axis=0)
     eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
@@ -118,7 +119,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         away = side * DISTANCES
         at_x = eye_x[:, None, None] + np.sin(angles)[:, None] * away
         at_y = eye_y[:, None, None] + np.cos(angles)[:, None] * away
-        inside = (abs(at_x) <= x[-1]) & (abs(at_y) <= y[-1])
+        inside = (x[0] <= at_x) & (at_x <= x[-1]) & (y[0] <= at_y) & (at_y <= y[-1])
         row, column = nearest(np.clip(at_y, y[0], y[-1]), y), nearest(np.clip(at_x, x[0], x[-1]), x)
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
         horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample

@@ -278,6 +278,8 @@ def test_the_view_across_shows_water_and_hides_the_border():
     assert ahead @ to_lake / np.linalg.norm(to_lake) > math.cos(math.radians(30.0))
     assert ahead[1] > -0.5, "it does not look out of the open side"
     assert 90.0 < height < 1200.0
+    moved, turned = viewpoint._best_view(x + 16384.0, x - 8192.0, z, 90.0)  # with the anchor elsewhere
+    assert moved == (east + 16384.0, north - 8192.0, height) and turned == azimuth
 
 
 @pytest.mark.parametrize("turned", [False, True])

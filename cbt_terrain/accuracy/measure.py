@@ -4,7 +4,7 @@
 The measured mesh is the one that Blender gets: the float32 arrays of a Surface, also after expansion to meshlets and
 after a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as
 the field says, and its detail. Bicubic surfaces and detail are evaluated by the measurement's independent code, which
-takes the largest of many points for the maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
+takes the largest of many points for the maximum (`MeasuredMesh.raise_to_maxima`, kernels/accuracy/rays.py).
 """
 
 from collections.abc import Iterable
@@ -83,7 +83,7 @@ def measure(
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()  # at samples; largest of each triangle
     on_progress(0.1)
-    rounding = mesh.edge_extremes(worst)
+    rounding = mesh.raise_to_maxima(worst)
     between, owner = mesh.differences_at(ground.random_points(random_points, seed))
     covered = slice(None) if mesh.covered is None else mesh.covered.reshape(-1)
     vertical = errors_of(np.concatenate([difference.reshape(-1)[covered], between[owner >= 0]]))
@@ -142,7 +142,7 @@ def triangle_errors(
     mesh, views = MeasuredMesh(ground, surface), listed_views(views)
     if not views:
         _, worst = mesh.differences()
-        mesh.edge_extremes(worst)
+        mesh.raise_to_maxima(worst)
         return worst.astype(np.float32)
     worst = np.zeros(mesh.triangles)
     for view in views:

@@ -183,7 +183,7 @@ class MeasuredMesh:
             )
         return difference, worst
 
-    def edge_extremes(self, worst: np.ndarray) -> np.ndarray:
+    def raise_to_maxima(self, worst: np.ndarray) -> np.ndarray:
         """Raise `worst` (float64 [T], metres) from that at samples to the maximum over each triangle.
 
         Returns float64 [T], by how much float32 has moved each. Over a cell a bilinear reference is a saddle, so mesh
@@ -192,7 +192,7 @@ class MeasuredMesh:
         each edge in each cell and at 4 x 4 points of each cell, or of the box of a triangle that is smaller.
         """
         rounding = np.zeros(self.triangles)
-        self.walk(edge_kernels.edge_extremes, [shared(worst, wp.float64), shared(rounding, wp.float64)])
+        self.walk(edge_kernels.raise_to_maxima, [shared(worst, wp.float64), shared(rounding, wp.float64)])
         if self.ground.packed.curved:
             self.walk(grid_kernels.grid_extremes, [shared(worst, wp.float64)])
         return rounding

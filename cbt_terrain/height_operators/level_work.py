@@ -104,10 +104,10 @@ class LevelWork:
     def ground(
         self, entry: Entry, land: LandWindow, mask: np.ndarray | None, report: Report, target: Window | None = None
     ) -> OperatorGround:
-        """Return an operator's input in the window of `land`: heights, holes, mask and the layers that it reads.
+        """Return an operator's input in the window of `land`: the ground as earlier entries left it, holes and mask.
 
-        target: window of the level whose change is needed (the rest is margin), None for all. report: gets
-        progress, 0 to 1.
+        Layers are those that the operator reads. target: window of the level whose change is needed (the rest is
+        margin), None for all. report: gets progress, 0 to 1.
         """
         level, source, window = self.level, self.source, land.window
         names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]

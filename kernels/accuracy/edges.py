@@ -165,7 +165,7 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
 
 
 @wp.kernel
-def edge_extremes(
+def raise_to_maxima(
     first: wp.int32,
     end: wp.int32,
     ground: Reference,

@@ -73,7 +73,7 @@ def finer_tile(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.int32:
     """Return the number of the finer tile that holds raster cell (i, j); -1 for none."""
     tile = wp.int32(-1)
     if surface.has_finer == 1:
-        bits = surface.finer[0].bits
+        bits = surface.finer[0].bits  # a raster cell has 2^bits finer cells a side
         tile = tile_at(surface.finer[0], i << bits, j << bits)
     return tile
 

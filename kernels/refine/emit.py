@@ -131,7 +131,8 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
     """Write the leaves below the cursor's triangle if its verdict is LEAF or EVEN_BLOCK; return the new counts.
 
-    A leaf that begins before the slice belongs to the one before and is left out.
+    A leaf that begins before the slice belongs to the one before and is left out; a block is inside the slice
+    (`can_copy_block`).
     """
     leaves = wp.int32(0)
     vertices = wp.int32(0)

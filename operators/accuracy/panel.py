@@ -47,10 +47,10 @@ class StatisticsPanel(TerrainSubpanel):
         draw_figures(column, statistics_lines(status))
         if status.mode:
             detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
-            self._draw_measured(column, status, detail)
+            self._draw_measured_and_predicted(column, status, detail)
         _draw_measuring(column, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
 
-    def _draw_measured(self, column, status, detail):
+    def _draw_measured_and_predicted(self, column, status, detail):
         """Draw the measured errors if they belong to this mesh, and what other errors would cost by the measured curve.
 
         detail: DetailSettings with the results.

@@ -88,9 +88,10 @@ def store_folder(obj, settings: ImportSettings) -> str:
 
 
 def baked_folder(obj) -> str:
-    """Return the path for the baked land of a terrain: that of its store and "_baked".
+    """Return the path for the baked land of a terrain: that of its store and "_baked". It may exist.
 
-    If other files use the store, it is beside the .blend file instead, or in the data folder.
+    Other files may use a store in a data folder: the path is then beside the .blend file (beginning with "//"), or in
+    the data folder if nothing can be written there. Raises NotOursError as `folder_beside`.
     """
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):

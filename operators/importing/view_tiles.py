@@ -162,6 +162,7 @@ def loaded_here(context, obj) -> str:
         step = loaded_at(session.open_field(absolute_path(obj.adaptive_terrain.store)), *_target_of(context, obj))
     except (TerrainError, np.linalg.LinAlgError):
         return text
+    # None: the complete store has taken its place by now.
     return phrase("Loaded to {} here", length_text(step)) if step else ""
 
 

@@ -40,9 +40,9 @@ class SamplePoints:
     """Points where attributes are evaluated: vertices of a mesh, or texels of a map.
 
     `positions`: float32 [n, 3], metres in the terrain's space, displaced. `level`: float32 [n], the scale as a level of
-    the pyramid; 0 is the raster's spacing, 1 twice that. `image_level`: level of decals, which may be finer than the
-    raster and then is below 0; None for `level`. Heights are those of `field` times `vertical_scale` plus
-    `vertical_offset`.
+    the pyramid; 0 is the raster's spacing, 1 twice that. It is below 0 only in finer tiles (`limit_levels`, scale.py).
+    `image_level`: level of decals, which may be finer than the raster and then is below 0; None for `level`. Heights
+    are those of `field` times `vertical_scale` plus `vertical_offset`.
     """
 
     field: HeightField

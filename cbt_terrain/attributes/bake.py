@@ -31,10 +31,11 @@ from .attribute import AttributeRequest, SamplePoints
 from .catalogue import ATTRIBUTES
 from .coding import PNG, Coding, coding_of
 from .evaluate import values_at
+from .finer_heights import is_finer, min_level
 from .folder import JSON_NAME, UDIM, VERSION, file_name, image_files, read_index
 from .plan import plan
 from .pyramid import pack_pyramid
-from .scale import STEPS_PER_LEVEL
+from .scale import STEPS_PER_LEVEL, limit_levels
 from .tiling import Tiling, tiling_of
 
 # Levels by which maps are sharper, since interpolation of the image smooths too: the shading of the island is off by
@@ -86,7 +87,7 @@ def bake(
     fraction and may raise, which cancels without a change of the folder. `lock` is held for each band of texels. Images
     that the earlier maps.json lists and the new one does not are removed. Raises TerrainError.
     """
-    folder, tiling = Path(folder), tiling_of(field.lattice)
+    folder, tiling = Path(folder), tiling_of(field.lattice, min_level(field.raster))
     ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
     images = [
         _image(ground, request, tile, side, form)
@@ -128,9 +129,22 @@ class _MapGround:
     vertical_offset: float
     threads: int
 
-    def level(self, side: int) -> float:
-        """Return the level of the pyramid for `side` texels along a side: the spacing of texels, less SHARPER."""
-        return max(self.image_level(side), 0.0)
+    def levels(self, side: int, positions: np.ndarray) -> np.ndarray:
+        """Return the level of each texel, float32 [n]: the spacing of texels, less SHARPER, where samples are as fine.
+
+        side: texels along a side of the image. positions: float32 [n, 3], of the texels.
+        """
+        level = max(self.image_level(side), min_level(self.field.raster))
+        levels = np.full(len(positions), level, np.float32)
+        limit_levels(self.field, positions, levels, self.threads)
+        return levels
+
+    def finer_level(self, tile: int, side: int) -> float:
+        """Return the finest level of a tile's texels, 0 or below it; `side`: texels along a side of the image."""
+        raster, (west, south, east, north) = self.field.raster, self.tiling.box(tile)
+        across, along = (side * self.tiling.margin * texel for texel in self.tiling.texel(side))
+        is_there = is_finer(raster, (west - across, south - along, east + across, north + along))
+        return min(max(self.image_level(side), min_level(raster)), 0.0) if is_there else 0.0
 
     def image_level(self, side: int) -> float:
         """Return the level at which decals are sampled, for images of `side` texels.
@@ -148,12 +162,13 @@ def _image(ground: _MapGround, request: AttributeRequest, tile: int, side: int, 
     The key changes with everything that the pixels depend on: parameters, versions, heights, tiling and coding.
     """
     coding = coding_of(ATTRIBUTES[request.name], form)
-    steps = plan([request]).steps
+    steps, finer = plan([request]).steps, ground.finer_level(tile, side)
+    finer_levels = (finer,) if finer else ()  # the raster's scale does not count
     content = (
         VERSION,
         [(step.name, ATTRIBUTES[step.name].version, sorted(step.parameters)) for step in steps],
         (ground.field.raster.digest, ground.vertical_scale, ground.vertical_offset),
-        (ground.tiling, tile, side, ground.image_level(side)),
+        (ground.tiling, tile, side, ground.image_level(side), *finer_levels),
         coding,
     )
     key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
@@ -242,7 +257,7 @@ def _texel_points(ground: _MapGround, tile: int, side: int, first: int, rows: in
     positions = np.empty((rows * side, 3), np.float32)
     inputs = [first * side, heights, grid, shared(positions, wp.vec3f)]
     launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=ground.threads)
-    level = np.full(len(positions), ground.level(side), np.float32)
+    level = ground.levels(side, positions)
     scale = ground.vertical_scale, ground.vertical_offset
     return SamplePoints(ground.field, positions, level, *scale, ground.threads, ground.image_level(side))
 

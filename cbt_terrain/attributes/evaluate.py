@@ -20,7 +20,7 @@ from ..view.view import View
 from .attribute import GEOMETRY, AttributeRequest, SamplePoints
 from .catalogue import ATTRIBUTES
 from .plan import AttributePlan, kernels_of_steps, plan
-from .scale import fixed_level, footprint_levels
+from .scale import fixed_level, footprint_levels, limit_levels
 from .values import EffectValues, ValueSource
 
 KERNELS = footprint_kernels, keep_kernels
@@ -52,8 +52,8 @@ class Ran:
 class EffectRequest:
     """A plan and a surface; other arguments as of `Terrain.update`.
 
-    Without views, attributes in pictures have the raster's scale. geometry_metres: metres between samples of the scale
-    of attributes in geometry, 0 for the raster's.
+    Without views, attributes in pictures have the scale of the finest samples. geometry_metres: metres between samples
+    of the scale of attributes in geometry, 0 for the finest samples.
     """
 
     plan: AttributePlan
@@ -134,6 +134,7 @@ def _evaluate_steps(
         levels, before = values.swap_arrays(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
+            limit_levels(heights, positions, levels, values.threads)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
         places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)

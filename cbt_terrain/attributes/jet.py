@@ -17,6 +17,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .decals import DECALS, tilt
+from .finer_heights import finer_heights
 from .pyramid import scaled_pyramid
 
 KERNELS = (kernels, pyramid_kernels)
@@ -50,7 +51,8 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
         setattr(values, field, shared(arrays[name], dtype))
     values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
     heights = scaled_pyramid(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
-    inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
+    finer = finer_heights(places.field.raster, places.threads)
+    inputs = [heights, finer, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
     if "detail_normal" in arrays:
         tilt(arrays["detail_normal"], wanted["detail_normal"].get("decals", ()), places)

@@ -18,19 +18,22 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..view.linear import add_up, length, product, round_last_bits
 from ..view.view import ORTHOGRAPHIC, View
+from .finer_heights import finer_places, min_level
 
 STEPS_PER_LEVEL = 8
 
 
 def fixed_level(field: HeightField, metres: float) -> float:
-    """Return the level with samples `metres` apart in the terrain's space, 0 for those of the raster.
+    """Return the level with samples `metres` apart in the terrain's space; 0 for the finest samples.
 
-    Raises TerrainError for an invalid distance.
+    Below 0 it is that of finer tiles, which `limit_levels` raises elsewhere. Raises TerrainError for an invalid
+    distance.
     """
     if not 0.0 <= metres < math.inf:
         problem = f"The scale of effects for geometry is {metres} m"
         raise TerrainError(problem, expected="a distance, or 0 for the raster's")
-    steps = round_last_bits(math.log2(max(metres / _spacing(field), 1.0))) * STEPS_PER_LEVEL
+    finest = 2.0 ** min_level(field.raster)
+    steps = round_last_bits(math.log2(max(metres / _spacing(field), finest))) * STEPS_PER_LEVEL
     return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _max_level(field))
 
 
@@ -47,21 +50,36 @@ def footprint_levels(
     positions: float32 [n, 3], metres in the terrain's space, which `placement` (4 x 4) maps to the world. out: array
     for the result, None for a new one. The footprint is across the line of sight and depends on the distance, not on
     the depth, so that rotating the camera changes nothing. For an unevenly scaled terrain it is that along the axis of
-    least scale, the largest. Without views level 0.
+    least scale, the largest. Without views it is the finest level.
     """
     levels = np.empty(len(positions), np.float32) if out is None else out
+    finest = min_level(field.raster)
     if not views:
-        levels[:] = 0.0
+        levels[:] = finest
+        limit_levels(field, positions, levels, threads)
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     levels[:] = np.inf  # the kernel takes the minimum
     eyes = wp.array(
         [_footprint_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE
     )
-    inputs = [shared(positions, wp.vec3f), eyes, _max_level(field), flat(levels, wp.float32)]
+    inputs = [shared(positions, wp.vec3f), eyes, finest, _max_level(field), flat(levels, wp.float32)]
     blocks = -(-len(positions) // kernels.BLOCK)
     launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
+    limit_levels(field, positions, levels, threads)
     return levels
+
+
+def limit_levels(field: HeightField, positions: np.ndarray, levels: np.ndarray, threads: int = 1) -> None:
+    """Raise the levels of points, in place, to the finest one there; none is below the field's finest level before.
+
+    It is 0 where only the raster is known, and falls to that of finer tiles within a quarter of a tile from their
+    border. So values of attributes are continuous over the border. positions: float32 [n, 3], metres in the terrain's
+    space. levels: float32 [n].
+    """
+    if field.raster.finer is not None:
+        inputs = [finer_places(field.raster), shared(positions, wp.vec3f), flat(levels, wp.float32)]
+        launch.spread(kernels.limit_levels, len(levels), inputs, step="footprint", threads=threads, cost=1)
 
 
 def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:

@@ -16,6 +16,7 @@ from ..view.linear import lengths, min_stretch, product
 from ..view.local_view import eye_of, frustum_planes
 from ..view.view import ORTHOGRAPHIC, View
 from .attribute import AttributeRequest
+from .finer_heights import is_finer, min_level
 from .tiling import MAX_SIDE, MIN_SIDE, Tiling
 
 # Steps in octaves by which all tiles get coarser until they fit into a budget.
@@ -113,8 +114,10 @@ def resolutions(
 
 
 def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeRequest]) -> np.ndarray:
-    """Return the finest content of each tile, float64 [tiles] metres: the raster's spacing, or the pixels of decals."""
-    found = np.full(len(tiling), min(field.lattice.step_x, field.lattice.step_y))
+    """Return the finest content of each tile, float64 [tiles] metres: samples, finer ones too, or pixels of decals."""
+    raster, spacing = field.raster, min(field.lattice.step_x, field.lattice.step_y)
+    finer = np.array([is_finer(raster, tiling.box(tile)) for tile in range(len(tiling))])
+    found = np.where(finer, spacing * 2.0 ** min_level(raster), spacing)
     for decal in {decal for request in requests for decal in dict(request.parameters).get("decals", ())}:
         west, south, east, north = decal.box
         for tile in range(len(tiling)):

@@ -72,15 +72,16 @@ class Tiling:
         return west - beyond * step_x, north + beyond * step_y
 
 
-def tiling_of(lattice: Lattice) -> Tiling:
+def tiling_of(lattice: Lattice, min_level: int = 0) -> Tiling:
     """Return the tiling of a raster: one tile up to SINGLE_CELLS, else about square ones.
 
-    They are larger than TILE_CELLS where MAX_COLUMNS or MAX_ROWS, the limits of UDIM numbers, require it.
+    They are larger than TILE_CELLS where MAX_COLUMNS or MAX_ROWS, the limits of UDIM numbers, require it. min_level:
+    finest level of the raster's heights, below 0 with finer tiles, whose cells the sizes refer to.
     """
     west, south, east, north = lattice.rectangle()
-    if max(lattice.cells_x, lattice.cells_y) <= SINGLE_CELLS:
+    if max(lattice.cells_x, lattice.cells_y) << -min_level <= SINGLE_CELLS:
         return Tiling(1, 1, west, south, east - west, north - south, margin=0.0)
-    side = TILE_CELLS * max(lattice.step_x, lattice.step_y)
+    side = TILE_CELLS * max(lattice.step_x, lattice.step_y) * 2.0**min_level
     side = max(side, (east - west) / MAX_COLUMNS, (north - south) / MAX_ROWS)
     columns = min(math.ceil((east - west) / side), MAX_COLUMNS)
     rows = min(math.ceil((north - south) / side), MAX_ROWS)

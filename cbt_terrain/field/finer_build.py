@@ -16,7 +16,7 @@ from . import codes, hierarchy
 from .blocks import halvings
 from .build import Allocate, in_memory
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
-from .heightfield import HeightField
+from .heightfield import HeightField, HeightRaster
 from .lattice import PAGE, SIDE_BITS, Lattice
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
@@ -107,7 +107,7 @@ def _numbered(known: list[Tile], shape: tuple[int, int]) -> np.ndarray:
     return np.where(there, np.cumsum(there).reshape(shape) - 1, -1).astype(np.int32)
 
 
-def raster_heights(plain: HeightField, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the heights of the raster's bilinear surface at finer columns x and rows y, both rising, float64 [y, x].
 
     Outside of the raster they are those at its border.

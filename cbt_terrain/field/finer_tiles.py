@@ -34,6 +34,7 @@ REACH = 3 << int(kernels.STORED_BITS) - 1  # finer cells from a diamond's vertex
 TILE_BYTES = 4 * STRIDE * STRIDE + int(kernels.ERRORS) + 4 * int(kernels.RANGES)  # of a tile in a store
 ARRAYS = "numbers", "heights", "errors", "ranges", "limits"  # in files of a store
 NUMBERS = "bits", "exponent", "range_base", "range_step"  # in its JSON file
+PYRAMID = "finer_pyramid"  # file of the store that caches the coarser levels (attributes/finer_heights.py)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,21 @@ class FinerTiles:
         """Return the largest slope of the change along an axis."""
         return float(self.limits[-1, 1])
 
+    def differing(self, lattice: Lattice) -> np.ndarray:
+        """Return whether the surface differs from the raster's in each tile with cells of the raster.
+
+        bool [rows, columns] of the table of tiles, without those beyond the border.
+        """
+        rows, columns = self.numbers.shape
+        differs = self.limits[: rows * columns, 0].reshape(rows, columns) > 0.0
+        rows, columns = (-(-(cells << self.bits) // SIDE) for cells in (lattice.cells_y, lattice.cells_x))
+        return differs[:rows, :columns]
+
+    def pyramid_size(self, lattice: Lattice) -> int:
+        """Return the number of samples, at least 1, of the coarser levels of the tiles where the surface differs."""
+        sides = pyramid_sides(self.bits)
+        return max(int(self.differing(lattice).sum()) * sum(int(side * side) for side in sides), 1)
+
     @cached_property
     def packed(self) -> wp.array:
         """Return the tiles as kernels read them, an array of one struct; memory is shared."""
@@ -121,6 +137,14 @@ def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
     """Return rows and columns of the table of tiles: also those beyond the border that diamonds inside reach into."""
     rows, columns = (((cells << bits) + REACH >> TILE_BITS) + 1 for cells in (lattice.cells_y, lattice.cells_x))
     return rows, columns
+
+
+def pyramid_sides(bits: int) -> list[int]:
+    """Return the samples along a side of a tile at each coarser level finer than the raster, with one more at each end.
+
+    bits: a raster cell has 2^bits finer cells a side.
+    """
+    return [(SIDE >> level) + 3 for level in range(1, bits)]
 
 
 def open_tiles(folder: Path, lattice: Lattice, entry: dict[str, Any]) -> FinerTiles:

@@ -198,7 +198,7 @@ def is_intact(field: HeightField) -> bool:
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
     arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
-    arrays += [found[0] for key, found in field.cache.results.items() if key[0] == "tops"]
+    arrays += [found[0] for key, found in field.cache.results.items() if key[0] in ("tops", finer_tiles.PYRAMID)]
     layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
@@ -229,6 +229,8 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}
     derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
+    if field.raster.finer is not None:
+        derived[f"{finer_tiles.PYRAMID}.npy"] = (field.raster.finer.pyramid_size(field.lattice),), np.float32
     shapes = shapes_of_effects(field.lattice)
     for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
         derived[file.name] = _shape_of(file, shapes), np.float32

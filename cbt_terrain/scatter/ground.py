@@ -16,6 +16,7 @@ from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seams import Pattern
 from ..attributes.attribute import SamplePoints
 from ..attributes.evaluate import values_at
+from ..attributes.scale import footprint_levels
 from ..errors import TerrainError
 from ..field import displacement_layers
 from ..field.domain import box_of, make_domain
@@ -136,9 +137,8 @@ class ScatterGround:
         reads = self.scatter.reads()
         positive = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(positive):
-            places = SamplePoints(
-                self.field, positions[positive], np.zeros(len(positive), np.float32), *self.scale, threads
-            )
+            some = positions[positive]
+            places = SamplePoints(self.field, some, footprint_levels(self.field, some, ()), *self.scale, threads)
             for request, column in reads:
                 density[positive] *= values_at(places, [request])[request.name][:, column]
 

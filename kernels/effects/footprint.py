@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The level of a pixel's footprint: the scale of attributes that pictures show."""
+"""The level of a pixel's footprint: the scale of attributes that pictures show; and the finest level at a point.
+
+Levels below 0, finer than the raster, are those of finer tiles (cbt_terrain/field/finer_tiles.py).
+"""
 
 import warp as wp
 
+from ..field.finer import SIDE, TILE_BITS
+from ..unchecked import item_at
+
 BLOCK = wp.constant(1024)  # points whose footprints fit into the L1 cache
+FADE = wp.constant(wp.float64(64.0))  # finer cells from the border of the tiles with finer heights to the finest level
 
 
 @wp.struct
@@ -15,6 +22,23 @@ class FootprintEye:
     pixel2: wp.float64  # squared samples that a pixel covers at unit distance
 
 
+@wp.struct
+class FinerPlaces:
+    """The tiles with finer heights of a raster, and how far it is from a point to others."""
+
+    bits: wp.int32  # a raster cell has 2^bits finer cells a side
+    columns: wp.int32  # of the table of tiles
+    # For each place of the table, bit 3 j + i for each neighbour without finer heights, i columns and j rows from the
+    # south-western one; -1 for a place that has none itself.
+    beside: wp.array(dtype=wp.int32)
+    cells_x: wp.int32  # finer cells of the raster
+    cells_y: wp.int32
+    west: wp.float64  # position of the raster's first sample, metres
+    south: wp.float64
+    per_x: wp.float64  # finer cells per metre
+    per_y: wp.float64
+
+
 # Vectorized loops take 2 ns for a point, Warp's 10. A level in eighths is log2 of the squared footprint in quarters:
 # its exponent, and the number of thresholds 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) that its mantissa reaches. Integer
 # comparisons of bits are the same on every machine.
@@ -22,6 +46,7 @@ class FootprintEye:
     const wp::vec3f* place = positions.data + first;
     float* __restrict out = levels.data + first;
     const double largest = (double)(2ll << 2 * max_level);
+    const float smallest = 1.0f / (float)(1 << -2 * min_level);
     for (int e = 0; e < (int)eyes.shape[0]; ++e) {
         const auto& eye = eyes.data[e];
         const auto& m = eye.linear.data;
@@ -37,7 +62,7 @@ class FootprintEye:
         }
     }
     for (int k = 0; k < count; ++k) {
-        const float squared = out[k] > 1.0f ? out[k] : 1.0f;
+        const float squared = out[k] > smallest ? out[k] : smallest;
         int bits;
         __builtin_memcpy(&bits, &squared, 4);
         const int m = bits & 0x7FFFFF;
@@ -51,10 +76,13 @@ def levels_of(
     first: int,
     count: int,
     eyes: wp.array(dtype=FootprintEye),
+    min_level: int,
     max_level: int,
     levels: wp.array(dtype=wp.float32),
 ):
-    """Write the finest level of any eye for `count` points from `first` on, 0 to `max_level` in steps of 1/8.
+    """Write the finest level of any eye for `count` points from `first` on, in steps of 1/8.
+
+    Levels are at least `min_level`, which is 0 or a little less, and at most `max_level`.
 
     A level is log2 of the samples that a pixel covers. `levels` holds infinity before.
     """
@@ -66,13 +94,55 @@ def footprint_levels(
     offset: int,
     positions: wp.array(dtype=wp.vec3f),
     eyes: wp.array(dtype=FootprintEye),
+    min_level: int,
     max_level: int,
     levels: wp.array(dtype=wp.float32),
 ):
     """Compute the level of the finest pixel footprint of any eye, for block `offset + tid` of points.
 
-    A level is log2 of the samples that a pixel covers, 0 to `max_level` in steps of 1/8; `levels` holds infinity
-    before.
+    A level is log2 of the samples that a pixel covers, `min_level` to `max_level` in steps of 1/8; `levels` holds
+    infinity before.
     """
     first = (offset + wp.tid()) * BLOCK
-    levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, max_level, levels)
+    levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, min_level, max_level, levels)
+
+
+@wp.func
+def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float32:
+    """Return the finest level at x, y metres: -bits in tiles with finer heights, 0 elsewhere and at their border.
+
+    Between them it is linear in the distance to the border, the larger one along an axis. So it is continuous.
+    """
+    cell_x = wp.clamp((x - places.west) * places.per_x, wp.float64(0.0), wp.float64(places.cells_x))
+    cell_y = wp.clamp((y - places.south) * places.per_y, wp.float64(0.0), wp.float64(places.cells_y))
+    column = wp.min(wp.int32(cell_x), places.cells_x - 1) >> TILE_BITS
+    row = wp.min(wp.int32(cell_y), places.cells_y - 1) >> TILE_BITS
+    beside = item_at(places.beside, row * places.columns + column)
+    found = wp.float64(0.0)
+    if beside >= 0:
+        side = wp.float64(SIDE)
+        west = cell_x - wp.float64(column) * side
+        south = cell_y - wp.float64(row) * side
+        found = FADE
+        if beside != 0:
+            for k in range(9):
+                if ((beside >> k) & 1) != 0:
+                    across = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
+                    along = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
+                    found = wp.min(found, wp.max(across, along))
+        found *= -wp.float64(places.bits) / FADE
+    return wp.float32(found)
+
+
+@wp.kernel
+def limit_levels(
+    offset: int,
+    places: FinerPlaces,
+    positions: wp.array(dtype=wp.vec3f),
+    levels: wp.array(dtype=wp.float32),
+):
+    """Raise levels[offset + tid] to the finest level at its point, if it is below that."""
+    v = offset + wp.tid()
+    if levels[v] < 0.0:
+        p = positions[v]
+        levels[v] = wp.max(levels[v], finest_level(places, wp.float64(p[0]), wp.float64(p[1])))

@@ -3,7 +3,8 @@
 
 import warp as wp
 
-from .pyramid import Jet, Pyramid, jet_at
+from .finer_jet import FinerHeights, finer_jet_at
+from .pyramid import Jet, Pyramid, inverse_power, jet_at
 
 # Bits of Values.wanted.
 HEIGHT = wp.constant(1)
@@ -102,19 +103,25 @@ def plan_curvature_of(q: Jet, run: wp.float64) -> wp.float64:
 def from_jets(
     offset: int,
     ground: Pyramid,
+    finer: wp.array(dtype=FinerHeights),
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
     values: Values,
 ):
     """Compute the requested values (height, slope, curvatures ..) at point `offset + tid` from the ground's jet there.
 
-    Slopes are radians, curvatures 1/m; the aspect is the unit vector downhill, (0, 0) on level ground. levels: log2 of
-    the samples that a pixel covers at each point. values: the output arrays, and bits for those that are requested.
+    Slopes are radians, curvatures 1/m; the aspect is the unit vector downhill, (0, 0) on level ground. finer: the
+    heights of finer tiles, one or none. levels: log2 of the samples that a pixel covers at each point; below 0 only
+    finer tiles count. values: the output arrays, and bits for those that are requested.
     """
     v = offset + wp.tid()
     p = positions[v]
     level = levels[v]
-    q = jet_at(ground, wp.float64(p[0]), wp.float64(p[1]), level)
+    q = Jet()
+    if level < 0.0 and finer.shape[0] > 0:
+        q = finer_jet_at(finer[0], ground, wp.float64(p[0]), wp.float64(p[1]), level)
+    else:
+        q = jet_at(ground, wp.float64(p[0]), wp.float64(p[1]), level)
     if (values.wanted & HEIGHT) != 0:
         values.height[v] = to_single(q[0])
     squared = q[1] * q[1] + q[2] * q[2]
@@ -137,7 +144,7 @@ def from_jets(
         values.profile_curvature[v] = to_single(profile_curvature_of(q, r, run))
     if (values.wanted & PLAN_CURVATURE) != 0:
         # A contour with a radius below the spacing of the level is not resolved.
-        limit = wp.max(ground.per_x, ground.per_y) / wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
+        limit = wp.max(ground.per_x, ground.per_y) * inverse_power(wp.int32(wp.floor(level)))
         values.plan_curvature[v] = wp.float32(wp.clamp(plan_curvature_of(q, run), -limit, limit))
     if (values.wanted & NORMAL) != 0:
         values.normal[v] = wp.vec3f(wp.float32(-q[1] * r), wp.float32(-q[2] * r), wp.float32(r))

@@ -9,6 +9,7 @@ import warp as wp
 from ..field.noise import scramble
 from ..unchecked import item_at
 from .logarithm import natural_log
+from .pyramid import inverse_power
 
 MAX_LAYERS = wp.constant(12)
 Weights = wp.types.vector(length=12, dtype=wp.float32)
@@ -267,10 +268,10 @@ def splats(
     v = offset + wp.tid()
     x = wp.float64(positions[v][0]) - s.west
     y = wp.float64(positions[v][1]) - s.south
-    level = wp.clamp(levels[v], 0.0, 30.0)
-    whole = wp.int32(level)
+    level = wp.clamp(levels[v], -30.0, 30.0)
+    whole = wp.int32(wp.floor(level))
     # The footprint is linear between two levels, since powers of the C library differ between machines.
-    footprint = s.step * wp.float64(wp.int32(1) << whole) * wp.float64(1.0 + level - float(whole))
+    footprint = s.step * inverse_power(-whole) * wp.float64(1.0 + level - float(whole))
     covers = covers_at(s, v, x, y, footprint)
     w = Weights()
     sum = wp.float32(0.0)

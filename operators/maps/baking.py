@@ -13,6 +13,7 @@ from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.bake import Baked, bake
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.coding import PNG, coding_of
+from ...cbt_terrain.attributes.finer_heights import min_level
 from ...cbt_terrain.attributes.tiling import tiling_of
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.view import View
@@ -56,7 +57,7 @@ def bake_maps(
         on_progress: called with the fraction done; may raise to stop.
         lock: held while the engine works, for other threads that use it; None for none.
     """
-    tiling = tiling_of(field.lattice)
+    tiling = tiling_of(field.lattice, min_level(field.raster))
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     finest = shown = sizing.shown_by(tiling, field, request.requests)  # as fine as the height map shows them
     if request.views:

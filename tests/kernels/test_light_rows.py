@@ -139,13 +139,19 @@ def test_footprints_are_the_nearest_eighths_of_their_distances():
     positions = (rng.standard_normal((count, 3)) * 10 ** rng.uniform(0, 4, (count, 1))).astype(F)
     eye, linear, shift = footprint.FootprintEye(), rng.standard_normal((3, 3)), rng.standard_normal(3)
     eye.linear, eye.shift, eye.pixel2 = wp.mat33d(linear), wp.vec3d(*shift), 1e-2
-    levels = np.full(count, np.inf, F)
-    inputs = [shared(positions, wp.vec3f), wp.array([eye], dtype=footprint.FootprintEye, device="cpu"), 6]
+    levels, finer_levels = np.full((2, count), np.inf, F)
+    inputs = [shared(positions, wp.vec3f), wp.array([eye], dtype=footprint.FootprintEye, device="cpu")]
     blocks = -(-count // int(footprint.BLOCK))
-    launch.spread(footprint.footprint_levels, blocks, [*inputs, flat(levels, wp.float32)], step="test", threads=2)
+    for least, out in ((0, levels), (-3, finer_levels)):
+        arrays = [*inputs, least, 6, flat(out, wp.float32)]
+        launch.spread(footprint.footprint_levels, blocks, arrays, step="test", threads=2)
     squared = ((positions.astype(float) @ linear.T + shift) ** 2).sum(1) * 1e-2
     exact = np.clip(0.5 * np.log2(np.maximum(squared, 1.0)), 0.0, 6.0)
     wanted = np.floor(8 * exact + 0.5) / 8
     on_edge = np.abs(8 * exact % 1 - 0.5) < 1e-4
     assert (levels == wanted)[~on_edge].all() and on_edge.mean() < 0.01
     assert (np.abs(levels - wanted) <= 1 / 8).all() and len(set(levels)) > 40
+    exact = np.clip(0.5 * np.log2(squared), -3.0, 6.0)
+    on_edge = np.abs(8 * exact % 1 - 0.5) < 1e-4
+    assert (finer_levels == np.floor(8 * exact + 0.5) / 8)[~on_edge].all() and finer_levels.min() == -3.0
+    assert (np.maximum(finer_levels, 0.0) == levels).all()

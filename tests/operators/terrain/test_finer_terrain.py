@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain with finer tiles in Blender: its mesh, and what it says where they are not supported."""
+"""A terrain with finer tiles in Blender: its mesh, its attributes, and its messages."""
 
 import bpy
 import numpy as np

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The heights of finer tiles (field/finer_tiles.py) at the levels below 0, as attributes read them.
+
+Only tiles count where the surface differs from the raster's. Their own heights are level -bits. The levels between that
+one and the raster's are those of a pyramid over all finer heights, of which each tile has its part and one more sample
+on each side. They have a third as many samples as the finest level, and are cached like the coarser levels of the
+raster.
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import finer_jet, footprint
+from ...kernels.effects.pyramid import Pyramid
+from ..field import codes, derived_arrays
+from ..field.finer_build import raster_heights
+from ..field.finer_tiles import PYRAMID, SIDE, STRIDE, FinerTiles, pyramid_sides
+from ..field.heightfield import HeightRaster
+from ..field.lattice import Lattice
+from ..run import launch, stopping
+from ..run.buffers import flat
+from ..run.locks import cached
+
+Box = tuple[float, float, float, float]  # west, south, east and north border, metres in the terrain's space
+
+
+def min_level(raster: HeightRaster) -> int:
+    """Return the finest level of a raster's heights: -bits with finer tiles, else 0."""
+    return -raster.finer.bits if raster.finer else 0
+
+
+def finer_places(raster: HeightRaster) -> footprint.FinerPlaces:
+    """Return the tiles with finer heights, for kernels; cached with the raster, which has finer tiles."""
+    assert raster.finer is not None
+    return _table(raster, raster.finer)[1]
+
+
+def finer_heights(raster: HeightRaster, threads: int) -> wp.array:
+    """Return an array with the finer heights of a raster for kernels, of one struct, or of none without finer tiles.
+
+    Cached with the raster; the coarser levels of a large one are in its store.
+    """
+    if raster.finer is None:
+        return wp.empty(0, dtype=finer_jet.FinerHeights, device=launch.DEVICE)
+    return cached(raster.cache.results, (PYRAMID,), partial(_pack_heights, raster, raster.finer, threads))[1]
+
+
+def is_finer(raster: HeightRaster, box: Box) -> bool:
+    """Return whether heights are finer than the raster's anywhere in a box."""
+    if raster.finer is None:
+        return False
+    lattice, differs = raster.lattice, _table(raster, raster.finer)[0]
+    west, south, _, _ = lattice.rectangle()
+    sides = []
+    for first, ends, step, count in (
+        (south, box[1::2], lattice.step_y, len(differs)),
+        (west, box[::2], lattice.step_x, differs.shape[1]),
+    ):
+        metres = step * (SIDE >> raster.finer.bits)  # of a tile
+        low, high = (int(np.clip(math.floor((end - first) / metres), -1, count)) for end in ends)
+        sides.append(slice(max(low, 0), high + 1))
+    return bool(differs[sides[0], sides[1]].any())
+
+
+def _table(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footprint.FinerPlaces]:
+    """Return where the surface differs from the raster's, bool [rows, columns], and the same for kernels."""
+
+    def make() -> tuple[np.ndarray, footprint.FinerPlaces]:
+        """Compute both."""
+        differs = tiles.differing(raster.lattice)
+        return differs, _pack_places(raster.lattice, tiles.bits, differs)
+
+    return cached(raster.cache.results, ("finer places",), make)
+
+
+def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.FinerPlaces:
+    """Return the tiles with finer heights for kernels. Beyond the raster's border they go on.
+
+    bits: a raster cell has 2^bits finer cells a side. differs: where tiles have finer heights, bool [rows, columns].
+    """
+    rows, columns = differs.shape
+    around = np.pad(differs, 1, mode="edge")
+    beside = np.zeros((rows, columns), np.int32)
+    for row in range(3):
+        for column in range(3):
+            beside |= ~around[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
+    places = footprint.FinerPlaces()
+    places.bits, places.columns = bits, columns
+    places.beside = flat(np.where(differs, beside, np.int32(-1)), wp.int32)
+    places.cells_x, places.cells_y = lattice.cells_x << bits, lattice.cells_y << bits
+    places.west, places.south, _, _ = lattice.rectangle()
+    places.per_x, places.per_y = (1 << bits) / lattice.step_x, (1 << bits) / lattice.step_y
+    return places
+
+
+def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tuple[np.ndarray, wp.array]:
+    """Return the coarser levels of the finer heights, and all levels for kernels, an array of one struct."""
+    lattice, sides = raster.lattice, pyramid_sides(tiles.bits)
+    size, where = tiles.pyramid_size(lattice), np.argwhere(_table(raster, tiles)[0])
+    shapes = {PYRAMID: ((size,), np.float32)}
+
+    def fill(arrays: dict[str, np.ndarray]) -> None:
+        """Compute the coarser levels of all tiles, those of a range of tiles on each thread."""
+        levels = _split_levels(arrays[PYRAMID], sides, len(where))
+        ranges = launch.ranges(len(where), max(1, min(threads, len(where))))
+        with launch.timed("prefilter"):
+            launch.together([partial(_fill_levels, raster, tiles, where, levels, slice(*ends)) for ends in ranges])
+
+    in_store = size >= derived_arrays.MIN_CACHED
+    derive = derived_arrays.derive if in_store else derived_arrays.derive_large
+    coarser = derive(raster, shapes, fill)[PYRAMID]
+    numbers = np.full(tiles.numbers.shape, -1, np.int32)
+    numbers[tuple(where.T)] = np.arange(len(where))
+    packed = finer_jet.FinerHeights()
+    packed.bits, packed.columns = tiles.bits, tiles.numbers.shape[1]
+    packed.tiles, packed.numbers = flat(tiles.numbers, wp.int32), flat(numbers, wp.int32)
+    packed.cells_x, packed.cells_y = lattice.cells_x << tiles.bits, lattice.cells_y << tiles.bits
+    packed.levels = _pack_levels(lattice, tiles, coarser, len(where))
+    found = wp.array([packed], dtype=finer_jet.FinerHeights, device=launch.DEVICE)
+    found.parts = packed  # its arrays live as long
+    return coarser, found
+
+
+def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count: int) -> Pyramid:
+    """Return the levels of `count` tiles as a pyramid; only the fields that `jet_of` and `tile_jet` read are set."""
+    sides, levels = pyramid_sides(tiles.bits), Pyramid()
+    levels.samples = codes.pack_samples(tiles.heights.reshape(-1, STRIDE), None)
+    levels.coarser = flat(coarser, wp.float32)
+    sizes = [count * side * side for side in sides]
+    first = np.cumsum([0, 0, *sizes])[: len(sides) + 1]
+    levels.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
+    levels.columns = wp.array([STRIDE, *sides], dtype=wp.int32, device=launch.DEVICE)
+    rows = [len(tiles.heights) * STRIDE, *(count * side for side in sides)]
+    levels.rows = wp.array(rows, dtype=wp.int32, device=launch.DEVICE)
+    levels.per_x, levels.per_y = (1 << tiles.bits) / lattice.step_x, (1 << tiles.bits) / lattice.step_y
+    return levels
+
+
+def _split_levels(values: np.ndarray, sides: list[int], count: int) -> list[np.ndarray]:
+    """Return each level of `count` tiles in a flat array, float32 [count, side, side]."""
+    levels, first = [], 0
+    for side in sides:
+        levels.append(values[first : first + count * side * side].reshape(count, side, side))
+        first += count * side * side
+    return levels
+
+
+def _fill_levels(
+    raster: HeightRaster, tiles: FinerTiles, where: np.ndarray, levels: list[np.ndarray], some: slice
+) -> None:
+    """Fill the coarser levels of some tiles. where: row and column of each tile, int64 [tiles, 2]."""
+    around = 1 << tiles.bits  # finer cells that the coarsest level reads beyond a tile
+    last = raster.lattice.cells_y << tiles.bits, raster.lattice.cells_x << tiles.bits
+    for number in range(some.start, some.stop):
+        stopping.check()
+        first = SIDE * where[number]
+        low = np.maximum(first - around, 0)
+        high = np.minimum(first + SIDE + around, last)
+        heights = _window(raster, tiles, low, high)
+        for level, out in enumerate(levels, start=1):
+            heights = _halve(heights)
+            # From the sample before the tile's first to the one after its last, extrapolated beyond the border.
+            rows, columns = (np.arange(-1, len(out[number]) - 1) + (first[k] - low[k] >> level) for k in (0, 1))
+            extended = np.pad(heights, 1, mode="reflect", reflect_type="odd")
+            rows, columns = (
+                np.clip(at + 1, 0, size - 1) for at, size in zip((rows, columns), extended.shape, strict=True)
+            )
+            out[number] = extended[np.ix_(rows, columns)]
+
+
+def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the heights of finer samples from row and column `low` to `high`, float32; the raster's between tiles."""
+    found = np.empty(high - low + 1, np.float32)
+    for row in range(low[0] // SIDE, -(-high[0] // SIDE)):
+        for column in range(low[1] // SIDE, -(-high[1] // SIDE)):
+            y0, x0 = max(SIDE * row, low[0]), max(SIDE * column, low[1])
+            y1, x1 = min(SIDE * (row + 1), high[0]), min(SIDE * (column + 1), high[1])
+            number = tiles.numbers[row, column]
+            if number >= 0:
+                y, x = 1 + y0 - SIDE * row, 1 + x0 - SIDE * column
+                part = tiles.heights[number, y : y + y1 - y0 + 1, x : x + x1 - x0 + 1]
+            else:
+                part = raster_heights(raster, tiles.bits, np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
+            found[y0 - low[0] : y1 - low[0] + 1, x0 - low[1] : x1 - low[1] + 1] = part
+    return found
+
+
+def _halve(heights: np.ndarray) -> np.ndarray:
+    """Return the means of every other sample with the weights [1 2 1] x [1 2 1] / 16, float32 [rows, columns].
+
+    They are those of the kernel `halve_level`; beyond the border heights are 2 last - mirrored.
+    """
+    found = heights.astype(np.float64)
+    for _ in range(2):  # along rows, then along columns
+        first, last = 2.0 * found[:1] - found[1:2], 2.0 * found[-1:] - found[-2:-1]
+        before, after = np.concatenate([first, found[1:-1:2]]), np.concatenate([found[1::2], last])
+        found = ((before + after) + 2.0 * found[::2]).T
+    return (found * 0.0625).astype(np.float32)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jets at levels below 0, of finer tiles and the pyramid of their heights.
+
+Level -bits has the finer heights. The levels up to -1 are those of a pyramid over all finer heights; level 0 is the
+raster, so that values are continuous where a point's level passes 0.
+"""
+
+import warp as wp
+
+from ..field.finer import SIDE, STRIDE, TILE_BITS
+from ..unchecked import item_at
+from .pyramid import Jet, Pyramid, inverse_power, jet_of, level_jet
+
+
+@wp.struct
+class FinerHeights:
+    """The pyramids of tiles with finer heights, one above the other in one struct.
+
+    At level l a tile has SIDE >> l cells a side, and one more sample before the first and one after the last.
+    """
+
+    bits: wp.int32  # a raster cell has 2^bits finer cells a side; the pyramids have levels 0 .. bits - 1
+    columns: wp.int32  # of the table of tiles
+    tiles: wp.array(dtype=wp.int32)  # number of the tile at each place of the table, by which level 0 has its rows
+    numbers: wp.array(dtype=wp.int32)  # ... its number in the coarser levels; -1 without finer heights
+    cells_x: wp.int32  # finer cells of the raster
+    cells_y: wp.int32
+    levels: Pyramid
+
+
+@wp.func
+def tile_jet(
+    finer: FinerHeights, column: wp.int32, row: wp.int32, level: wp.int32, x: wp.float64, y: wp.float64
+) -> Jet:
+    """Return the jet of one level of the tile in a column and row of the table, at x, y finer cells of the raster.
+
+    Metres before vertical scaling, derivatives per metre.
+    """
+    scale = inverse_power(level)
+    side = SIDE >> level
+    first_x = column << TILE_BITS
+    first_y = row << TILE_BITS
+    u = (x - wp.float64(first_x)) * scale
+    v = (y - wp.float64(first_y)) * scale
+    i = wp.min(wp.int32(u), wp.min(side, (finer.cells_x - first_x) >> level) - 1)
+    j = wp.min(wp.int32(v), wp.min(side, (finer.cells_y - first_y) >> level) - 1)
+    place = row * finer.columns + column
+    above = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
+    q = jet_of(finer.levels, level, i, above + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
+    per_x = finer.levels.per_x * scale
+    per_y = finer.levels.per_y * scale
+    return Jet(q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y)
+
+
+@wp.func
+def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
+    """Return the jet at x, y metres in the terrain's space and a level below 0, of displaced heights.
+
+    ground: the raster's pyramid, whose level 0 counts where no heights are finer. Points outside the raster are clamped
+    to its border.
+    """
+    last_x = wp.float64(ground.columns[0] - 1)
+    last_y = wp.float64(ground.rows[0] - 1)
+    cell_x = wp.clamp((x - ground.west) * ground.per_x, wp.float64(0.0), last_x)
+    cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), last_y)
+    a_cell = wp.float64(wp.int32(1) << finer.bits)
+    finer_x = cell_x * a_cell
+    finer_y = cell_y * a_cell
+    column = wp.min(wp.int32(finer_x), finer.cells_x - 1) >> TILE_BITS
+    row = wp.min(wp.int32(finer_y), finer.cells_y - 1) >> TILE_BITS
+    scale = wp.float32(finer.bits)
+    if item_at(finer.numbers, row * finer.columns + column) >= 0:
+        scale = wp.max(scale + level, wp.float32(0.0))
+    below = wp.int32(scale)
+    coarse = wp.float64(scale) - wp.float64(below)
+    q = Jet()
+    for k in range(wp.where(coarse > wp.float64(0.0), 2, 1)):
+        part = Jet()
+        if below + k < finer.bits:
+            part = tile_jet(finer, column, row, below + k, finer_x, finer_y)
+        else:
+            part = level_jet(ground, 0, cell_x, cell_y)
+        q += part * wp.where(k == 0, wp.float64(1.0) - coarse, coarse)
+    q *= ground.height_scale
+    q[0] = q[0] + ground.height_offset
+    return q

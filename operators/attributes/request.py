@@ -29,7 +29,7 @@ class Effects:
     """The attributes to compute for a terrain.
 
     `requests`: of these attributes. `off`: names of those that are switched off, with the names of their would-be
-    readers. `geometry_metres`: the scale of attributes from which geometry is made; 0 is the raster's own.
+    readers. `geometry_metres`: the scale of attributes from which geometry is made; 0 is that of the finest samples.
     """
 
     requests: tuple[AttributeRequest, ...] = ()

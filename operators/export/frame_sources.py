@@ -75,7 +75,7 @@ class StoreFrames:
         detail: Detail | None = None,
         has_anchor: bool = False,
     ):
-        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale.
+        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the scale of the finest samples.
 
         in_blender: whether a format needs a Blender object; its empty file takes the place of the open one. detail:
         displacement, or None. has_anchor: positions are about a point near the path instead of the raster's middle.

@@ -4,13 +4,17 @@
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.attributes.folder import read_index
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.store import Draft
+from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
+from adaptive_terrain.operators.maps import images as map_images
 from adaptive_terrain.operators.session import session
 from fields import reference_heights, rough
 from finer_fields import dense_field
+from matplotlib.image import imread
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +48,46 @@ def test_a_mesh_in_blender_has_the_finer_heights(scene, add_terrain, city):
     assert np.abs(vertices[:, 2] - expected).max() < 1e-3
     in_tile = np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0  # the known tile, from the raster's middle
     assert in_tile.sum() > 500
+
+
+def test_a_material_and_a_map_show_the_finer_slope(scene, add_terrain, city, tmp_path):
+    """The waves have 57 m and 44 m, so samples of 32 m lose them."""
+    obj = add_terrain()
+    obj.adaptive_terrain.store = city
+    scene.camera.location = (200.0, 100.0, 120.0)
+    scene.camera.rotation_euler = (0.9, 0.0, -0.4)
+    material = bpy.data.materials.new("Rock")
+    tree = tree_of_new(material)
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_name = "slope"
+    tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    obj.data.materials.append(material)
+    bpy.context.view_layer.update()
+    session.update_object(obj)
+    vertices, slopes = np.empty((len(obj.data.vertices), 3), np.float32), np.empty(len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", vertices.ravel())
+    obj.data.attributes["slope"].data.foreach_get("value", slopes)
+    near = (np.abs(vertices[:, :2] - 256.0) < 100.0).all(axis=1)  # of the middle of the known tile
+    assert near.sum() > 300
+    assert np.abs(slopes - slope_of_waves(*vertices[:, :2].T))[near].max() < 0.02
+
+    obj.adaptive_terrain.maps.folder, obj.adaptive_terrain.maps.which = str(tmp_path), "READ"
+    bpy.context.view_layer.objects.active = obj
+    assert bpy.ops.adaptive_terrain.bake_maps() == {"FINISHED"}
+    entry = read_index(map_images.map_folder(obj))["maps"]["slope"]
+    assert len(entry["tiles"]) == 1 and entry["tiles"][0]["texel_m"] <= 2.0
+    pixels = imread(map_images.map_folder(obj) / entry["tiles"][0]["file"]).astype(np.float64)
+    x = (np.arange(len(pixels)) + 0.5) / len(pixels) * 2048 - 1024
+    expected = slope_of_waves(x, -x[:, None])
+    middle = (np.abs(x - 256.0) < 100.0) & (np.abs(-x[:, None] - 256.0) < 100.0)
+    found = entry["coding"]["zero"] + (entry["coding"]["one"] - entry["coding"]["zero"]) * pixels
+    assert np.abs(found - expected)[middle].max() < 0.02
+
+
+def slope_of_waves(x, y):
+    """Return the slope of the city's waves at x, y metres."""
+    a, b = (x + 1024.0) / 18.0, (y + 1024.0) / 14.0
+    return np.arctan(np.hypot(5 / 18 * np.cos(a) * np.cos(b), 5 / 14 * np.sin(a) * np.sin(b)))
 
 
 def test_a_bicubic_terrain_with_finer_tiles_names_the_remedy(scene, add_terrain, city):

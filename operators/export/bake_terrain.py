@@ -84,7 +84,7 @@ def _request_of(obj, depsgraph, error_m: float) -> Request:
 
 
 def _with_attributes(surface: Surface, heights: HeightField, request: Request) -> Surface:
-    """Return a baked surface with the attributes of a request, at the raster's scale: no camera sets another."""
+    """Return a baked surface with the attributes of a request, at the scale of the finest samples without a camera."""
     effects = EffectRequest(
         plan(request.effects.requests),
         surface,

@@ -46,10 +46,15 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
         self._has_kernels(context)  # starts to prepare them while the user types
         return context.window_manager.invoke_props_dialog(self, width=360)
 
+    def cancel(self, context):
+        """Stop waiting for the kernels; Blender calls this, too, when the dialog is closed, which waits for nothing."""
+        if self.is_chosen:
+            GroundOperator.cancel(self, context)
+
     def draw(self, context):
-        """Draw the text, into which the user types at once, its system and the name of the moving object."""
+        """Draw the text, its system and the name of the moving object."""
         layout = self.layout
-        layout.use_property_split, layout.activate_init = True, True
+        layout.use_property_split = True
         layout.prop(self, "coordinates")
         layout.prop(self, "system")
         layout.label(text=phrase("Moves: {}", _name_of(_objects_of(context)) or phrase("3D Cursor")))

@@ -289,6 +289,7 @@ def test_a_click_asks_and_waits_for_kernels(add_located, monkeypatch):
         selected_objects=[], evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
     )  # fmt: skip
     assert operator.invoke(context, None) == {"RUNNING_MODAL"} and asked.called
+    operator.cancel(context)  # as Blender does when the dialog is closed
     assert operator.execute(context) == {"CANCELLED"} and again.called, "another run waits"
     assert operator.execute(context) == {"FINISHED"} and again.call_count == 1
 

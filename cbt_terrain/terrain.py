@@ -10,7 +10,7 @@ import numpy as np
 from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import CriterionArrays
 from .errors import TerrainError
-from .field.depths import depth_limit, usual_depth
+from .field.depths import depth_in_plane, depth_limit, plane_limit, usual_depth
 from .field.domain import box_of
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
@@ -287,12 +287,36 @@ class Terrain:
     ) -> Update:
         """Refine for the views, build the surface and its bounds, and commit them as the last frame.
 
-        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. placement:
-        float64 [4, 4], terrain to world. ms: dict that collects milliseconds by step.
+        Where leaves are so small and so far from the anchor that float32 cannot represent them, refine again with
+        fewer bisections. placement: float64 [4, 4], terrain to world. ms: dict that collects milliseconds by step.
         """
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check_update(criterion, views, placement)
         depth = self._max_depth(criterion)
+        while not isinstance(
+            made := self._update_to(depth, key, criterion, views, placement, vertical_scale, vertical_offset, box, ms),
+            Update,
+        ):
+            depth = made
+        return made
+
+    def _update_to(
+        self,
+        depth: int,
+        key: tuple,
+        criterion: Criterion,
+        views: Sequence[View],
+        placement: np.ndarray,
+        vertical_scale: float,
+        vertical_offset: float,
+        box: np.ndarray,
+        ms: dict[str, float],
+    ) -> Update | int:
+        """Refine to leaves of at most `depth` bisections, as `_update`; return a smaller depth if that is too deep.
+
+        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. box: `box_of` the
+        field.
+        """
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
         morph_until = criterion.morph_until
         shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, morph_until)
@@ -327,6 +351,10 @@ class Terrain:
                 if excess <= 0 or leaves.total > max_leaves:
                     break
                 max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
+            if 1 < depth > plane_limit(self.field.lattice) - 2 * criterion.meshlet:
+                in_plane = depth_in_plane(self.field.lattice, surface.positions, surface.corner_verts, surface.level)
+                if in_plane is not None:
+                    return max(1, in_plane - 2 * criterion.meshlet)
             horizon = None
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
                 horizon = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)

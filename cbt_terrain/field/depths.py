@@ -3,9 +3,13 @@
 
 import math
 
+import numpy as np
+
+from ...kernels.tree.bitfield import MAX_DEPTH
 from .detail import EDGES_A_WAVE
 from .detail_bounds import radius_at
 from .heightfield import PLANE_BITS, HeightField
+from .lattice import Lattice
 
 # Depth of the tree, root squares included, and with displacement.
 PLAIN_DEPTH, DETAIL_DEPTH = 34, 40
@@ -16,13 +20,43 @@ DEPTH_BELOW_CELLS = 8
 
 
 def depth_limit(field: HeightField) -> int:
-    """Return the deepest bisection of a root square that float32 plane coordinates and the tree can represent."""
-    lattice = field.lattice
-    limit = 2 * (PLANE_BITS - lattice.side_bits)
+    """Return the deepest bisection of a root square that float32 plane coordinates and the tree can represent.
+
+    The cells, also those of finer tiles, are reached in any case: where an anchor is near, float32 can represent them.
+    """
+    lattice, finer = field.lattice, field.raster.finer
+    limit = plane_limit(lattice)
     if lattice.node_count < MANY_ENTRIES:
-        is_finer = field.detail is not None or field.raster.finer is not None
+        is_finer = field.detail is not None or finer is not None
         limit = min(limit, (DETAIL_DEPTH if is_finer else PLAIN_DEPTH) - lattice.square_bits)
-    return max(1, limit)
+    limit = max(limit, lattice.cell_depth + (2 * finer.bits if finer is not None else 0))
+    return max(1, min(limit, 2 * lattice.unit_bits + 1, MAX_DEPTH - lattice.square_bits))
+
+
+def plane_limit(lattice: Lattice) -> int:
+    """Return the deepest bisection of a root square that float32 plane coordinates represent everywhere."""
+    return 2 * (PLANE_BITS - lattice.side_bits)
+
+
+def depth_in_plane(lattice: Lattice, positions: np.ndarray, corner_verts: np.ndarray, level: np.ndarray) -> int | None:
+    """Return the deepest bisection that float32 represents at all triangles of a mesh; None if its own levels are.
+
+    Lattice lines at a triangle's level have to be 2^-PLANE_BITS of its farthest coordinate apart, or more.
+
+    Args:
+        lattice: of the mesh; coordinates are relative to its anchor.
+        positions, corner_verts, level: of the mesh, as in `Surface`.
+    """
+    deep = np.flatnonzero(level > plane_limit(lattice))
+    corners = positions[corner_verts.reshape(-1, 3)[deep], :2].astype(np.float64)
+    steps = np.array([lattice.step_x, lattice.step_y])
+    needed = np.ldexp(np.abs(corners).max(axis=1, initial=0.0) / steps, -PLANE_BITS).max(axis=1, initial=0.0)  # cells
+    beyond = np.ldexp(1.0, lattice.levels - (level[deep] >> 1)) < needed
+    if not beyond.any():
+        return None
+    # A number m * 2^e with m in [0.5, 1) is at most 2^e, and 2^(e - 1) only if m is 0.5.
+    fraction, exponent = np.frexp(needed[beyond].max())
+    return max(1, 2 * (lattice.levels - int(exponent) + int(fraction == 0.5)) + 1)
 
 
 def usual_depth(field: HeightField) -> int:

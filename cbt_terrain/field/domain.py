@@ -11,7 +11,7 @@ from . import codes
 from .depths import depth_limit
 from .displacement_layers import fill_layers
 from .heightfield import HeightField
-from .lattice import MAX_MESHLET, SIDE_BITS
+from .lattice import MAX_MESHLET
 from .meshlet_errors import error_for
 
 # Beyond all coordinates: the lattice ends with the raster.
@@ -28,7 +28,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
     bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
-    domain.unit_bits = min(bits, SIDE_BITS - lattice.side_bits)
+    domain.unit_bits = min(bits, lattice.unit_bits)
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()

@@ -17,7 +17,7 @@ from .blocks import halvings
 from .build import Allocate, in_memory
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
 from .heightfield import HeightField, HeightRaster
-from .lattice import PAGE, SIDE_BITS, Lattice
+from .lattice import PAGE, Lattice
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
 GROUPS = 3  # of depths with stored errors
@@ -88,7 +88,7 @@ def _check(plain: HeightField, bits: int) -> None:
     """Raise TerrainError for a field or a number of bits that finer tiles cannot have."""
     if plain.interpolation != "bilinear" or plain.detail or plain.raster.finer is not None:
         raise TerrainError(f"Finer tiles were requested for {plain!r}", expected="a bilinear field as it was built")
-    largest = min(MAX_BITS, SIDE_BITS - plain.lattice.side_bits - plain.lattice.levels)
+    largest = min(MAX_BITS, plain.lattice.unit_bits - plain.lattice.levels)
     if not 1 <= bits <= largest:
         raise TerrainError(f"The finer tiles have {bits} bits", expected=f"1 to {largest}")
 

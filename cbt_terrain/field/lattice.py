@@ -25,8 +25,9 @@ import numpy as np
 
 from ..errors import TerrainError
 
-# Coordinates of the lattice are int32, and so are sums of two: cells along a side of the squares are 2^29 at most.
-SIDE_BITS = 29
+# Coordinates of the lattice are int32, and so are borders of a diamond's box, up to twice its square's side away: cells
+# along a side of all squares are 2^30 at most, and of one square 2^29.
+SIDE_BITS, SQUARE_BITS = 30, 29
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
 MAX_MESHLET = 4
 # Anchors are multiples of this number of metres, which float32 holds exactly. Up to NEAR metres from the middle of a
@@ -107,6 +108,11 @@ class Lattice:
     def side_bits(self) -> int:
         """Return the bits that number the root squares of a row or a column, whichever has more."""
         return (max(self.columns, self.rows) - 1).bit_length()
+
+    @property
+    def unit_bits(self) -> int:
+        """Return log2 of the lattice units along the side of a square, if they are as small as can be."""
+        return min(SIDE_BITS - self.side_bits, SQUARE_BITS)
 
     @property
     def cell_depth(self) -> int:
@@ -197,10 +203,10 @@ def _multiple_near(at: float, limit: float) -> float:
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:
     """Return the lattice of a raster of `width` x `height` samples, each at least 2, `step_x`, `step_y` metres apart.
 
-    Its squares are the smallest ones that cover the raster's shorter side.
+    Its squares are the smallest ones that cover the raster's shorter side, or those of 2^SQUARE_BITS cells a side.
     """
     cells_x, cells_y = width - 1, height - 1
-    levels = (min(cells_x, cells_y) - 1).bit_length()
+    levels = min((min(cells_x, cells_y) - 1).bit_length(), SQUARE_BITS)
     return Lattice(-(-cells_x >> levels), -(-cells_y >> levels), levels, step_x, step_y, cells_x, cells_y)
 
 

@@ -14,10 +14,11 @@ import warp as wp
 
 from ...kernels.tree import bitfield, edits, queries, reduction
 from ...kernels.tree import set_leaves as writing
+from ...kernels.tree.bitfield import MAX_DEPTH
 from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import bind, shared
-from .saved import MAX_DEPTH, MIN_DEPTH, depths_from_bytes, depths_to_bytes
+from .saved import MIN_DEPTH, depths_from_bytes, depths_to_bytes
 
 SLOTS = 64  # words of a page
 FIRST_PAGES = 2  # page 0 stays empty, page 1 holds the highest word
@@ -39,7 +40,7 @@ class LeafPart(NamedTuple):
 
 
 class ConcurrentBinaryTree:
-    """A binary tree of at most `max_depth` (6 .. 48) levels below its root. It begins as its root.
+    """A binary tree of at most `max_depth` (6 .. 62) levels below its root. It begins as its root.
 
     | group | methods | cost |
     | --- | --- | --- |
@@ -58,7 +59,7 @@ class ConcurrentBinaryTree:
     """
 
     def __init__(self, max_depth: int, threads: int | None = 1) -> None:
-        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 48.
+        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 62.
 
         threads: for queries and edits; None for `launch.default_threads`.
         """
@@ -276,4 +277,6 @@ class ConcurrentBinaryTree:
 
 def depths_of(heap_ids: np.ndarray) -> np.ndarray:
     """Return the depths of nodes: uint8."""
-    return (np.frexp(heap_ids.astype(np.float64))[1] - 1).astype(np.uint8)
+    high = heap_ids >> np.uint64(32)  # float64 rounds ids of more than 53 bits, perhaps up to the next power of two
+    bits = np.frexp(np.where(high, high, heap_ids).astype(np.float64))[1]
+    return (bits - 1 + np.where(high, 32, 0)).astype(np.uint8)

@@ -6,10 +6,10 @@ import zlib
 
 import numpy as np
 
+from ...kernels.tree.bitfield import MAX_DEPTH
 from ..errors import TerrainError
 
-# The deepest one has words on eight levels (kernels/tree/bitfield.py).
-MIN_DEPTH, MAX_DEPTH = 6, 48
+MIN_DEPTH = 6
 
 _HEADER = struct.Struct("<4sHHQ")  # magic, version, max_depth, leaves
 _MAGIC, _VERSION = b"ACBT", 2

@@ -8,6 +8,7 @@ room for triangles and vertices to come.
 import warp as wp
 
 from ..field.domain import Domain
+from ..leb.halfway import middle_between
 from .facet import Facet, surface_height
 from .raising import RAISED, raise_ancestors
 
@@ -203,7 +204,7 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
             top -= 1
             left = m.corner_verts[3 * triangle]
             right = m.corner_verts[3 * triangle + 2]
-            p = (m.point[left] + m.point[right]) / 2
+            p = middle_between(m.point[left], m.point[right])
             raise_ancestors(d, p[0], p[1], m.level[triangle], wp.int32(RAISED), m.codes, m.climbing)
             new_vertex = vertices
             vertices += 1

@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ..leb.halfway import halfway, middle_between
 from ..refine.diamond import metres2_of
 from ..refine.stored_errors import cell_error, error_at
 from .mesh import PINNED, FitMesh, list_marked, mark, mark_around, put_on_surface, split
@@ -97,15 +98,15 @@ def _cell_of(m: FitMesh, t: int):
     bits = m.domain.unit_bits - m.domain.levels
     middle = _middle(m, t)
     return wp.vec2i(
-        ((middle[0] + m.point[m.corner_verts[3 * t + 1]][0]) >> 1) >> bits,
-        ((middle[1] + m.point[m.corner_verts[3 * t + 1]][1]) >> 1) >> bits,
+        halfway(middle[0], m.point[m.corner_verts[3 * t + 1]][0]) >> bits,
+        halfway(middle[1], m.point[m.corner_verts[3 * t + 1]][1]) >> bits,
     )
 
 
 @wp.func
 def _middle(m: FitMesh, t: int):
     """Return the middle of a triangle's longest edge, lattice units."""
-    return (m.point[m.corner_verts[3 * t]] + m.point[m.corner_verts[3 * t + 2]]) / 2
+    return middle_between(m.point[m.corner_verts[3 * t]], m.point[m.corner_verts[3 * t + 2]])
 
 
 @wp.func

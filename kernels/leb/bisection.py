@@ -14,6 +14,7 @@ import warp as wp
 from ..tree.atomic import highest_bit
 from ..tree.bitfield import ONE, Bitfield, is_leaf
 from ..tree.edits import split
+from .halfway import middle_between
 
 # Neighbours (left, right, edge) of ids 2 .. 7 as (columns to the east, rows to the north, id). Roots of two squares
 # meet turned by half a turn, not mirrored like other neighbours, so the rule for each bit holds from depth 2 on.
@@ -95,7 +96,7 @@ def triangle_of(node: LebNode, unit_bits: wp.int32):
         apex = wp.vec2i(side, side)
         right = wp.vec2i(0, side)
     for k in range(1, depth):
-        middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
+        middle = middle_between(left, right)
         if ((node.heap_id >> wp.uint64(depth - 1 - k)) & ONE) == ONE:
             left = apex
         else:

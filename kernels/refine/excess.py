@@ -17,6 +17,7 @@ import warp as wp
 
 from ..field.codes import bilinear, corners_of, twist_of
 from ..field.domain import INLINED, Domain
+from ..leb.halfway import halfway, middle_between
 from ..tree.bitfield import Bitfield, is_leaf
 from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
 from .pixels import CriterionArrays, sizes
@@ -170,8 +171,8 @@ def with_bound(
     tree keep to unless rounding prevents that; it is used only if t.leaf_depth is ANY, which a leaf of the tree
     replaces by its depth.
     """
-    x = (t.left[0] + t.right[0]) >> 1
-    y = (t.left[1] + t.right[1]) >> 1
+    x = halfway(t.left[0], t.right[0])
+    y = halfway(t.left[1], t.right[1])
     d = diamond_at(domain, x, y, t.depth)
     if t.leaf_depth == ANY:
         if is_leaf(tree, t.node):
@@ -240,7 +241,7 @@ def half_of(t: Triangle, number: wp.int32) -> Triangle:
     if number == 1:
         below.left = t.apex
         below.right = t.right
-    below.apex = wp.vec2i((t.left[0] + t.right[0]) >> 1, (t.left[1] + t.right[1]) >> 1)
+    below.apex = middle_between(t.left, t.right)
     below.depth = t.depth + 1
     below.node = wp.uint64(2) * t.node + wp.uint64(number)
     below.leaf_depth = t.leaf_depth

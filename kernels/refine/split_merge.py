@@ -10,6 +10,7 @@ import warp as wp
 
 from ..field.domain import INLINED, Domain
 from ..leb.bisection import SquareGrid, can_merge, node_of, split_conforming, triangle_of
+from ..leb.halfway import middle_between
 from ..tree.atomic import highest_bit
 from ..tree.bitfield import ONE, Bitfield, decode_leaf, heap_id_of
 from ..tree.edits import merge
@@ -53,7 +54,7 @@ def decide(
     order = wp.uint64(0)
     if depth > 0:  # squares that only fill the tree up to a power of two are a leaf each
         left, apex, right = triangle_of(node, domain.unit_bits)
-        middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
+        middle = middle_between(left, right)
         levels_up = wp.int32(0)  # 0: test the leaf's diamond; 1: its parent's
         while levels_up < wp.min(depth, 2) and order == wp.uint64(0):
             splits = depth - levels_up < max_depth

@@ -7,6 +7,7 @@
 import warp as wp
 
 from ..field.domain import Domain
+from ..leb.halfway import middle_between
 from ..unchecked import item_at, put
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
 from .interval import SPLIT, unknown_interval
@@ -64,7 +65,7 @@ def size_of(w: Walk, depth: wp.int32) -> wp.uint64:
 @wp.func
 def middle_of(c: Cursor) -> wp.vec2i:
     """Return the vertex at which the diamond of the cursor's triangle is split: the middle of its longest edge."""
-    return wp.vec2i((c.left[0] + c.right[0]) >> 1, (c.left[1] + c.right[1]) >> 1)
+    return middle_between(c.left, c.right)
 
 
 @wp.func

@@ -14,6 +14,7 @@ subtrees and the slice's lists.
 import warp as wp
 
 from ..field.domain import INLINED, Domain
+from ..leb.halfway import halfway
 from .block import MAX_BISECTIONS
 from .diamond import fetch_range, leaves_range_tile
 from .emit import can_copy_block, emit
@@ -118,16 +119,16 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
     c: at the triangle, with the interval for its children, which decides whether errors or ranges will be read.
     """
     interval = w.intervals[c.interval_index]
-    x = (c.left[0] + c.right[0]) >> 1
-    y = (c.left[1] + c.right[1]) >> 1
+    x = halfway(c.left[0], c.right[0])
+    y = halfway(c.left[1], c.right[1])
     if interval.depths_decide == 0 and leaves_tile(domain, c.depth + 1):
-        fetch_ahead(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
-        fetch_ahead(domain, (c.apex[0] + x) >> 1, (c.apex[1] + y) >> 1, c.depth + 2)
-        fetch_ahead(domain, (c.right[0] + x) >> 1, (c.right[1] + y) >> 1, c.depth + 2)
+        fetch_ahead(domain, halfway(c.left[0], x), halfway(c.left[1], y), c.depth + 2)
+        fetch_ahead(domain, halfway(c.apex[0], x), halfway(c.apex[1], y), c.depth + 2)
+        fetch_ahead(domain, halfway(c.right[0], x), halfway(c.right[1], y), c.depth + 2)
     elif interval.even_depth == 0 and leaves_range_tile(domain, c.depth + 1):
-        fetch_range(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
-        fetch_range(domain, (c.apex[0] + x) >> 1, (c.apex[1] + y) >> 1, c.depth + 2)
-        fetch_range(domain, (c.right[0] + x) >> 1, (c.right[1] + y) >> 1, c.depth + 2)
+        fetch_range(domain, halfway(c.left[0], x), halfway(c.left[1], y), c.depth + 2)
+        fetch_range(domain, halfway(c.apex[0], x), halfway(c.apex[1], y), c.depth + 2)
+        fetch_range(domain, halfway(c.right[0], x), halfway(c.right[1], y), c.depth + 2)
 
 
 @wp.kernel

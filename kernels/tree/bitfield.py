@@ -19,6 +19,8 @@ import warp as wp
 from ..unchecked import item_at
 from .atomic import compare_exchange, fetch_add, highest_bit, lowest_bit
 
+# Of a tree. Its heap ids have 63 bits, so an order about one has a bit more (kernels/refine/split_merge.py).
+MAX_DEPTH = 62
 WORD_BITS = wp.constant(6)  # log2 of the bits of a word
 ROOT = wp.constant(64)  # slot of the highest word; page 0 stays empty, and words without a page refer to it
 CHANGED = wp.constant(-1)  # in place of a counter that has to be summed again
@@ -205,7 +207,7 @@ def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
         if is_inside:
             slot = below + bit
             level -= 1
-    shift = wp.uint64(WORD_BITS * (level + 1))
+    shift = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))  # above all cells at the highest word
     first = ((cell >> shift) << shift) + (wp.uint64(bit) << wp.uint64(WORD_BITS * level))
     return leaf_of_bit(t, slot, level, bit, first, number)
 

@@ -41,7 +41,7 @@ def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
     Lower levels are counted before, by earlier launches. The caller empties the list at the end.
     """
     entry = t.changed[offset + wp.tid()]
-    if (entry >> LEVEL_SHIFT) == level:
+    if wp.int32(wp.uint32(entry) >> wp.uint32(LEVEL_SHIFT)) == level:
         sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))
 
 
@@ -51,6 +51,6 @@ def reduce_words(t: Bitfield):
     for level in range(t.top + 1):
         for k in range(t.state[NUM_CHANGED]):
             entry = t.changed[k]
-            if (entry >> LEVEL_SHIFT) == level:
+            if wp.int32(wp.uint32(entry) >> wp.uint32(LEVEL_SHIFT)) == level:
                 sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))
     t.state[NUM_CHANGED] = 0

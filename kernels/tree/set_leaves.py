@@ -8,6 +8,7 @@ from .atomic import count_bits, fetch_xor, highest_bit, lowest_bit
 from .bitfield import (
     ALL_BITS,
     DIFFERS,
+    MAX_DEPTH,
     ONE,
     ROOT,
     WORD_BITS,
@@ -20,7 +21,7 @@ from .bitfield import (
     page_below,
 )
 
-LEVELS = 8  # of words in the deepest tree, of 48 levels
+LEVELS = (MAX_DEPTH - 1) // 6 + 1  # of words in the deepest tree
 SlotPath = wp.types.vector(length=LEVELS, dtype=wp.int32)
 BitPath = wp.types.vector(length=LEVELS, dtype=wp.uint64)
 
@@ -166,7 +167,7 @@ def close_word(
     overwritten: each run flips only its bits, and the word is counted afterwards.
     """
     shift = wp.uint64(WORD_BITS * level)
-    above = wp.uint64(WORD_BITS * (level + 1))
+    above = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))
     base = ((end - ONE) >> above) << above
     size = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
     run_bits = ALL_BITS

@@ -54,9 +54,9 @@ def test_case_02_deep_ids_lead_to_their_neighbours_and_back(depth):
         assert np.array_equal(bisection.neighbours(lattice, found[found > 0])[:, back], ids[found > 0])
 
 
-@pytest.mark.parametrize("max_depth", [31, 32, 33, 40])
+@pytest.mark.parametrize("max_depth", [31, 32, 33, 40, 52, 53, 54, 60, 61, 62])
 def test_case_02_ids_round_trip_through_the_tree(max_depth):
-    """Leaves at depths 31 to 40 round-trip through their ranks as Python integers, also from saved bytes."""
+    """Leaves at depths 31 to 62 round-trip through their ranks as Python integers, also from saved bytes."""
     tree = EditedTree(max_depth)
     rng = random.Random(max_depth)
     targets = [1 << max_depth, (2 << max_depth) - 1, *(rng.randrange(1 << max_depth, 2 << max_depth) for _ in range(3))]

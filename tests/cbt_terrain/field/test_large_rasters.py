@@ -248,17 +248,18 @@ def test_missing_samples_behind_2_to_the_31_are_filled(tmp_path):
 
 
 def test_deeper_trees_are_for_rasters_that_had_no_meshes_before():
-    """One square's plane coordinates allow 46 bisections, and of a row of five 40. Finer tiles need more than 34."""
-    sizes = (2, 2), (28_673, 28_673), (SIDE, SIDE), (5 * 65_536, SIDE)
-    for finer, expected in ((None, [34, 34, 46, 40]), (object(), [40, 40, 46, 40])):
-        raster = SimpleNamespace(finer=finer)
+    """One square's plane coordinates allow 46 bisections, and of a row of five 40; cells are reached in any case."""
+    sizes = (2, 2), (28_673, 28_673), (SIDE, SIDE), (5 * 65_536, SIDE), ((1 << 30) + 1,) * 2, ((1 << 30) + 1, 65)
+    expected_by_bits = {0: [34, 34, 46, 40, 59, 13], 4: [40, 40, 46, 41, 59, 13], 8: [40, 47, 49, 49, 59, 13]}
+    for bits, expected in expected_by_bits.items():
+        raster = SimpleNamespace(finer=SimpleNamespace(bits=bits) if bits else None)
         fields = [SimpleNamespace(lattice=fit(*size), detail=None, raster=raster) for size in sizes]
         assert [depth_limit(field) for field in fields] == expected
 
 
-def test_coordinates_number_2_to_the_29_samples_a_side():
-    side = (1 << 29) + 1
-    assert lattice_for(side, side).span == (1 << 29, 1 << 29) and lattice_for(side, 3).columns == 1 << 28
+def test_coordinates_number_2_to_the_30_cells_a_side():
+    side = (1 << 30) + 1
+    assert lattice_for(side, side).span == (1 << 30, 1 << 30) and lattice_for(side, 3).columns == 1 << 29
     for size in ((side + 1, side + 1), (side + 1, 2)):
-        with pytest.raises(TerrainError, match=rf"has {side + 1} x .* samples; expected at most 2\^29 in a row"):
+        with pytest.raises(TerrainError, match=rf"has {side + 1} x .* samples; expected at most 2\^30 in a row"):
             lattice_for(*size)

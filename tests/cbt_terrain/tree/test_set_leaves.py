@@ -74,7 +74,9 @@ def parts_of(rng, depths: np.ndarray, nodes: list, max_depth: int) -> list[LeafP
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.sampled_from([6, 7, 12, 13, 20, 31, 40, 48]), st.integers(0, 2**32), st.sampled_from([1, 2, 3, 8]))
+@given(
+    st.sampled_from([6, 7, 12, 13, 20, 31, 40, 48, 55, 61, 62]), st.integers(0, 2**32), st.sampled_from([1, 2, 3, 8])
+)
 def test_leaves_in_parts_give_the_tree_of_all_leaves(max_depth, seed, threads):
     rng = np.random.default_rng(seed)
     tree, depths = ConcurrentBinaryTree(max_depth, threads), np.zeros(1, np.int64)

@@ -16,7 +16,7 @@ import warp as wp
 from ...kernels.effects import finer_jet, footprint
 from ...kernels.effects.pyramid import Pyramid
 from ..field import codes, derived_arrays
-from ..field.finer_build import raster_heights
+from ..field.finer_heights import raster_heights
 from ..field.finer_tiles import PYRAMID, SIDE, STRIDE, FinerTiles, pyramid_sides
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice

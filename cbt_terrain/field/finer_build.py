@@ -15,24 +15,24 @@ from ..run import launch
 from . import codes, hierarchy
 from .blocks import halvings
 from .build import Allocate, in_memory
+from .finer_heights import (
+    LIMITED,
+    MEASURED,
+    FinerBox,
+    FinerRecords,
+    Tile,
+    digest_of,
+    fill_heights,
+    raster_heights,
+    window_of,
+)
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
-from .heightfield import HeightField, HeightRaster
+from .heightfield import HeightField
 from .lattice import PAGE, Lattice
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
 GROUPS = 3  # of depths with stored errors
 UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
-
-Tile = tuple[int, int]  # column and row
-
-
-class FinerBox(NamedTuple):
-    """First and last finer samples along x and y."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
 
 
 def with_finer_tiles(
@@ -43,6 +43,7 @@ def with_finer_tiles(
     threads: int | None = None,
     allocate: Allocate = in_memory,
     on_progress: Callable[[float], None] = lambda _fraction: None,
+    records: FinerRecords | None = None,
 ) -> HeightField:
     """Return a bilinear field whose surface has finer heights in some tiles.
 
@@ -52,26 +53,27 @@ def with_finer_tiles(
         known: column and row of each tile with finer heights, from the raster's south-western corner.
         read: read(box) returns heights of finer samples, float32 [rows, columns] metres, row 0 south; NaN where only
             the raster is known. Samples that two tiles share must be equal.
-        allocate: allocate(name, shape, dtype) returns a zeroed array.
+        allocate: allocate(name, shape, dtype) returns a zeroed array, or one that an earlier attempt has left.
+        records: of the earlier attempt. What has no record, or differs from its checksum, is made again.
 
     Raises TerrainError for a bicubic surface, a detail or other finer tiles, for `bits` out of range, for tiles outside
     of the raster, and for heights of another shape from `read`.
     """
     _check(plain, bits)
     shape = tile_shape(plain.lattice, bits)
-    known = sorted(set(known), key=lambda tile: (tile[1] // BLOCK, tile[0] // BLOCK, tile[1], tile[0]))
+    known = sorted(set(known), key=lambda tile: (*window_of(tile), tile[1], tile[0]))
     for column, row in known:
         if not (0 <= column < shape[1] and 0 <= row < shape[0]):
             what = f"There is no finer tile {column, row}"
             raise TerrainError(what, expected=f"columns 0 to {shape[1] - 1} and rows 0 to {shape[0] - 1}")
-    threads = threads or launch.default_threads()
+    threads, records = threads or launch.default_threads(), records or FinerRecords()
     numbers = _numbered(known, shape)
     heights = allocate("finer_heights", (int(numbers.max()) + 1, STRIDE, STRIDE), np.dtype(np.float32))
-    for done in _fill_heights(plain, bits, known, numbers, heights, read):
+    for done in fill_heights(plain, bits, known, numbers, heights, read, records):
         on_progress(0.5 * done)
     ends = _ends(heights)
     tiles = _measured(
-        plain, bits, numbers, heights, ends, threads, allocate, lambda done: on_progress(0.5 + 0.5 * done)
+        plain, bits, numbers, heights, ends, threads, allocate, lambda done: on_progress(0.5 + 0.5 * done), records
     )
     raster = replace(plain.raster, finer=tiles, digest=_digest(plain.raster.digest, tiles.digest))
     return replace(
@@ -107,24 +109,6 @@ def _numbered(known: list[Tile], shape: tuple[int, int]) -> np.ndarray:
     return np.where(there, np.cumsum(there).reshape(shape) - 1, -1).astype(np.int32)
 
 
-def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the heights of the raster's bilinear surface at finer columns x and rows y, both rising, float64 [y, x].
-
-    Outside of the raster they are those at its border.
-    """
-    lattice, sides = plain.lattice, []
-    for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
-        inside = np.clip(at, 0, cells << bits)
-        cell = np.minimum(inside >> bits, cells - 1)
-        sides.append((cell, (inside - (cell << bits)) / (1 << bits)))
-    (j, t), (i, s) = sides
-    nodes = plain.heights(slice(int(j[0]), int(j[-1]) + 2), slice(int(i[0]), int(i[-1]) + 2)).astype(np.float64)
-    j, i, t = j - j[0], i - i[0], t[:, None]
-    south = nodes[np.ix_(j, i)] * (1.0 - s) + nodes[np.ix_(j, i + 1)] * s
-    north = nodes[np.ix_(j + 1, i)] * (1.0 - s) + nodes[np.ix_(j + 1, i + 1)] * s
-    return south * (1.0 - t) + north * t
-
-
 def _ends(heights: np.ndarray) -> tuple[float, float]:
     """Return the lowest and the highest height of all tiles, metres; (infinity, -infinity) without tiles."""
     low, high = np.inf, -np.inf
@@ -132,67 +116,6 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
         inner = tile[1 : SIDE + 2, 1 : SIDE + 2]
         low, high = min(low, float(inner.min())), max(high, float(inner.max()))
     return low, high
-
-
-def _fill_heights(
-    plain: HeightField,
-    bits: int,
-    known: list[Tile],
-    numbers: np.ndarray,
-    heights: np.ndarray,
-    read: Callable[[FinerBox], np.ndarray],
-) -> Iterator[float]:
-    """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done."""
-    last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
-    for row, column in np.argwhere(numbers >= 0):
-        x, y = (SIDE * n - 1 + np.arange(STRIDE) for n in (column, row))
-        heights[numbers[row, column]] = raster_heights(plain, bits, x, y)
-    for done, (column, row) in enumerate(known):
-        yield done / len(known)
-        x, y = SIDE * column, SIDE * row
-        box = FinerBox(x, y, min(x + SIDE, last[0]), min(y + SIDE, last[1]))
-        if box.x0 > box.x1 or box.y0 > box.y1:  # entirely beyond the raster's border
-            continue
-        found = np.asarray(read(box), np.float32)
-        expected = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
-        if found.shape != expected:
-            raise TerrainError(f"The heights of a finer tile have the shape {found.shape}", expected=f"{expected}")
-        for other_row, other_column in product(range(row - 1, row + 2), range(column - 1, column + 2)):
-            if 0 <= other_row < numbers.shape[0] and 0 <= other_column < numbers.shape[1]:
-                _lay(found, box, heights[numbers[other_row, other_column]], other_column, other_row)
-    for row, column in np.argwhere(numbers >= 0):
-        _extend(heights[numbers[row, column]], column, row, last)
-
-
-def _lay(found: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
-    """Write the heights `found` of a box that are not NaN into the samples of the tile at a column and row.
-
-    tile: float32 [STRIDE, STRIDE], changed where the box meets it.
-    """
-    x, y = SIDE * column - 1, SIDE * row - 1
-    x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
-    y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)
-    if x0 <= x1 and y0 <= y1:
-        part = found[y0 - box.y0 : y1 + 1 - box.y0, x0 - box.x0 : x1 + 1 - box.x0]
-        target = tile[y0 - y : y1 + 1 - y, x0 - x : x1 + 1 - x]
-        np.copyto(target, part, where=~np.isnan(part))
-
-
-def _extend(tile: np.ndarray, column: int, row: int, last: tuple[int, int]) -> None:
-    """Continue a tile's heights beyond the raster's border: a line there has the slope of the border, then they stay.
-
-    So differences across the border are those inside of it. last: finer cells of the raster along x and y.
-    """
-    for lines, first, end in ((tile.T, SIDE * column - 1, last[0]), (tile, SIDE * row - 1, last[1])):
-        if first < 0:
-            lines[0] = 2.0 * lines[1] - lines[2]
-        at = end - first  # of the border
-        if 1 <= at < STRIDE - 1:
-            beyond = 2.0 * lines[at] - lines[at - 1]
-            lines[at + 1 :] = lines[at]
-            lines[at + 1] = beyond
-        elif at < 1:
-            lines[:] = lines[max(at, 0)]
 
 
 class _Square(NamedTuple):
@@ -209,33 +132,42 @@ class _Square(NamedTuple):
     change: np.ndarray
 
 
-def _squares(plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray) -> Iterator[_Square]:
-    """Yield the squares of BLOCK x BLOCK tiles with any tile, with a margin of one tile on each side.
+def _corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
+    """Yield the first tile of each square of BLOCK x BLOCK tiles, in a margin of one tile, that meets any tile."""
+    rows, columns = numbers.shape
+    first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
+    for row, column in product(range(first_row, rows, BLOCK), range(first_column, columns, BLOCK)):
+        if (_part_of(numbers, (column, row)) >= 0).any():
+            yield column, row
+
+
+def _part_of(numbers: np.ndarray, corner: Tile) -> np.ndarray:
+    """Return the numbers of the tiles of a square and its margin, from its first tile on."""
+    column, row = corner
+    return numbers[max(row, 0) : row + BLOCK + 2, max(column, 0) : column + BLOCK + 2]
+
+
+def _square_at(plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray, corner: Tile) -> _Square:
+    """Return a square of BLOCK x BLOCK tiles with a margin of one tile on each side.
 
     Beyond the raster's border heights and change are those at the border.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
-    rows, columns = numbers.shape
-    count = (BLOCK + 2) * SIDE + 1
-    first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
-    for row, column in product(range(first_row, rows, BLOCK), range(first_column, columns, BLOCK)):
-        part = numbers[max(row, 0) : row + BLOCK + 2, max(column, 0) : column + BLOCK + 2]
-        if not (part >= 0).any():
-            continue
-        whole, change = np.zeros((2, count, count), np.float32)
-        for down, across in np.argwhere(part >= 0):
-            y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
-            finer = heights[part[down, across], 1:-1, 1:-1]
-            coarse = raster_heights(plain, bits, x + np.arange(SIDE + 1), y + np.arange(SIDE + 1))
-            # The rounding of the raster's surface to float32 is no change.
-            difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
-            i, j = x - SIDE * column, y - SIDE * row
-            whole[j : j + SIDE + 1, i : i + SIDE + 1] = finer
-            change[j : j + SIDE + 1, i : i + SIDE + 1] = difference
-        for axis, first, end in ((1, SIDE * column, last[0]), (0, SIDE * row, last[1])):
-            inside = np.clip(first + np.arange(count), 0, end) - first
-            whole, change = (np.take(values, np.clip(inside, 0, count - 1), axis) for values in (whole, change))
-        yield _Square(column, row, np.ascontiguousarray(whole), np.ascontiguousarray(change))
+    count, (column, row), part = (BLOCK + 2) * SIDE + 1, corner, _part_of(numbers, corner)
+    whole, change = np.zeros((2, count, count), np.float32)
+    for down, across in np.argwhere(part >= 0):
+        y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
+        finer = heights[part[down, across], 1:-1, 1:-1]
+        coarse = raster_heights(plain, bits, x + np.arange(SIDE + 1), y + np.arange(SIDE + 1))
+        # The rounding of the raster's surface to float32 is no change.
+        difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
+        i, j = x - SIDE * column, y - SIDE * row
+        whole[j : j + SIDE + 1, i : i + SIDE + 1] = finer
+        change[j : j + SIDE + 1, i : i + SIDE + 1] = difference
+    for axis, first, end in ((1, SIDE * column, last[0]), (0, SIDE * row, last[1])):
+        inside = np.clip(first + np.arange(count), 0, end) - first
+        whole, change = (np.take(values, np.clip(inside, 0, count - 1), axis) for values in (whole, change))
+    return _Square(column, row, np.ascontiguousarray(whole), np.ascontiguousarray(change))
 
 
 def _measured(
@@ -247,32 +179,41 @@ def _measured(
     threads: int,
     allocate: Allocate,
     on_progress: Callable[[float], None],
+    records: FinerRecords,
 ) -> FinerTiles:
     """Return the tiles with the errors and limits of their change. ends: lowest and highest height, metres."""
     lattice, part = plain.lattice, 1.0 / (1 << bits)
     steps = lattice.step_x * part, lattice.step_y * part
     limits = np.zeros((*numbers.shape, 2), np.float32)
-    for square in _squares(plain, bits, numbers, heights):
-        for row, column, _tile, where in _tiles_of(square, numbers):
-            limits[row, column] = _limits(square.change[where], steps)
+    corners, inputs = list(_corners_of_squares(numbers)), []
+    for number, corner in enumerate(corners):
+        used = _part_of(numbers, corner)
+        inputs.append(digest_of(heights[used[used >= 0]], plain.raster.digest, repr(used.tolist())))
+        tiles = list(_tiles_of(corner, numbers))
+        record = records.find(LIMITED, number)
+        if record is None or record["inputs"] != inputs[-1] or len(record["limits"]) != len(tiles):
+            square = _square_at(plain, bits, numbers, heights, corner)
+            found = [_limits(square.change[where], steps) for _row, _column, _tile, where in tiles]
+            record = {"limits": [[float(value) for value in pair] for pair in found]}
+            records.note(LIMITED, number, inputs=inputs[-1], **record)
+        for (row, column, _tile, _where), pair in zip(tiles, record["limits"], strict=True):
+            limits[row, column] = pair
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
-    small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
-    for square in _squares(plain, bits, numbers, heights):
-        on_progress((square.row + 1) / len(numbers))
-        metres = np.zeros(small.node_count, np.float32)
-        hierarchy.build_errors(square.change, small, metres, threads)
-        found = np.zeros((small.range_count, 2), np.uint16)
-        hierarchy.build_ranges(square.heights, small, *scale, found, threads)
-        images, half = list(_images(small.layout(), metres * UP)), list(_images(small.range_layout(), found, False))
-        for _row, _column, tile, where in _tiles_of(square, numbers):
-            stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
-            codes.encode_part(stored, table, errors[tile], threads)
-            ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in half])
+    for number, corner in enumerate(corners):
+        on_progress((corner[1] + 1) / len(numbers))
+        tiles = list(_tiles_of(corner, numbers))
+        arrays = [array[tile] for _row, _column, tile, _where in tiles for array in (errors, ranges)]
+        wanted = f"{inputs[number]} {exponent} {scale}"
+        record = records.find(MEASURED, number)
+        if record is None or record["inputs"] != wanted or record["sums"] != digest_of(arrays):
+            square = _square_at(plain, bits, numbers, heights, corner)
+            _fill_square(square, tiles, steps, scale, table, errors, ranges, threads)
+            records.note(MEASURED, number, inputs=wanted, sums=digest_of(arrays))
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)
@@ -283,10 +224,33 @@ def _measured(
     return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
 
 
-def _tiles_of(square: _Square, numbers: np.ndarray) -> Iterator[tuple[int, int, int, tuple[slice, slice]]]:
-    """Yield row, column and number of each tile inside a square's margin, and its samples there."""
+def _fill_square(
+    square: _Square,
+    tiles: list[tuple[int, int, int, tuple[slice, slice]]],
+    steps: tuple[float, float],
+    scale: tuple[float, float],
+    table: np.ndarray,
+    errors: np.ndarray,
+    ranges: np.ndarray,
+    threads: int,
+) -> None:
+    """Fill the errors and ranges of the tiles of a square. tiles: of `_tiles_of`. steps: of finer samples, metres."""
+    small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
+    metres = np.zeros(small.node_count, np.float32)
+    hierarchy.build_errors(square.change, small, metres, threads)
+    found = np.zeros((small.range_count, 2), np.uint16)
+    hierarchy.build_ranges(square.heights, small, *scale, found, threads)
+    images, half = list(_images(small.layout(), metres * UP)), list(_images(small.range_layout(), found, False))
+    for _row, _column, tile, where in tiles:
+        stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
+        codes.encode_part(stored, table, errors[tile], threads)
+        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in half])
+
+
+def _tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[tuple[int, int, int, tuple[slice, slice]]]:
+    """Yield row, column and number of each tile inside a square's margin, and its samples in the square."""
     for down, across in product(range(1, BLOCK + 1), range(1, BLOCK + 1)):
-        row, column = square.row + down, square.column + across
+        row, column = corner[1] + down, corner[0] + across
         if row < numbers.shape[0] and column < numbers.shape[1] and numbers[row, column] >= 0:
             where = slice(SIDE * down, SIDE * (down + 1) + 1), slice(SIDE * across, SIDE * (across + 1) + 1)
             yield row, column, int(numbers[row, column]), where

@@ -26,6 +26,7 @@ from ..rasters.rounding import half_step, rounding_warnings
 from ..rasters.sidecars import sidecars
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
+from ..tiling.tile_work import work_in
 from .drafts import common_report_entries
 from .finer_import import add_finer_tiles, finer_entries
 from .height_range import fit_heights
@@ -170,9 +171,10 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
     """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_SHARE to 0.99."""
     source = reader.raster.finer
     assert source is not None, "the raster has finer files"
-    share = COARSE_SHARE, 0.99 - COARSE_SHARE
+    share, work = (COARSE_SHARE, 0.99 - COARSE_SHARE), work_in(draft.folder)
+    assert work is not None, "a raster with finer files is imported by tile"
     field = add_finer_tiles(
-        field, source, reader, draft.allocate, lambda done: on_progress(share[0] + share[1] * done, FINER)
+        field, source, reader, draft, work, lambda done: on_progress(share[0] + share[1] * done, FINER)
     )
     return dataclasses.replace(field, source_max=max(field.source_max, _source_max(reader)))
 

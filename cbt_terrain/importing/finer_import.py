@@ -1,39 +1,48 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import of the finer tiles of a mosaic, after its coarser raster is there (mosaic/finer_plan.py)."""
+"""Import of the finer tiles of a mosaic, after its coarser raster is there (mosaic/finer_plan.py).
 
+They are made in the work of that raster (tiling/tile_work.py): a window of tiles that was read, or a square that was
+measured, in a killed import is not made again.
+"""
+
+import math
 from collections.abc import Callable
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from ..field.build import Allocate
-from ..field.finer_build import FinerBox, Tile, raster_heights, with_finer_tiles
+from ..field.finer_build import with_finer_tiles
+from ..field.finer_heights import FILLED, WINDOW, FinerBox, FinerRecords, Tile, raster_heights
 from ..field.finer_tiles import SIDE, tile_shape
 from ..field.heightfield import HeightField
+from ..field.store import Draft
 from ..rasters.raster import FinerSource
+from ..tiling.tile_records import FIGURES, FINER
+from ..tiling.tile_work import TileWork
 from .height_reader import HeightReader
 
 MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
-READ_TILES = 4  # along a side of the windows that are read together
 
 
 def add_finer_tiles(
     plain: HeightField,
     source: FinerSource,
     reader: HeightReader,
-    allocate: Allocate,
+    draft: Draft,
+    work: TileWork,
     on_progress: Callable[[float], None],
 ) -> HeightField:
-    """Return the field `plain` of the coarser files with the finer heights of `source`. `reader` gets their figures.
+    """Return the field `plain` of the coarser files with the finer heights of `source`, in the arrays of a draft.
 
-    Near the border of all finer tiles they are mixed with the heights of `plain`. allocate, on_progress, errors: as in
-    `with_finer_tiles`.
+    Near the border of all finer tiles they are mixed with the heights of `plain`. reader: gets their figures. work: of
+    the raster, in the draft's folder. on_progress, errors: as in `with_finer_tiles`.
     """
     bits, lattice = source.bits, plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
     margin = min(MARGIN << bits, SIDE // 2)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
-    windows = _Windows(source, reader, last)
+    windows, records = _Windows(source, reader, last), _WorkRecords(work, reader)
 
     def read(box: FinerBox) -> np.ndarray:
         """Return the finer heights of a tile, near the border of all tiles mixed with those of the raster."""
@@ -47,7 +56,36 @@ def add_finer_tiles(
             heights = (coarse + weights * (heights - coarse)).astype(np.float32)
         return heights
 
-    return with_finer_tiles(plain, bits, known, read, allocate=allocate, on_progress=on_progress)
+    def allocate(name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
+        """Return an array of the draft."""
+        return work.allocate(draft, name, shape, dtype)
+
+    field = with_finer_tiles(plain, bits, known, read, allocate=allocate, on_progress=on_progress, records=records)
+    work.remove("missing")
+    work.keep_records()
+    return field
+
+
+class _WorkRecords(FinerRecords):
+    """The records of a work. Those of windows also have the figures of the reader."""
+
+    def __init__(self, work: TileWork, reader: HeightReader):
+        self._work, self._reader = work, reader
+        self._found = {kind: work.records(kind) for kind in FINER}
+
+    def find(self, kind: str, number: int) -> dict[str, Any] | None:
+        """Return the values of a record, None for none; the reader gets the figures of a window."""
+        found = self._found[kind].get(number)
+        if found is not None and kind == FILLED:
+            self._reader.add(found["figures"] | {"marks": [], "values": [math.inf, -math.inf]}, 0)
+        return found
+
+    def note(self, kind: str, number: int, **values: Any) -> None:
+        """Write a record."""
+        if kind == FILLED:
+            figures = self._reader.figures()
+            values["figures"] = {name: figures[name] for name in FIGURES}
+        self._work.note(kind, number, **values)
 
 
 def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tuple[int, int]) -> set[Tile]:
@@ -91,7 +129,7 @@ class _Windows:
 
     def heights(self, box: FinerBox) -> np.ndarray:
         """Return the heights of a tile's samples, float32 metres, row 0 south; NaN where no file has any."""
-        wide = READ_TILES * SIDE
+        wide = WINDOW * SIDE
         key = box.x0 // wide, box.y0 // wide
         if key not in self._kept:
             x1, y1 = (min((n + 1) * wide, end) for n, end in zip(key, self._last, strict=True))

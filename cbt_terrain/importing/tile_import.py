@@ -25,7 +25,6 @@ from ..rasters.raster import Raster
 from ..run import launch, owned_files, partial_files
 from ..sandbox.store_job import READING
 from ..tiling import tile_steps
-from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TILE_BITS, TileGrid
 from ..tiling.tile_records import MEASURED, READ
 from ..tiling.tile_work import StoredHeights, TileWork, work_in
@@ -53,8 +52,9 @@ class ImportPart(NamedTuple):
 
 
 def is_tiled(raster: Raster, lattice: Lattice) -> bool:
-    """Return whether a raster is imported by tile."""
-    return lattice.width * lattice.height > TILED_SAMPLES and min(raster.width, raster.height) > 1
+    """Return whether a raster is imported by tile: a large one, or one with finer tiles, which take longer."""
+    is_long = lattice.width * lattice.height > TILED_SAMPLES or raster.finer is not None
+    return is_long and min(raster.width, raster.height) > 1
 
 
 def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
@@ -228,7 +228,7 @@ def build_by_tile(
         tile_steps.fill(work, launch.default_threads())
     span = MEASURED_SHARE - FILLED_SHARE
     _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
-    return _completed(work, draft, limits, source_max(reader), on_progress, source.coarse)
+    return _completed(work, draft, limits, source_max(reader), on_progress, source)
 
 
 def _sample_bytes_of(source: TileSource) -> int:
@@ -346,26 +346,26 @@ def _completed(
     limits: tile_steps.TerrainLimits,
     source_max: float,
     on_progress: Callable[[float, str], None],
-    coarse: CoarseLand | None,
+    source: TileSource,
 ) -> HeightField:
-    """Join the measured tiles into the draft, and return the height field.
+    """Join the measured tiles into the draft, and return the height field. It can be continued if finer tiles follow.
 
-    source_max: largest error of the source's heights, metres. coarse: the land around loaded tiles, None if all tiles
-    are loaded.
+    source_max: largest error of the source's heights, metres.
     """
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
 
     def tell(share: float) -> None:
         on_progress(MEASURED_SHARE + span * share, MEASURING)
 
-    joined = tile_steps.join(work, limits, launch.default_threads(), tell, coarse)
+    joined = tile_steps.join(work, limits, launch.default_threads(), tell, source.coarse)
     valid = None
     if limits.missing and work.holes:
         valid = draft.allocate("valid", (lattice.height, lattice.width), np.dtype(np.uint8))
         for row in range(0, lattice.height, CHECKED_ROWS):
             valid[row : row + CHECKED_ROWS] = work.open("missing")[row : row + CHECKED_ROWS] ^ 1
-    work.remove("missing")
-    work.keep_records()
+    if source.raster.finer is None:
+        work.remove("missing")
+        work.keep_records()
     key = content_key(StoredHeights(work), lattice, source_max, valid)
     on_progress(0.99, MEASURING)
     base, step = limits.scale

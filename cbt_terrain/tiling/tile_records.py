@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from ..field import finer_heights
 from ..field.codes import MAX_EXPONENT, MIN_EXPONENT
 from .tile_grid import LatticeVertices, TileGrid, exist
 
 READ, MEASURED = "read", "measured"  # kinds of records
+FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED  # ... of finer tiles
 FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, metres
 STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"  # of a measured tile
 
@@ -49,6 +51,8 @@ def _is_record(record: Any, grid: TileGrid) -> bool:
         return False
     if record["kind"] == READ:
         return _is_read(record, grid)
+    if record["kind"] in FINER:
+        return _is_finer(record)
     is_tile = record["kind"] == MEASURED and record["number"] < len(grid)
     return is_tile and (not record.keys() & set(STATE) or _is_measured(record, grid))
 
@@ -66,6 +70,16 @@ def _is_read(record: dict, grid: TileGrid) -> bool:
         and _is_number(low)
         and _is_number(high)
     )
+
+
+def _is_finer(record: dict) -> bool:
+    """Return whether the record of a window or a square of finer tiles has valid entries."""
+    if record["kind"] == finer_heights.FILLED:
+        return isinstance(record["sums"], str) and _are_metres([record["figures"][name] for name in FIGURES], 0.0)
+    if record["kind"] == finer_heights.LIMITED:
+        is_list = isinstance(record["limits"], list) and all(len(pair) == 2 for pair in record["limits"])
+        return is_list and isinstance(record["inputs"], str) and _are_metres(sum(record["limits"], []), 0.0)
+    return isinstance(record["inputs"], str) and isinstance(record["sums"], str)
 
 
 def _is_measured(record: dict, grid: TileGrid) -> bool:

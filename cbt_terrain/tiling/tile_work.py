@@ -5,6 +5,7 @@
     samples.npy, error.npy, ranges.npy    as in a store (store.py)
     missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed at the end
     borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
+    finer_*.npy           of finer tiles, if the source has some
     tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
     tiles.jsonl           all records of a store
 
@@ -19,7 +20,7 @@ import math
 import os
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,7 +165,16 @@ class TileWork:
 
     def has_array(self, name: str) -> bool:
         """Return whether the file of an array has the header and the size of one. Raises OSError."""
-        shape, dtype = self.arrays()[name]
+        return self._is_array(name, *self.arrays()[name])
+
+    def allocate(self, draft: Draft, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray:
+        """Allocate an array of a draft in the same folder; what an earlier attempt has left is used if it is one."""
+        if os.path.lexists(self.folder / f"{name}.npy") and not self._is_array(name, shape, dtype):
+            self.remove(name)
+        return draft.allocate(name, shape, dtype)
+
+    def _is_array(self, name: str, shape: tuple, dtype: DTypeLike) -> bool:
+        """Return whether the file `name` has the header and the size of an array. Raises OSError."""
         file = self.folder / f"{name}.npy"
         size = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
         if not owned_files.is_real_file(file) or os.lstat(file).st_size != size:
@@ -249,10 +259,10 @@ class TileWork:
                 if record is not None:
                     yield record
 
-    def keep_records(self) -> None:
-        """Replace all files of records by one."""
+    def keep_records(self, kinds: Sequence[str] = (READ, MEASURED)) -> None:
+        """Replace all files of records by one, with the records of some kinds."""
         files = [*self.folder.glob(f"{PREFIX}*.jsonl")]
-        lines = _lines([*self.records(READ).values(), *self.records(MEASURED).values()])
+        lines = _lines([record for kind in kinds for record in self.records(kind).values()])
         self._write(RECORDS_NAME, f"{_sum_line(lines.encode()).decode()}\n{lines}")
         for file in files:
             owned_files.remove_file(file)

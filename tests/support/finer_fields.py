@@ -3,7 +3,8 @@
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.finer_build import FinerBox, with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from fields import rough

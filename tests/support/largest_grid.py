@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.blocks import level_shapes
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.finer_build import FinerBox, with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE, FinerTiles, tile_shape
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.lattice import lattice_for

@@ -293,12 +293,11 @@ class Terrain:
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check_update(criterion, views, placement)
         depth = self._max_depth(criterion)
-        while not isinstance(
-            made := self._update_to(depth, key, criterion, views, placement, vertical_scale, vertical_offset, box, ms),
-            Update,
-        ):
-            depth = made
-        return made
+        while True:
+            result = self._update_to(depth, key, criterion, views, placement, vertical_scale, vertical_offset, box, ms)
+            if isinstance(result, Update):
+                return result
+            depth = result
 
     def _update_to(
         self,

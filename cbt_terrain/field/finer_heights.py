@@ -32,7 +32,7 @@ class FinerBox(NamedTuple):
 
 
 class FinerRecords:
-    """Records of finished windows and squares, so that a killed computation can go on; here none are kept."""
+    """Records of finished windows and squares, so that a killed computation can go on; here there are none."""
 
     def find(self, kind: str, number: int) -> dict[str, Any] | None:
         """Return the values of a record, None for none. kind: FILLED, LIMITED or MEASURED."""
@@ -78,33 +78,33 @@ def fill_heights(
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     windows = [list(tiles) for _window, tiles in groupby(known, window_of)]
 
-    def own_heights(tile: Tile) -> np.ndarray:
+    def inner_heights(tile: Tile) -> np.ndarray:
         """Return the samples of a tile that are inside the raster, without those around it."""
         box = _box_of(tile, last)
         return heights[numbers[tile[1], tile[0]], 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
 
-    kept: set[Tile] = set()
+    reused: set[Tile] = set()
     for number, tiles in enumerate(windows):
         record = records.find(FILLED, number)
-        if record is not None and record["sums"] == digest_of(map(own_heights, tiles)):
-            kept.update(tiles)
+        if record is not None and record["sums"] == digest_of(map(inner_heights, tiles)):
+            reused.update(tiles)
     for row, column in np.argwhere(numbers >= 0).tolist():
-        own = own_heights((column, row)).copy() if (column, row) in kept else None
+        inner = inner_heights((column, row)).copy() if (column, row) in reused else None
         x, y = (SIDE * n - 1 + np.arange(STRIDE) for n in (column, row))
         heights[numbers[row, column]] = raster_heights(plain, bits, x, y)
-        if own is not None:
-            own_heights((column, row))[:] = own
+        if inner is not None:
+            inner_heights((column, row))[:] = inner
     for number, tiles in enumerate(windows):
         yield number / len(windows)
         for tile in tiles:
             box = _box_of(tile, last)
             if box.x0 <= box.x1 and box.y0 <= box.y1:
-                found = own_heights(tile).copy() if tile in kept else _read_box(read, box)
+                found = inner_heights(tile).copy() if tile in reused else _read_box(read, box)
                 for row, column in product(range(tile[1] - 1, tile[1] + 2), range(tile[0] - 1, tile[0] + 2)):
                     if 0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]:
                         _lay(found, box, heights[numbers[row, column]], column, row)
-        if tiles[0] not in kept:
-            records.note(FILLED, number, sums=digest_of(map(own_heights, tiles)))
+        if tiles[0] not in reused:
+            records.note(FILLED, number, sums=digest_of(map(inner_heights, tiles)))
     for row, column in np.argwhere(numbers >= 0):
         _extend(heights[numbers[row, column]], column, row, last)
 

@@ -243,6 +243,7 @@ def _fill_square(
     images, half = list(_images(small.layout(), metres * UP)), list(_images(small.range_layout(), found, False))
     for _row, _column, tile, where in tiles:
         stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
+        errors[tile] = 0  # an earlier attempt may have left others, and zeros are not written
         codes.encode_part(stored, table, errors[tile], threads)
         ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in half])
 

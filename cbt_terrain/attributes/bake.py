@@ -31,7 +31,7 @@ from .attribute import AttributeRequest, SamplePoints
 from .catalogue import ATTRIBUTES
 from .coding import PNG, Coding, coding_of
 from .evaluate import values_at
-from .finer_heights import is_finer, min_level
+from .finer_pyramid import is_finer, min_level
 from .folder import JSON_NAME, UDIM, VERSION, file_name, image_files, read_index
 from .plan import plan
 from .pyramid import pack_pyramid

@@ -17,7 +17,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .decals import DECALS, tilt
-from .finer_heights import finer_heights
+from .finer_pyramid import finer_heights
 from .pyramid import scaled_pyramid
 
 KERNELS = (kernels, pyramid_kernels)

@@ -18,7 +18,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..view.linear import add_up, length, product, round_last_bits
 from ..view.view import ORTHOGRAPHIC, View
-from .finer_heights import finer_places, min_level
+from .finer_pyramid import finer_places, min_level
 
 STEPS_PER_LEVEL = 8
 

@@ -16,7 +16,7 @@ from ..view.linear import lengths, min_stretch, product
 from ..view.local_view import eye_of, frustum_planes
 from ..view.view import ORTHOGRAPHIC, View
 from .attribute import AttributeRequest
-from .finer_heights import is_finer, min_level
+from .finer_pyramid import is_finer, min_level
 from .tiling import MAX_SIDE, MIN_SIDE, Tiling
 
 # Steps in octaves by which all tiles get coarser until they fit into a budget.

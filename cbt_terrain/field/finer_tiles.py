@@ -34,7 +34,7 @@ REACH = 3 << int(kernels.STORED_BITS) - 1  # finer cells from a diamond's vertex
 TILE_BYTES = 4 * STRIDE * STRIDE + int(kernels.ERRORS) + 4 * int(kernels.RANGES)  # of a tile in a store
 ARRAYS = "numbers", "heights", "errors", "ranges", "limits"  # in files of a store
 NUMBERS = "bits", "exponent", "range_base", "range_step"  # in its JSON file
-PYRAMID = "finer_pyramid"  # file of the store that caches the coarser levels (attributes/finer_heights.py)
+PYRAMID = "finer_pyramid"  # file of the store that caches the coarser levels (attributes/finer_pyramid.py)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.bake import Baked, bake
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.coding import PNG, coding_of
-from ...cbt_terrain.attributes.finer_heights import min_level
+from ...cbt_terrain.attributes.finer_pyramid import min_level
 from ...cbt_terrain.attributes.tiling import tiling_of
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.view import View

@@ -238,7 +238,7 @@ def damage_text(file: Path, rng: random.Random) -> str:
     if how == "entry":
         try:
             content = json.loads(raw)
-        except ValueError:
+        except (ValueError, RecursionError):  # damaged or too deep already
             how = "bytes"
         else:
             place = content

@@ -7,7 +7,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import bake as baking
-from adaptive_terrain.cbt_terrain.attributes import finer_heights, sizing, tiling
+from adaptive_terrain.cbt_terrain.attributes import finer_pyramid, sizing, tiling
 from adaptive_terrain.cbt_terrain.attributes.attribute import GEOMETRY, AttributeRequest, SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.bake import bake
 from adaptive_terrain.cbt_terrain.attributes.evaluate import values_at
@@ -197,7 +197,7 @@ def test_levels_without_finer_tiles_are_those_of_the_raster():
     view = View.look((0.0, 0.0, 90.0), (50.0, 0.0, 40.0))
     assert footprint_levels(field, places, [view]).min() == 0 and (finest(field, places) == 0).all()
     assert fixed_level(field, 0.0) == 0 and fixed_level(field, 64.0) == 1
-    assert len(finer_heights.finer_heights(field.raster, 1)) == 0 and not field.cache.results
+    assert len(finer_pyramid.finer_heights(field.raster, 1)) == 0 and not field.cache.results
 
 
 def test_splat_layers_have_the_finer_slope_and_noise(hilly):
@@ -254,7 +254,7 @@ def test_maps_have_the_finer_step_where_heights_are_finer(field, tmp_path, small
     tiles = tiling_of(field.lattice, -4)
     assert tiles == tiling_of(dense.lattice) and len(tiles) == 80
     shown = sizing.shown_by(tiles, field, [request])
-    met = np.array([finer_heights.is_finer(field.raster, tiles.box(tile)) for tile in range(len(tiles))])
+    met = np.array([finer_pyramid.is_finer(field.raster, tiles.box(tile)) for tile in range(len(tiles))])
     assert (shown == np.where(met, 2.0, 32.0)).all() and 9 <= met.sum() < 40
     sides = sizing.resolutions(tiles, shown, shown, 4)
     assert {side for side, there in zip(sides, met, strict=True) if there} == {256} and min(sides) == 64
@@ -299,7 +299,7 @@ def test_only_images_with_finer_texels_get_another_key(field, tmp_path, small_ti
     keys = [tile["key"] for tile in read_index(tmp_path)["maps"]["slope"]["tiles"]]
     assert bake(field, [request], tmp_path, [64] * len(tiles)).written > 0
     changed = np.array(keys) != [tile["key"] for tile in read_index(tmp_path)["maps"]["slope"]["tiles"]]
-    met = np.array([finer_heights.is_finer(field.raster, tiles.box(tile)) for tile in range(len(tiles))])
+    met = np.array([finer_pyramid.is_finer(field.raster, tiles.box(tile)) for tile in range(len(tiles))])
     assert changed[met].all() and not changed.all()
 
 
@@ -317,7 +317,7 @@ def test_a_large_town_has_its_levels_in_the_store(tmp_path, monkeypatch):
     assert at_level(open_store(tmp_path), places, -2.5)["slope"].tobytes() == expected["slope"].tobytes()
     [file] = tmp_path.rglob("finer_pyramid.npy")
     with monkeypatch.context() as nothing:  # is computed again
-        nothing.setattr(finer_heights, "_fill_levels", None)
+        nothing.setattr(finer_pyramid, "_fill_levels", None)
         field = open_store(tmp_path)
         assert at_level(field, places, -2.5)["slope"].tobytes() == expected["slope"].tobytes()
     assert verify(tmp_path)["finer_pyramid.npy"] >= 1 and is_intact(field)

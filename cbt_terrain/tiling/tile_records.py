@@ -77,8 +77,8 @@ def _is_finer(record: dict) -> bool:
     if record["kind"] == finer_heights.FILLED:
         return isinstance(record["sums"], str) and _are_metres([record["figures"][name] for name in FIGURES], 0.0)
     if record["kind"] == finer_heights.LIMITED:
-        is_list = isinstance(record["limits"], list) and all(len(pair) == 2 for pair in record["limits"])
-        return is_list and isinstance(record["inputs"], str) and _are_metres(sum(record["limits"], []), 0.0)
+        numbers = [number for change, slope in record["limits"] for number in (change, slope)]
+        return isinstance(record["inputs"], str) and _are_metres(numbers, 0.0)
     return isinstance(record["inputs"], str) and isinstance(record["sums"], str)
 
 

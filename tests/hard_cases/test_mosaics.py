@@ -267,10 +267,10 @@ def test_case_87_a_huge_gap_is_refused_or_filled_in_time(tmp_path):
     near = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 400, 400)
     far = sheet(UTM32, EAST + 4e5, NORTH - 3e6, 10.0, 10.0, 400, 400, shift=1000.0)
     files = near.write(tmp_path / "a.tif"), far.write(tmp_path / "b.tif")
-    said = refusal(*files, folder=tmp_path, step=0.005)
-    assert "The mosaic would have 80,798,001 x 600,798,001 samples" in said
+    said = refusal(*files, folder=tmp_path, step=0.0025)
+    assert "The mosaic would have 161,596,001 x 1,201,596,001 samples" in said
     step = float(said.partition("--step ")[2].partition(")")[0])
-    assert 0.0055 < step < 0.0065
+    assert 0.00275 < step < 0.00325
     report = run_mosaic_import(settings_of(*files, step=1000.0, holes=True), tmp_path / "store")
     heights = np.asarray(open_store(tmp_path / "store").samples)
     assert report["gap_percent"] > 99.0 and report["cut_out"] == heights.size - 32

@@ -46,10 +46,10 @@ def test_long_numbers_are_refused_at_once(tmp_path):
 
 
 def test_a_mosaic_that_is_too_large_opens_no_source(tmp_path):
-    """A header of 600,000,000 samples a row is refused before a source, here a missing one, is looked at."""
-    text = vrt(source("gone.tif")).replace('"65"', '"600000000"')
+    """A header of 1,200,000,000 samples a row is refused before a source, here a missing one, is looked at."""
+    text = vrt(source("gone.tif")).replace('"65"', '"1200000000"')
     (tmp_path / "a.vrt").write_text(text)
-    with pytest.raises(TerrainError, match=r"a.vrt has 600000000 x 33 samples; expected at most 2\^29 in a row"):
+    with pytest.raises(TerrainError, match=r"a.vrt has 1200000000 x 33 samples; expected at most 2\^30 in a row"):
         read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)
 
 
@@ -62,7 +62,7 @@ def test_an_image_that_is_too_large_is_refused_unread(tmp_path):
         raise AssertionError("a row was read")
 
     (tmp_path / "a.png").write_bytes(b"a")
-    raster = Raster(600_000_000, 2, read, "uint16", "PNG")
-    with pytest.raises(TerrainError, match="600000000 x 2 samples; expected at most"):
+    raster = Raster(1_200_000_000, 2, read, "uint16", "PNG")
+    with pytest.raises(TerrainError, match="1200000000 x 2 samples; expected at most"):
         settings, path = ImportSettings(str(tmp_path / "a.png")), tmp_path / "a.png"
         build_store.import_raster(settings, path, tmp_path / "store", "data", print, lambda _settings: raster)

@@ -150,10 +150,10 @@ def test_a_large_vrt_is_thinned(tmp_path):
     assert report["extent_m"] == pytest.approx([399.99, 399.99]) and report["lowest_m"] == report["highest_m"] == 7
 
 
-def test_a_store_cannot_hold_more_than_2_to_the_29_a_side(tmp_path):
-    source = write_vrt(tmp_path, 600_000_000)
+def test_a_store_cannot_hold_more_than_2_to_the_30_a_side(tmp_path):
+    source = write_vrt(tmp_path, 1_200_000_000)
     for quick in (0, 2_000):
-        with pytest.raises(TerrainError, match="600000000 x 600000000 samples; expected at most"):
+        with pytest.raises(TerrainError, match="1200000000 x 1200000000 samples; expected at most"):
             import_source(ImportSettings(source, quick=quick), tmp_path / "store")
 
 

@@ -111,10 +111,10 @@ def test_impossible_sources_are_refused_from_headers(tmp_path, monkeypatch):
         open_composite(settings_of(*files, far, step=0.01), None)
     east = sheet(UTM32, EAST + 1e5, NORTH, 10.0, 10.0, 20, 20).write(tmp_path / "east.tif")
     with pytest.raises(TerrainError) as refusal:
-        open_composite(settings_of(*files, east, step=1e-4), None)
-    assert refusal.value.what.startswith("The mosaic would have 1,001,900,001 x 1,900,001 samples")
+        open_composite(settings_of(*files, east, step=5e-5), None)
+    assert refusal.value.what.startswith("The mosaic would have 2,003,800,001 x 3,800,001 samples")
     step = float(refusal.value.fix.partition("--step ")[2].partition(")")[0])
-    assert open_composite(settings_of(*files, east, step=step), None).grid.width < 2**29
+    assert open_composite(settings_of(*files, east, step=step), None).grid.width < 2**30
     flat = write_raster(tmp_path / "flat.tif", hills(9, 9))
     with pytest.raises(TerrainError, match=r"flat.tif cannot be a part of a mosaic \(it has no position\)"):
         open_composite(settings_of(*files, flat), None)

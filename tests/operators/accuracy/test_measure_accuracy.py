@@ -288,7 +288,8 @@ def draw(terrain):
     """Draw the panel Last Update into a mock layout."""
     layout = Mock()
     panel = SimpleNamespace(layout=layout, _columns=lambda: layout)
-    panel._draw_measured = lambda *arguments: StatisticsPanel._draw_measured(panel, *arguments)
+    draw_measured = StatisticsPanel._draw_measured_and_predicted
+    panel._draw_measured_and_predicted = lambda *arguments: draw_measured(panel, *arguments)
     StatisticsPanel.draw(panel, SimpleNamespace(object=terrain))
     return layout
 

@@ -14,7 +14,7 @@ sys.path.append(str(Path(__file__).parent))  # Blender does not do so for script
 from window_steps import module, parts, run, take_steps, terrain, until  # noqa: E402
 
 result = {"version": bpy.app.version_string, "writes": [], "rendered": []}
-state = {"drawing": False, "rendering": False, "ended": False}
+state = {"drawing": False, "in_header": False, "rendering": False, "ended": False}
 
 
 class SlowEngine(bpy.types.RenderEngine):
@@ -28,9 +28,18 @@ class SlowEngine(bpy.types.RenderEngine):
 
 
 def draw_slowly(_header, _context) -> None:
+    state["in_header"] = state["drawing"]
     end = time.monotonic() + 60.0
     while state["drawing"] and not state["rendering"] and time.monotonic() < end:
         time.sleep(0.05)  # lets the render's thread begin its call
+    state["in_header"] = False
+
+
+def wait_for_header(*_arguments) -> None:
+    """Wait on the render's thread, before the engine is called, until the header is drawn."""
+    end = time.monotonic() + 60.0
+    while state["drawing"] and not state["in_header"] and time.monotonic() < end:
+        time.sleep(0.05)
 
 
 def try_to_write() -> None:
@@ -58,9 +67,10 @@ def steps():
     yield 3.0
     scene.render.engine, scene.render.use_lock_interface, scene.render.resolution_percentage = "SLOW", False, 5
     bpy.app.handlers.render_complete.append(lambda *_: state.update(ended=True))
+    bpy.app.handlers.render_pre.append(wait_for_header)
     yield from notes_whether_timers_write(1)
-    run(bpy.ops.render.render, "INVOKE_DEFAULT")
     state["drawing"] = True
+    run(bpy.ops.render.render, "INVOKE_DEFAULT")
     while not state["ended"]:
         for area in bpy.context.window_manager.windows[0].screen.areas:
             area.tag_redraw()

@@ -124,20 +124,33 @@ def measure_triangles(
     """
     out = flat(errors, wp.float32)
     raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
+    patches = kernels.PatchDistances()
+    rows, patches.columns = ((count - 1) // kernels.BLOCK for count in samples.shape)
+    patches.metres = wp.empty(rows * patches.columns, dtype=wp.float32, device="cpu")
 
     def spread(kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
         """Launch a kernel over `count` items as the step "error hierarchy", with `errors` as its last argument."""
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
+    if patches.columns:
+        inputs = [counted, patches]
+        launch.spread(
+            kernels.patch_distances, rows, inputs, step="error hierarchy", threads=threads, cost=samples.shape[1]
+        )
     for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         if depth < coarsest:
             break
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
         if coarser.sides:
-            spread(kernels.side_errors, count, [raster, counted, side // 2, finer, coarser], 2 * cost)
+            spread(kernels.side_errors, count, [raster, counted, patches, side // 2, finer, coarser], 2 * cost)
         else:
-            spread(kernels.centre_errors, count, [raster, counted, side, int(depth == 1), finer, coarser], 4 * cost)
+            spread(
+                kernels.centre_errors,
+                count,
+                [raster, counted, patches, side, int(depth == 1), finer, coarser],
+                4 * cost,
+            )
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 

@@ -105,8 +105,8 @@ def code_of(table: wp.array(dtype=wp.float32), group: wp.int32, error: wp.float3
     code = wp.int32(0)
     step = wp.int32(128)
     while step > 0:
-        if table[(group << 8) + code + step - 1] < error:
-            code += step
+        is_below = item_at(table, (group << 8) + code + step - 1) < error
+        code += wp.where(is_below, step, 0)
         step = step >> 1
     return wp.uint8(code)
 

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the error hierarchy of a raster; cbt_terrain/field describes the method.
 
+The largest distance of a surface from a triangle is found by branch and bound: a block of samples is read only if it
+may be farther away than what is known, from the diamond's children or other blocks.
+
 Heights are read as floats, row 0 south. Errors are one array in the order of `cbt_terrain/field/lattice.py`; a kernel
 processes one depth of it. All arithmetic on heights is float64, so planes through float32 samples at power-of-two
 distances are exact, and a flat or planar map has an error of exactly zero. Heights and errors are metres
@@ -24,83 +27,10 @@ def round_up(value: wp.float64):
 
 
 @wp.func
-def row_error(
-    h: wp.array(dtype=wp.float32), first: wp.int64, count: int, plane: wp.float64, slope: wp.float64
-) -> wp.float64:
-    """Return the largest distance, metres, of `count` samples in a row from a plane.
-
-    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row. NaN
-    samples do not count.
-    """
-    largest = wp.float64(0.0)
-    for i in range(count):
-        distance = wp.abs(wp.float64(item_at(h, first + wp.int64(i))) - (plane + slope * wp.float64(i)))
-        largest = wp.where(distance > largest, distance, largest)
-    return largest
-
-
-@wp.func
 def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
     """Return the height, metres, at sample (x, y); beyond the eastern or northern border that of the nearest sample."""
     at = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
     return wp.float64(item_at(raster.floats, at))
-
-
-@wp.func
-def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
-    """Return the largest distance of the samples (x, y) .. (x + count - 1, y) from a line, metres; 0 if none is inside.
-
-    The line has the height `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not
-    count.
-    """
-    inside = wp.min(count, raster.columns - x)
-    largest = wp.float64(0.0)
-    if inside > 0 and y < raster.rows:
-        largest = row_error(raster.floats, sample_index(raster, x, y), inside, plane, slope)
-    return largest
-
-
-@wp.func
-def diagonal_inside(
-    raster: Samples, x: int, y: int, right: int, up: int, cells: int, plane: wp.float64, slope: wp.float64
-) -> wp.float64:
-    """Return the largest distance of the bilinear surface from a plane, between samples on diagonals of `cells` cells.
-
-    The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
-    border do not count. plane: height of the plane at (x, y); slope: its metres a cell along the diagonal. In a cell
-    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist. Only a turning point counts, so that the
-    result is 0 without one: `row_inside` measures at the samples.
-    """
-    h = raster.floats
-    to_side = wp.int64(right)  # to the next sample in a row, and in a column
-    to_row = wp.int64(up) * wp.int64(raster.columns)
-    first = wp.int32(0)
-    end = cells
-    if right > 0:
-        end = wp.min(end, raster.columns - 1 - x)
-    else:
-        first = wp.max(first, x - (raster.columns - 1))
-    if up > 0:
-        end = wp.min(end, raster.rows - 1 - y)
-    else:
-        first = wp.max(first, y - (raster.rows - 1))
-    largest = wp.float64(0.0)
-    if first < end:
-        at = sample_index(raster, x + right * first, y + up * first)
-        z0 = wp.float64(item_at(h, at))
-        e0 = z0 - (plane + slope * wp.float64(first))
-        for i in range(first, end):
-            far = at + to_side + to_row
-            z1 = wp.float64(item_at(h, far))
-            e1 = z1 - (plane + slope * wp.float64(i + 1))
-            twist = z0 + z1 - wp.float64(item_at(h, at + to_side)) - wp.float64(item_at(h, at + to_row))
-            if wp.abs(e1 - e0) < wp.abs(twist):
-                rest = twist - (e1 - e0)
-                largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
-            z0 = z1
-            e0 = e1
-            at = far
-    return largest
 
 
 @wp.func
@@ -117,24 +47,131 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Dep
     return largest
 
 
-@wp.func
+BLOCK = wp.constant(8)  # cells of a block's side
+
+
+@wp.struct
+class PatchDistances:
+    """How far the surface is from bilinear patches over blocks of BLOCK x BLOCK cells, each through its corners.
+
+    The patch's largest difference from a plane is at one of its corners. That and this distance together bound the
+    surface's difference from the plane over the block.
+    """
+
+    metres: wp.array(dtype=wp.float32)  # in rows
+    columns: wp.int32  # blocks in a row
+
+
+@wp.kernel
+def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
+    """Compute the distances of the samples in each whole block of row `offset + tid` from the block's patch.
+
+    measured: samples, NaN where they do not count. A block with a corner that is NaN gets any number.
+    """
+    row = offset + wp.tid()
+    h = measured.floats
+    part = wp.float64(0.125)
+    for column in range(patches.columns):
+        x = column * BLOCK
+        y = row * BLOCK
+        west = wp.float64(item_at(h, sample_index(measured, x, y)))
+        east = wp.float64(item_at(h, sample_index(measured, x + BLOCK, y)))
+        west_slope = (wp.float64(item_at(h, sample_index(measured, x, y + BLOCK))) - west) * part
+        east_slope = (wp.float64(item_at(h, sample_index(measured, x + BLOCK, y + BLOCK))) - east) * part
+        largest = wp.float64(0.0)
+        for j in range(BLOCK + 1):
+            begin = west + west_slope * wp.float64(j)
+            slope = (east + east_slope * wp.float64(j) - begin) * part
+            first = sample_index(measured, x, y + j)
+            for i in range(BLOCK + 1):
+                distance = wp.abs(wp.float64(item_at(h, first + wp.int64(i))) - (begin + slope * wp.float64(i)))
+                largest = wp.where(distance > largest, distance, largest)
+        put(patches.metres, wp.int64(row * patches.columns + column), round_up(largest))
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    const float* corner = measured.floats.data + (long long)y * measured.columns + x;
+    const long long step_x = right, step_y = (long long)up * measured.columns;
+    // The steps along the legs that are inside the raster.
+    const int east = measured.columns - 1 - x, north = measured.rows - 1 - y;
+    const int begin_x = right > 0 ? 0 : wp::max(0, -east), end_x = right > 0 ? east : x;
+    const int begin_y = up > 0 ? 0 : wp::max(0, -north), end_y = up > 0 ? north : y;
+    double largest = known;
+    const auto measure = [&](int first_x, int first_y, int rows, int columns, bool is_half) {
+        for (int j = wp::max(first_y, begin_y); j < first_y + rows && j <= end_y; ++j) {
+            const float* row = corner + j * step_y;
+            const double start = plane + slope[1] * j;
+            const int end = wp::min(is_half ? first_x + columns - (j - first_y) : first_x + columns - 1, end_x);
+            for (int i = wp::max(first_x, begin_x); i <= end; ++i) {
+                const double distance = wp::abs(row[i * step_x] - (start + slope[0] * i));
+                largest = distance > largest ? distance : largest;
+            }
+        }
+    };
+    const int size = 8, blocks = legs / size;
+    if (blocks < 2)
+        measure(0, 0, legs, legs, true);
+    else
+        for (int block_y = 0; block_y < blocks; ++block_y)
+            for (int block_x = 0; block_x < blocks - block_y; ++block_x) {
+                const int i = block_x * size, j = block_y * size;
+                if (i > end_x || j > end_y)
+                    continue;
+                bool is_near = i < begin_x || i + size > end_x || j < begin_y || j + size > end_y;
+                if (!is_near) {
+                    const long long at_x = x / size + (right > 0 ? block_x : -1 - block_x);
+                    const long long at_y = y / size + (up > 0 ? block_y : -1 - block_y);
+                    const double rest = patches.metres.data[at_y * patches.columns + at_x];
+                    for (int k = 0; k < 4; ++k) {
+                        const int corner_x = i + (k & 1) * size, corner_y = j + (k >> 1) * size;
+                        const double on_plane = plane + slope[1] * corner_y + slope[0] * corner_x;
+                        const double at_corner = wp::abs(corner[corner_y * step_y + corner_x * step_x] - on_plane);
+                        is_near |= !(at_corner + rest <= largest);  // NaN, too
+                    }
+                }
+                if (is_near)
+                    measure(i, j, size, size, block_x + block_y == blocks - 1);
+            }
+    // Along the longest edge.
+    const int first = wp::max(begin_x, legs - end_y), end = wp::min(legs - begin_y, end_x);
+    if (first < end) {
+        const double top = plane + slope[1] * legs, across = slope[0] - slope[1];
+        const float* near = corner + first * step_x + (legs - first) * step_y;
+        double e0 = *near - (top + across * first);
+        for (int i = first; i < end; ++i) {
+            const float* far = near + step_x - step_y;
+            const double e1 = *far - (top + across * (i + 1));
+            const double twist = (double)*near + *far - near[step_x] - near[-step_y];
+            if (wp::abs(e1 - e0) < wp::abs(twist)) {
+                const double rest = twist - (e1 - e0);
+                largest = wp::max(largest, wp::abs(e0 - rest * rest / (4.0 * twist)));
+            }
+            near = far;
+            e0 = e1;
+        }
+    }
+    return largest;
+""")
 def corner_error(
-    raster: Samples, x: int, y: int, right: int, up: int, legs: int, plane: wp.float64, slope: wp.vec2d
+    measured: Samples,
+    patches: PatchDistances,
+    x: int,
+    y: int,
+    right: int,
+    up: int,
+    legs: int,
+    plane: wp.float64,
+    slope: wp.vec2d,
+    known: wp.float64,
 ) -> wp.float64:
-    """Return the largest distance, metres, of the surface over a right triangle from a plane.
+    """Return the largest distance, metres, of the surface over a right triangle from a plane, or `known` if it is less.
 
     It is measured at the samples and along the longest edge. The plane has the height `plane` at the triangle's corner
     (x, y) with the right angle. From there legs of `legs` steps between samples run east (`right` 1) or west (-1), and
-    north (`up` 1) or south (-1). slope: metres a sample along x and y.
+    north (`up` 1) or south (-1). slope: metres a sample along the two legs.
     """
-    largest = wp.float64(0.0)
-    for j in range(legs):  # the last row would be a vertex, which is on the plane
-        first = wp.min(right, 0) * (legs - j)
-        start = plane + slope[0] * wp.float64(first) + slope[1] * wp.float64(up * j)
-        largest = wp.max(largest, row_inside(raster, x + first, y + up * j, legs + 1 - j, start, slope[0]))
-    start = plane + slope[1] * wp.float64(up * legs)
-    across = slope[0] * wp.float64(right) - slope[1] * wp.float64(up)
-    return wp.max(largest, diagonal_inside(raster, x, y + up * legs, right, -up, legs, start, across))
+    ...
 
 
 @wp.kernel
@@ -142,6 +179,7 @@ def centre_errors(
     offset: wp.int64,
     raster: Samples,
     measured: Samples,
+    patches: PatchDistances,
     side: int,
     root: int,
     finer: Depth,
@@ -157,18 +195,18 @@ def centre_errors(
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
     n = wp.float64(side)
-    largest = wp.float64(0.0)
+    largest = wp.float64(largest_below(errors, finer, coarser, p))
     for k in range(2):
         right = 1 - 2 * k
         up = wp.where(is_northeast, right, -right)
         x = (p[0] + k) * side
         y = (p[1] + wp.where(up > 0, 0, 1)) * side
         z = vertex_height(raster, x, y)
-        slope_x = wp.float64(right) * (vertex_height(raster, x + right * side, y) - z) / n
-        slope_y = wp.float64(up) * (vertex_height(raster, x, y + up * side) - z) / n
+        slope_x = (vertex_height(raster, x + right * side, y) - z) / n
+        slope_y = (vertex_height(raster, x, y + up * side) - z) / n
         slope = wp.vec2d(slope_x, slope_y)
-        largest = wp.max(largest, corner_error(measured, x, y, right, up, side, z, slope))
-    put(errors, entry(coarser, p[0], p[1]), wp.max(round_up(largest), largest_below(errors, finer, coarser, p)))
+        largest = corner_error(measured, patches, x, y, right, up, side, z, slope, largest)
+    put(errors, entry(coarser, p[0], p[1]), round_up(largest))
 
 
 @wp.kernel
@@ -176,6 +214,7 @@ def side_errors(
     offset: wp.int64,
     raster: Samples,
     measured: Samples,
+    patches: PatchDistances,
     half: int,
     finer: Depth,
     coarser: Depth,
@@ -199,11 +238,13 @@ def side_errors(
     end = vertex_height(raster, x + along[0] * half, y + along[1] * half)
     middle = wp.float64(0.5) * (begin + end)
     n = wp.float64(half)
-    largest = wp.float64(0.0)
+    largest = wp.float64(largest_below(errors, finer, coarser, p))
     if half == 1:
         # Only the sample in the middle is not a corner, and along a leg the distance is a quarter of a cell's twist,
         # which the children hold already.
-        largest = row_inside(measured, x, y, 1, middle, wp.float64(0.0))
+        if x < measured.columns and y < measured.rows:
+            distance = wp.abs(wp.float64(item_at(measured.floats, sample_index(measured, x, y))) - middle)
+            largest = wp.where(distance > largest, distance, largest)
     else:
         slope = (end - begin) / (wp.float64(2.0) * n)
         for k in range(4):
@@ -213,10 +254,11 @@ def side_errors(
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
             if holds(coarser, apex):
                 z = vertex_height(raster, apex[0] * half, apex[1] * half)
-                rise = wp.float64(across) * (z - middle) / n
-                slopes = wp.where(flat == 1, wp.vec2d(slope, rise), wp.vec2d(rise, slope))
-                largest = wp.max(largest, corner_error(measured, x, y, right, up, half, middle, slopes))
-    put(errors, entry(coarser, p[0], p[1]), wp.max(round_up(largest), largest_below(errors, finer, coarser, p)))
+                rise = (z - middle) / n
+                along_side = wp.float64(wp.where(flat == 1, right, up)) * slope
+                slopes = wp.where(flat == 1, wp.vec2d(along_side, rise), wp.vec2d(rise, along_side))
+                largest = corner_error(measured, patches, x, y, right, up, half, middle, slopes, largest)
+    put(errors, entry(coarser, p[0], p[1]), round_up(largest))
 
 
 @wp.kernel

@@ -40,6 +40,40 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
     return wp.uint16(q)
 
 
+@wp.func_native("""
+    typedef float lanes __attribute__((vector_size(32)));
+    const float* row = h.data + first;
+    float low = *row, high = *row;
+    if (width >= 8) {
+        lanes lows = lanes{} + low, highs = lows;
+        for (int j = 0; j < height; ++j, row += columns)
+            for (int k = 0; k < 2; ++k) {  // the first eight and the last eight samples of the row
+                lanes z;
+                __builtin_memcpy(&z, row + k * (width - 8), sizeof(z));
+                lows = z < lows ? z : lows;
+                highs = z > highs ? z : highs;
+            }
+        for (int k = 0; k < 8; ++k) {
+            low = wp::min(low, lows[k]);
+            high = wp::max(high, highs[k]);
+        }
+    } else {
+        for (int j = 0; j < height; ++j, row += columns)
+            for (int i = 0; i < width; ++i) {
+                low = wp::min(low, row[i]);
+                high = wp::max(high, row[i]);
+            }
+    }
+    return wp::vec2f(low, high);
+""")
+def limits_of_box(h: wp.array(dtype=wp.float32), first: wp.int64, columns: int, width: int, height: int) -> wp.vec2f:
+    """Return the lowest and the highest of `width` x `height` samples of a raster.
+
+    first: index of the south-western one. columns: samples in a row of the raster.
+    """
+    ...
+
+
 @wp.kernel
 def finest_ranges(
     offset: int,
@@ -56,21 +90,16 @@ def finest_ranges(
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    h = raster.floats
     south = wp.clamp(2 * y - REACH, 0, raster.rows - 1)
     north = wp.min(2 * y + REACH, raster.rows - 1)
     for x in range(1 - (y & 1), finest.columns + 1, 2):
         west = wp.clamp(2 * x - REACH, 0, raster.columns - 1)
-        low = item_at(h, sample_index(raster, west, south))
-        high = low
-        for j in range(south, north + 1):
-            for i in range(west, wp.min(2 * x + REACH, raster.columns - 1) + 1):
-                z = item_at(h, sample_index(raster, i, j))
-                low = wp.where(z < low, z, low)
-                high = wp.where(z > high, z, high)
+        east = wp.min(2 * x + REACH, raster.columns - 1)
+        first = sample_index(raster, west, south)
+        limits = limits_of_box(raster.floats, first, raster.columns, east + 1 - west, north + 1 - south)
         at = wp.int64(2) * entry(finest, x, y)
-        put(ranges, at, quantise_down(wp.float64(low), base, step, per_step))
-        put(ranges, at + wp.int64(1), quantise_up(wp.float64(high), base, step, per_step))
+        put(ranges, at, quantise_down(wp.float64(limits[0]), base, step, per_step))
+        put(ranges, at + wp.int64(1), quantise_up(wp.float64(limits[1]), base, step, per_step))
 
 
 @wp.func

@@ -46,25 +46,24 @@ def window_errors(
     j = c.up * (south + row - c.y)
     found = largest[row]
     if j >= 0 and j < c.legs:
-        first = wp.min(c.right, 0) * (c.legs - j)
-        plane = c.plane + c.slope_x * wp.float64(first) + c.slope_y * wp.float64(c.up * j)
-        begin = wp.max(c.x + first, west)
-        end = wp.min(c.x + first + c.legs + 1 - j, west + width)
-        skipped = begin - (c.x + first)
-        for k in range(end - begin):
-            height = wp.float64(item_at(h, start + begin - west + k))
-            distance = wp.abs(height - (plane + c.slope_x * wp.float64(skipped + k)))
+        plane = c.plane + c.slope_y * wp.float64(c.up * j)
+        first = c.x + wp.min(c.right, 0) * (c.legs - j)
+        begin = wp.max(first, west)
+        end = wp.min(first + c.legs + 1 - j, west + width)
+        for x in range(begin, end):
+            height = wp.float64(item_at(h, start + x - west))
+            distance = wp.abs(height - (plane + c.slope_x * wp.float64(x - c.x)))
             found = wp.where(distance > found, distance, found)
     # The longest edge runs from (x, y + up * legs) along (right, -up); cell i of it is between its rows i and i + 1.
     i = c.legs - c.up * (south + row - c.y)
     if c.up > 0:
         i = i - 1
-    x = c.x + c.right * i
-    cell = wp.min(x, x + c.right)
+    edge = c.x + c.right * i
+    cell = wp.min(edge, edge + c.right)
     if i >= 0 and i < c.legs and cell >= west and cell + 1 < west + width and row + 1 < measured.rows:
         top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
         across = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
-        at = start + x - west
+        at = start + edge - west
         if c.up > 0:
             at = at + width
         aside = at + c.right

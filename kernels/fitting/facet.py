@@ -8,9 +8,9 @@ before scaling, in float64: planes through float32 heights at power-of-two dista
 
 import warp as wp
 
-from ..field.codes import bilinear, corners_of
+from ..field.codes import Samples, bilinear, corners_of, sample_index
 from ..field.domain import Domain
-from ..field.hierarchy import diagonal_inside, row_inside
+from ..unchecked import item_at
 
 
 @wp.struct
@@ -124,6 +124,79 @@ def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
         t = -slope / (wp.float64(2.0) * twist)
         r = r0 + t * (slope + twist * t)
     return t, r
+
+
+@wp.func
+def row_error(
+    h: wp.array(dtype=wp.float32), first: wp.int64, count: int, plane: wp.float64, slope: wp.float64
+) -> wp.float64:
+    """Return the largest distance, metres, of `count` samples in a row from a plane.
+
+    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row. NaN
+    samples do not count.
+    """
+    largest = wp.float64(0.0)
+    for i in range(count):
+        distance = wp.abs(wp.float64(item_at(h, first + wp.int64(i))) - (plane + slope * wp.float64(i)))
+        largest = wp.where(distance > largest, distance, largest)
+    return largest
+
+
+@wp.func
+def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
+    """Return the largest distance of the samples (x, y) .. (x + count - 1, y) from a line, metres; 0 if none is inside.
+
+    The line has the height `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not
+    count.
+    """
+    inside = wp.min(count, raster.columns - x)
+    largest = wp.float64(0.0)
+    if inside > 0 and y < raster.rows:
+        largest = row_error(raster.floats, sample_index(raster, x, y), inside, plane, slope)
+    return largest
+
+
+@wp.func
+def diagonal_inside(
+    raster: Samples, x: int, y: int, right: int, up: int, cells: int, plane: wp.float64, slope: wp.float64
+) -> wp.float64:
+    """Return the largest distance of the bilinear surface from a plane, between samples on diagonals of `cells` cells.
+
+    The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
+    border do not count. plane: height of the plane at (x, y); slope: its metres a cell along the diagonal. In a cell
+    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist. Only a turning point counts, so that the
+    result is 0 without one: `row_inside` measures at the samples.
+    """
+    h = raster.floats
+    to_side = wp.int64(right)  # to the next sample in a row, and in a column
+    to_row = wp.int64(up) * wp.int64(raster.columns)
+    first = wp.int32(0)
+    end = cells
+    if right > 0:
+        end = wp.min(end, raster.columns - 1 - x)
+    else:
+        first = wp.max(first, x - (raster.columns - 1))
+    if up > 0:
+        end = wp.min(end, raster.rows - 1 - y)
+    else:
+        first = wp.max(first, y - (raster.rows - 1))
+    largest = wp.float64(0.0)
+    if first < end:
+        at = sample_index(raster, x + right * first, y + up * first)
+        z0 = wp.float64(item_at(h, at))
+        e0 = z0 - (plane + slope * wp.float64(first))
+        for i in range(first, end):
+            far = at + to_side + to_row
+            z1 = wp.float64(item_at(h, far))
+            e1 = z1 - (plane + slope * wp.float64(i + 1))
+            twist = z0 + z1 - wp.float64(item_at(h, at + to_side)) - wp.float64(item_at(h, at + to_row))
+            if wp.abs(e1 - e0) < wp.abs(twist):
+                rest = twist - (e1 - e0)
+                largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+            z0 = z1
+            e0 = e1
+            at = far
+    return largest
 
 
 @wp.func

@@ -201,6 +201,65 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
         assert not errors.any()
 
 
+def error_with_holes(samples, measured, triangle):
+    """Return the error of a triangle of corners in samples; NaN in `measured` does not count."""
+    height, width = samples.shape
+    corners = np.array(triangle)
+    at = np.minimum(corners, (width - 1, height - 1)).T
+    plane = np.linalg.solve(np.column_stack([corners, np.ones(3)]), samples[at[1], at[0]].astype(np.float64))
+    distance = np.pad(measured.astype(np.float64), ((0, 1), (0, 1)), constant_values=np.nan)
+    distance -= np.add.outer(plane[1] * np.arange(height + 1), plane[0] * np.arange(width + 1)) + plane[2]
+    x, y = (item.astype(int) for item in inside(tuple(map(tuple, 2 * corners)), width, height, 1.0))
+    found = [distance[y, x]]
+    for begin, end in zip(corners, np.roll(corners, 1, axis=0), strict=True):
+        if (begin != end).all():  # a side through cells: a parabola in each
+            steps = np.linspace(begin, end, abs(begin[0] - end[0]) + 1).astype(int)
+            steps = steps[(steps <= (width, height)).all(1)]
+            (x, y), (next_x, next_y) = steps[:-1].T, steps[1:].T
+            e0, e1 = distance[y, x], distance[next_y, next_x]
+            twist = e0 + e1 - distance[y, next_x] - distance[next_y, x]
+            t = np.linspace(0.0, 1.0, 257)[:, None]
+            found.append(e0 * (1 - t) + e1 * t - twist * t * (1 - t))
+    return max(np.nan_to_num(np.abs(part)).max(initial=0.0) for part in found)
+
+
+@pytest.mark.parametrize("holes", [False, True])
+@pytest.mark.parametrize("kind", ["random", "spike", "cliff", "saddle", "hill"])
+def test_large_triangles_have_the_largest_distance(kind, holes):
+    """Most blocks of a triangle with legs of 16 samples or more are not read: the result must be as if all were."""
+    lattice = Lattice(1, 1, 6, cells_x=61, cells_y=43)
+    samples, errors = raster(kind, lattice), np.zeros(lattice.node_count, np.float32)
+    measured = samples.copy()
+    if holes:
+        measured[np.random.default_rng(2).random(samples.shape) < 0.1] = np.nan
+        measured[::8, ::8] = np.nan  # corners of blocks
+    hierarchy.build_errors(samples, lattice, errors, 1, measured=measured)
+    own, children, depth_of = {}, {}, {}
+
+    def middle_of(a, b):
+        return ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2)
+
+    def walk(left, apex, right, depth):
+        middle = middle_of(left, right)
+        if middle[0] <= 61 and middle[1] <= 43:
+            own[middle] = max(own.get(middle, 0.0), error_with_holes(samples, measured, (left, apex, right)))
+            below = {middle_of(left, apex), middle_of(apex, right)}
+            children.setdefault(middle, set()).update(c for c in below if c[0] <= 61 and c[1] <= 43)
+            depth_of[middle] = depth
+        if depth < 5:
+            walk(left, middle, apex, depth + 1)
+            walk(apex, middle, right, depth + 1)
+
+    walk((0, 64), (0, 0), (64, 0), 1)
+    walk((64, 0), (64, 64), (0, 64), 1)
+    assert len(own) == 23
+    for vertex, error in own.items():
+        depth = depth_of[vertex]
+        below = [float(errors[error_index(lattice, depth + 1, *child)]) for child in children[vertex]]
+        found = float(errors[error_index(lattice, depth, *vertex)])
+        assert max(error, *below) * (1 - 1e-12) <= found <= max(error, *below) * (1 + 1e-4), vertex
+
+
 def expand(errors, lattice, meshlet, threads=1):
     """Return errors rounded to codes, and those of meshlets, float64 metres."""
     found = np.zeros(errors.shape, np.uint8)

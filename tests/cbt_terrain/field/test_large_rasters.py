@@ -192,8 +192,10 @@ def test_kernels_write_the_last_entries_of_a_large_hierarchy(tmp_path):
         depths = [stored_at(one, down + depth) for depth in (near.cell_depth, near.cell_depth - 1, near.cell_depth - 2)]
         stride = depths[1].columns // 2 + 1
         # The last row of middles of sides is the raster's border; the one before has middles of western sides.
-        launch_last(hierarchy.side_errors, 15, stride * depths[1].rows - 15, [raster, raster, 1, *depths[:2], target])
-        inputs = [raster, raster, 2, 0, *depths[1:], target]
+        patches = hierarchy.PatchDistances()  # which only larger triangles read
+        inputs = [raster, raster, patches, 1, *depths[:2], target]
+        launch_last(hierarchy.side_errors, 15, stride * depths[1].rows - 15, inputs)
+        inputs = [raster, raster, patches, 2, 0, *depths[1:], target]
         launch_last(hierarchy.centre_errors, 10, depths[2].columns * depths[2].rows - 10, inputs)
         finest = ranges_at(one, down + near.range_depth)
         inputs = [raster, wp.float64(0.0), wp.float64(2.0**-16), finest, flat(spans, wp.uint16)]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain: one height field and its adaptive mesh, updated for the views."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -30,9 +30,10 @@ from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
 from .tree.concurrent_binary_tree import ConcurrentBinaryTree
 from .view.criterion import Criterion
-from .view.linear import add_up, determinant
+from .view.linear import add_up
 from .view.local_view import localise
 from .view.spans import PlanUnits, spans_of
+from .view.update_request import UpdateRequest
 from .view.view import View, listed_views
 
 
@@ -50,7 +51,7 @@ class Update(ReportedBounds):
     surface: Surface
     leaves: int
     changed: bool
-    ms: dict[str, float] = field(compare=False)
+    ms: dict[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def triangles(self) -> int:
@@ -66,17 +67,31 @@ class Update(ReportedBounds):
         return f"<{type(self).__name__}: {', '.join((f'{self.triangles:,} triangles', *bounds))}>"
 
 
+class _Shape(NamedTuple):
+    """The arguments that place the vertices of a mesh's leaves.
+
+    `meshlet`: a leaf is drawn as 4**meshlet triangles. `depth`: the largest number of bisections of a leaf, without
+    those of its meshlet; of a restored mesh that of its deepest leaf. `vertical_offset`: metres. `morph_until`: as of
+    `Criterion`.
+    """
+
+    meshlet: int
+    depth: int
+    vertical_scale: float
+    vertical_offset: float
+    morph_until: float = 1.0
+
+
 @dataclass
 class _Result:
     """The last mesh and its parameters.
 
-    `shape`: the arguments that place its leaves' vertices: meshlet, depth limit of leaves (of a restored mesh the depth
-    of the deepest leaf), vertical scale, vertical offset and end of the morph. `horizon`: arguments of `horizon_of`,
-    None if occlusion is unknown. `pieces`: pieces of cut triangles, once triangles at points are requested.
+    `horizon`: arguments of `horizon_of`, None if occlusion is unknown. `pieces`: pieces of cut triangles, once
+    triangles at points are requested.
     """
 
     update: Update
-    shape: tuple
+    shape: _Shape
     horizon: tuple[Domain, CriterionArrays, int, float] | None = None
     pieces: Pieces | None = None
 
@@ -94,7 +109,7 @@ class Terrain:
         self.threads = launch.checked_threads(threads)
         self.history = FrameHistory()
         self._whole = whole
-        self._placed: tuple[tuple, Domain] | None = None  # the last placed domain, and its arguments
+        self._placed: tuple[_Shape, Domain] | None = None  # the last placed domain, with its shape
 
     def __repr__(self) -> str:
         lattice = self.field.lattice
@@ -133,10 +148,10 @@ class Terrain:
         Raises TerrainError and leaves the last mesh as it is if a number cannot be used. An error while the mesh is
         built, for example of a damaged field, leaves the terrain without a mesh.
         """
-        views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
+        placement = np.eye(4) if placement is None else np.array(placement, np.float64)
         scaling = vertical(vertical_scale, vertical_offset)
-        key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *scaling)
-        return self._make_once(key, lambda ms: self._update(key, criterion, views, placement, *scaling, ms))
+        request = UpdateRequest(criterion, listed_views(views), placement, *scaling)
+        return self._make_once(request.key(), lambda: self._update(request))
 
     def saved(self) -> tuple[bytes, dict]:
         """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
@@ -145,9 +160,10 @@ class Terrain:
         TerrainError before the first update.
         """
         with self.history.alone():
-            meshlet, _, scale, offset, morph = self._need_result().shape
-            arguments = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
-            return self._need_tree().to_bytes(), arguments | ({"morph": morph} if morph > 1 else {})
+            shape = self._need_result().shape
+            arguments = {name: getattr(shape, name) for name in ("meshlet", "vertical_scale", "vertical_offset")}
+            morph = {"morph": shape.morph_until} if shape.morph_until > 1 else {}
+            return self._need_tree().to_bytes(), arguments | morph
 
     def restore(
         self,
@@ -167,19 +183,18 @@ class Terrain:
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
         scaling = vertical(vertical_scale, vertical_offset)
         key = (tree, meshlet, *scaling)
-        return self._make_once(key, lambda ms: self._restore(key, tree, meshlet, *scaling, ms))
+        return self._make_once(key, lambda: self._restore(key, tree, meshlet, *scaling))
 
-    def _make_once(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
-        """Return the update that `make` builds, or the last one if its key is the same.
+    def _make_once(self, key: tuple, make: Callable[[], Update]) -> Update:
+        """Return the update that `make` builds, with its milliseconds by step, or the last one if its key is the same.
 
-        make: commits its result with the key. Its argument is the dict that collects milliseconds by step. key: all
-        that the result depends on.
+        make: commits its result with the key. key: all that the result depends on.
         """
         with self.history.alone():
             if self.history.begin(key):
                 return replace(self._need_result().update, changed=False, ms={})
             with launch.stopwatch() as ms, launch.timed("total"):
-                return make(ms)
+                return replace(make(), ms=ms)
 
     def _build(self, request: SurfaceRequest, changed: bool) -> Surface:
         """Build a surface of the next frame's leaves, or keep that of the last frame if nothing has changed."""
@@ -187,25 +202,16 @@ class Terrain:
             return build_surface(self.field, request, self.history, self.threads)
         return self._need_result().update.surface
 
-    def _restore(
-        self,
-        key: tuple,
-        tree: bytes,
-        meshlet: int,
-        vertical_scale: float,
-        vertical_offset: float,
-        ms: dict[str, float],
-    ) -> Update:
+    def _restore(self, key: tuple, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float) -> Update:
         """Rebuild the mesh of a saved tree and commit it as the last frame; its bound in metres is that of its errors.
 
         Raises TerrainError if the tree does not fit the height field. key: arguments that identify the frame. meshlet:
-        leaves are drawn as 4**meshlet triangles. ms: dict that collects milliseconds by step.
+        leaves are drawn as 4**meshlet triangles.
         """
         box_of(self.field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
-        depth = int(depths.max())
-        domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
-        shape = (meshlet, depth, vertical_scale, vertical_offset, 1.0)
+        shape = _Shape(meshlet, int(depths.max()), vertical_scale, vertical_offset)
+        domain = self._placed_domain(shape)
         with self.history.writing():
             leaves, error = replay(self.field, domain, depths, cell_bits, self.history)
             changed = leaves.changed or self._has_other_shape(shape)
@@ -221,18 +227,14 @@ class Terrain:
                 surface=surface,
                 leaves=leaves.total,
                 changed=changed,
-                ms=ms,
                 bound_m=bound,
                 terms_m=Terms.shares(bound, *terms_m),
             )
             self.history.commit(key, _Result(update, shape), keeps_vertices=not changed)
         return update
 
-    def _has_other_shape(self, shape: tuple) -> bool:
-        """Return whether the last frame placed its points with arguments other than `shape`.
-
-        They cannot be reused then. shape: see `_Result`.
-        """
+    def _has_other_shape(self, shape: _Shape) -> bool:
+        """Return whether the last frame placed its points with another shape, so that they cannot be reused."""
         last = self._last
         return last is None or last.shape != shape
 
@@ -246,7 +248,7 @@ class Terrain:
         places = rows(places, 2, "places")
         with self.history.alone():
             last, lattice = self._need_result(), self.field.lattice
-            surface, meshlet = last.update.surface, last.shape[0]
+            surface, meshlet = last.update.surface, last.shape.meshlet
             whole = locate(self._need_tree(), lattice, places, meshlet)
             if not lattice.is_padded and self.field.valid is None:
                 return whole
@@ -275,60 +277,43 @@ class Terrain:
         self._need_result()
         return cast(ConcurrentBinaryTree, self.tree)
 
-    def _update(
-        self,
-        key: tuple,
-        criterion: Criterion,
-        views: Sequence[View],
-        placement: np.ndarray,
-        vertical_scale: float,
-        vertical_offset: float,
-        ms: dict[str, float],
-    ) -> Update:
+    def _update(self, request: UpdateRequest) -> Update:
         """Refine for the views, build the surface and its bounds, and commit them as the last frame.
 
         Where leaves are so small and so far from the anchor that float32 cannot represent them, refine again with
-        fewer bisections. placement: float64 [4, 4], terrain to world. ms: dict that collects milliseconds by step.
+        fewer bisections.
         """
-        box = box_of(self.field, vertical_scale, vertical_offset)
-        _check_update(criterion, views, placement)
-        depth = self._max_depth(criterion)
+        box = box_of(self.field, request.vertical_scale, request.vertical_offset)
+        request.check()
+        depth = self._max_depth(request.criterion)
         while True:
-            result = self._update_to(depth, key, criterion, views, placement, vertical_scale, vertical_offset, box, ms)
+            result = self._update_to(depth, request, box)
             if isinstance(result, Update):
                 return result
             depth = result
 
-    def _update_to(
-        self,
-        depth: int,
-        key: tuple,
-        criterion: Criterion,
-        views: Sequence[View],
-        placement: np.ndarray,
-        vertical_scale: float,
-        vertical_offset: float,
-        box: np.ndarray,
-        ms: dict[str, float],
-    ) -> Update | int:
+    def _update_to(self, depth: int, request: UpdateRequest, box: np.ndarray) -> Update | int:
         """Refine to leaves of at most `depth` bisections, as `_update`; return a smaller depth if that is too deep.
 
         The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. box: `box_of` the
         field.
         """
-        domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
-        morph_until = criterion.morph_until
-        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, morph_until)
+        criterion, morph_until = request.criterion, request.criterion.morph_until
+        scaling = request.vertical_scale, request.vertical_offset
+        shape = _Shape(criterion.meshlet, depth, *scaling, morph_until)
+        domain = self._placed_domain(shape)
         # The largest errors of float32 corners along each axis, and of heights in all, metres.
-        offsets = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
+        offsets = position_rounding(self.field, depth + 2 * criterion.meshlet, *scaling)
         plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, offsets)
-        spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
+        spans = spans_of(criterion, request.views if criterion.needs_view else (), request.placement, plan)
         max_rounding = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
             """Return the views in terrain space. margins: degrees around the frame, None for the guard band."""
             seen = zip(spans.views, spans.scales, strict=True)
-            return [localise(view, placement, box, criterion, scale, max_rounding, margins) for view, scale in seen]
+            return [
+                localise(view, request.placement, box, criterion, scale, max_rounding, margins) for view, scale in seen
+            ]
 
         local = views_within()
         if criterion.hides and self.field.valid is None:  # holes do not occlude, so rings need a raster without them
@@ -338,8 +323,8 @@ class Terrain:
             changed = self._has_other_shape(shape) or morph_until > 1  # points that morph move with the view
             max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
             while True:
-                request = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
-                leaves, relaxed = refine(self.field, request, self.history, self.threads)
+                refinement = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
+                leaves, relaxed = refine(self.field, refinement, self.history, self.threads)
                 # The same leaves displaced the same way are the same mesh.
                 changed |= leaves.changed  # also of an earlier turn, whose leaves the tree holds now
                 geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
@@ -371,19 +356,20 @@ class Terrain:
                 in_frame=lambda: pack(criterion, views_within((0.0, 0.0)), spans, domain.source),
             )
             bounds = vars(bounds_of(criterion, spans, outcome))
-            update = Update(surface=surface, leaves=leaves.total, changed=changed, ms=ms, **bounds)
-            self.history.commit(key, _Result(update, shape, horizon), keeps_vertices=not changed)
+            update = Update(surface=surface, leaves=leaves.total, changed=changed, **bounds)
+            self.history.commit(request.key(), _Result(update, shape, horizon), keeps_vertices=not changed)
         return update
 
-    def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
+    def _placed_domain(self, shape: _Shape) -> Domain:
         """Return the height field with its vertical scale and offset and the float32 rounding bounds at this depth.
 
-        The last result is cached. depth: bisections of the deepest leaf; a meshlet adds 2 * meshlet bisections to it.
+        The last result is cached.
         """
-        key = (meshlet, depth, vertical_scale, vertical_offset)
+        key = shape._replace(morph_until=1.0)  # it places no leaf
         if self._placed is None or self._placed[0] != key:
-            rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._placed = key, refinable_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
+            scaling = shape.vertical_scale, shape.vertical_offset
+            rounded = rounding(self.field, shape.depth + 2 * shape.meshlet, *scaling)
+            self._placed = key, refinable_domain(self.field, shape.meshlet, *scaling, rounded)
         return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:
@@ -398,20 +384,3 @@ def _max_leaves(criterion: Criterion) -> int:
     """Return the largest number of leaves whose triangles, 4**meshlet each, are within the criterion's limit."""
     triangles = MAX_TRIANGLES if criterion.max_triangles is None else min(MAX_TRIANGLES, criterion.max_triangles)
     return triangles >> (2 * criterion.meshlet)
-
-
-def _check_update(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -> None:
-    """Raise TerrainError for a criterion, views or a placement (4 x 4 world matrix) that an update cannot use."""
-    if placement.shape != (4, 4) or not np.isfinite(placement).all():
-        raise TerrainError(
-            "The terrain's matrix has a value that is not finite",
-            expected="4 x 4 finite numbers",
-            fix="check its location and its parents",
-        )
-    if not abs(determinant(placement[:3, :3])) > 0:
-        raise TerrainError("The terrain is scaled to zero in some direction", fix="give it a scale other than 0")
-    if criterion.needs_view and not views:
-        raise TerrainError(
-            "The criterion is measured in pixels and there is no camera",
-            fix="add a camera, or use a criterion in metres",
-        )

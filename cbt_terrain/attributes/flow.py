@@ -10,9 +10,9 @@ from ...kernels.effects import catchment
 from ...kernels.effects import flow as kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import routing as routing_kernels
+from ..field.derived_arrays import samples_by_level
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
-from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
@@ -36,7 +36,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     Its south-western sample is that of the field, though the middle, where its own space has the origin, may differ.
     """
     level = routed_level(field)
-    (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
+    (rows, columns), lattice = samples_by_level(field.lattice)[level], field.lattice
     # Slopes are only compared with each other, so that only the sign of their scale matters.
     sign = float(np.sign(vertical_scale))
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level

@@ -11,11 +11,9 @@ import warp as wp
 
 from ...kernels.effects import pyramid as kernels
 from ..field import codes
-from ..field.derived_arrays import derive_large
+from ..field.derived_arrays import derive_large, derived_shapes, samples_by_level
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
-from ..field.store import derived_arrays as derived_shapes
-from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
@@ -26,7 +24,7 @@ PYRAMID = "pyramid"
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
     """Return the finest level from `finest` on with at most `max_samples`, the coarsest if there is none."""
-    sizes = [rows * columns for rows, columns in shapes(lattice)]
+    sizes = [rows * columns for rows, columns in samples_by_level(lattice)]
     return next((level for level, size in enumerate(sizes) if level >= finest and size <= max_samples), len(sizes) - 1)
 
 
@@ -56,7 +54,7 @@ def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray
         """Fill the array level by level."""
         packed = pack_pyramid(raster, arrays[name])
         for level in range(1, packed.levels):
-            rows, columns = shapes(raster.lattice)[level]
+            rows, columns = samples_by_level(raster.lattice)[level]
             inputs = [packed, level, packed.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
 
@@ -70,7 +68,7 @@ def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     vertical_scale, vertical_offset = 1.0, 0.0  # heights as they are
     packed_levels = scaled_pyramid(raster, vertical_scale, vertical_offset, threads)  # fills the cache
     first = int(packed_levels.first.numpy()[level])
-    rows, columns = shapes(raster.lattice)[level]
+    rows, columns = samples_by_level(raster.lattice)[level]
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
@@ -80,7 +78,7 @@ def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
     coarser: float32 [n], the levels concatenated, the finest first. Memory is shared.
     """
     lattice = raster.lattice
-    sizes = np.array(shapes(lattice))
+    sizes = np.array(samples_by_level(lattice))
     found = kernels.Pyramid()
     found.samples = codes.pack_samples(raster.samples, raster.steps)
     found.coarser = flat(coarser, wp.float32)

@@ -12,8 +12,8 @@ import warp as wp
 
 from ...kernels.effects import footprint as kernels
 from ..errors import TerrainError
+from ..field.derived_arrays import samples_by_level
 from ..field.heightfield import HeightField
-from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..view.linear import add_up, length, product, round_last_bits
@@ -112,4 +112,4 @@ def _spacing(field: HeightField) -> float:
 
 def _max_level(field: HeightField) -> int:
     """Return the number of the coarsest level of the field's height pyramid."""
-    return len(shapes(field.lattice)) - 1
+    return len(samples_by_level(field.lattice)) - 1

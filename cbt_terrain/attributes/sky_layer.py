@@ -12,8 +12,8 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import sweep as kernels
+from ..field.derived_arrays import samples_by_level
 from ..field.heightfield import HeightField
-from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
@@ -106,7 +106,7 @@ def _layer_state(field: HeightField, scale: float) -> dict:
 
 def _load_from_store(field: HeightField, scale: float) -> None:
     """Load the complete sky into the cache if the field's store has it. scale: vertical scale."""
-    shape = shapes(field.lattice)[layer_level(field)]
+    shape = samples_by_level(field.lattice)[layer_level(field)]
     sky = read_stored(field, result_file(LAYER, VERSION, (scale,)), shape)
     if sky is not None:
         _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)

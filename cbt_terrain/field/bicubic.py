@@ -35,7 +35,7 @@ from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import cached
-from . import bicubic_errors, codes, derived_arrays, hierarchy, store
+from . import bicubic_errors, codes, derived_arrays, hierarchy
 from .codes import MAX_EXPONENT, MIN_EXPONENT
 from .heightfield import INTERPOLATIONS, HeightField, SurfaceSpec, with_detail
 from .hierarchy import ranges_at
@@ -84,7 +84,7 @@ def bicubic(field: HeightField) -> HeightField:
 
 def arrays_of(lattice: Lattice) -> dict[str, tuple]:
     """Return shapes and dtypes of the arrays of a bicubic surface, by name."""
-    arrays = store.derived_arrays(lattice)
+    arrays = derived_arrays.derived_shapes(lattice)
     return {name: arrays[name] for name in ("error_c", "ranges_c", "numbers_c")}
 
 

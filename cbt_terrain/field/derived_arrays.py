@@ -12,10 +12,13 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import DTypeLike
 
+from ...kernels.effects.horizon import FINEST
 from ..errors import TerrainError
 from ..run import partial_files
 from . import store, store_arrays
+from .blocks import level_shapes
 from .heightfield import HeightRaster
+from .lattice import MAX_MESHLET, Lattice
 
 Arrays = dict[str, np.ndarray]
 # Samples of a large raster; derived arrays of fewer take some milliseconds.
@@ -90,3 +93,32 @@ def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays]
     except OSError:
         return False
     return written
+
+
+def derived_shapes(lattice: Lattice) -> dict[str, tuple]:
+    """Return shape and dtype of each array that a store caches, by name.
+
+    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and of
+    a large raster the coarser levels of the heights and the extremes of blocks (attributes/pyramid.py, occluder.py).
+    """
+    plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
+    # The curvatures of the raster's cells follow the errors of a bicubic surface.
+    errors = {"error": plain, "error_c": plain + cells}
+    arrays: dict[str, tuple] = {
+        f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)
+    }
+    arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
+    levels = level_shapes(-(-lattice.cells_y >> FINEST), -(-lattice.cells_x >> FINEST))
+    arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(int(rows * columns) for rows, columns in levels),), np.float32))
+    coarser = sum(int(rows * columns) for rows, columns in samples_by_level(lattice)[1:])
+    arrays["pyramid"] = (max(coarser, 1),), np.float32
+    # Six numbers, and the exponents of the groups, the cells and the curvatures.
+    return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
+
+
+def samples_by_level(lattice: Lattice) -> list[tuple[int, int]]:
+    """Return rows and columns of samples of each level of a raster: of all samples, of every other one, and so on."""
+    cells = [(lattice.cells_y, lattice.cells_x)]
+    while min(cells[-1]) > 1:
+        cells.append((-(-cells[-1][0] // 2), -(-cells[-1][1] // 2)))
+    return [(rows + 1, columns + 1) for rows, columns in cells]

@@ -6,9 +6,8 @@ import numpy as np
 from ...kernels.effects import horizon as kernels
 from ..run.locks import cached
 from .blocks import fill_levels, level_offsets, level_shapes, over_cells
-from .derived_arrays import derive_large
+from .derived_arrays import derive_large, derived_shapes
 from .heightfield import HeightField
-from .store import derived_arrays as derived_shapes
 
 
 def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

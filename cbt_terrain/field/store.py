@@ -26,7 +26,6 @@ another process has the old arrays mapped. So there is either the old store or t
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -35,39 +34,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ...kernels.effects.horizon import FINEST
 from ..errors import TerrainError, check_path
-from ..run import owned_files, partial_files, stopping
+from ..run import owned_files, partial_files
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
 from . import codes, finer_tiles
-from .blocks import level_shapes
-from .displacement_layers import layers_below, mask_levels
+from .displacement_layers import layers_below
 from .heightfield import HeightField, HeightRaster
-from .lattice import MAX_MESHLET, Lattice, fit
+from .lattice import fit
 from .store_arrays import (
     AGAIN,
-    PAGE_BYTES,
     allocate_array,
     append_checksums,
-    file_bytes,
     is_cut_off,
     map_array,
-    verify_array,
 )
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
     JSON_NAME,
     MAX_JSON_BYTES,
     discard,
-    is_array_file,
     missing_folders,
     named_folder,
     new_data_name,
     remove_abandoned,
     remove_arrays,
 )
-from .store_layers import LayerFiles, layer_name
+from .store_layers import LayerFiles
 
 VERSION = 6
 FINER_VERSION = 7  # of stores with finer tiles, which older versions of this program cannot show
@@ -206,81 +199,6 @@ def is_intact(field: HeightField) -> bool:
     if any(array is not None and is_cut_off(array) for array in arrays):
         return False
     return all(map(is_intact, field.cache.anchored.values()))
-
-
-def verify(path: str | os.PathLike) -> dict[str, int]:
-    """Check every block of every array of a store and return the number of blocks by file.
-
-    Raises TerrainError for the first array with a fault.
-    """
-    field = open_store(path)
-    field.raster.check_samples()
-    folder, found = data_folder(field.raster), {}
-    if folder is None:
-        raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
-    arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
-    arrays |= {layer_name(name): field.layers[name] for name in field.layers}
-    if field.raster.finer is not None:
-        names = (f"finer_{name}" for name in finer_tiles.ARRAYS)
-        arrays |= dict(zip(names, field.raster.finer.arrays, strict=True))
-    for name, array in arrays.items():
-        stopping.check()
-        if array is not None:
-            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
-    derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}
-    derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
-    if field.raster.finer is not None:
-        derived[f"{finer_tiles.PYRAMID}.npy"] = (field.raster.finer.pyramid_size(field.lattice),), np.float32
-    shapes = shapes_of_effects(field.lattice)
-    for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
-        derived[file.name] = _shape_of(file, shapes), np.float32
-    masks = {"masks": field.samples.shape, "mask_maxima": (int(mask_levels(field.lattice)[-1]),)}
-    for prefix, shape in masks.items():
-        for file in sorted(file for file in folder.glob(f"{prefix}_*.npy") if is_array_file(file)):
-            count = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))
-            derived[file.name] = (count, *shape), np.uint8
-    for name, (shape, dtype) in derived.items():
-        if os.path.lexists(folder / name):
-            try:
-                found[name] = verify_array(folder / name, shape, dtype)
-            except TerrainError as error:
-                raise TerrainError(error.what, fix="delete the file; it is computed again on demand") from error
-    return found
-
-
-def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
-    """Return the possible shapes of effects over a whole raster: of its samples, of every other one, and so on."""
-    cells = [(lattice.cells_y, lattice.cells_x)]
-    while min(cells[-1]) > 1:
-        cells.append((-(-cells[-1][0] // 2), -(-cells[-1][1] // 2)))
-    return [(rows + 1, columns + 1) for rows, columns in cells]
-
-
-def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
-    """Return the shape among `shapes` that matches the size of a file of float32; the first one if none does."""
-    size = os.lstat(file).st_size
-    return next((shape for shape in shapes if file_bytes(4 * math.prod(shape)) == size), shapes[0])
-
-
-def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
-    """Return shape and dtype of each array that a store caches, by name.
-
-    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and of
-    a large raster the coarser levels of the heights and the extremes of blocks (attributes/pyramid.py, occluder.py).
-    """
-    plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
-    # The curvatures of the raster's cells follow the errors of a bicubic surface.
-    errors = {"error": plain, "error_c": plain + cells}
-    arrays: dict[str, tuple] = {
-        f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)
-    }
-    arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
-    levels = level_shapes(-(-lattice.cells_y >> FINEST), -(-lattice.cells_x >> FINEST))
-    arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(int(rows * columns) for rows, columns in levels),), np.float32))
-    coarser = sum(int(rows * columns) for rows, columns in shapes_of_effects(lattice)[1:])
-    arrays["pyramid"] = (max(coarser, 1),), np.float32
-    # Six numbers, and the exponents of the groups, the cells and the curvatures.
-    return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 
 def data_folder(raster: HeightRaster) -> Path | None:

@@ -23,6 +23,7 @@ from ..errors import TerrainError
 from ..field import store as stores
 from ..field import store_folder
 from ..field.heightfield import HeightField
+from ..field.verification import verify
 from ..run import launch, owned_files
 from ..run.owned_files import NotOursError
 from . import land_folder, requested_tiles, shaping_cost
@@ -333,7 +334,7 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
     changed = stores.changed_ns(store)
     if fault is None:
         try:
-            stores.verify(store)
+            verify(store)
             return None
         except TerrainError as found:
             fault = found

@@ -135,7 +135,7 @@ def _verify_store(path) -> None:
 
     Raises TerrainError if one differs.
     """
-    from ...cbt_terrain.field.store import verify
+    from ...cbt_terrain.field.verification import verify
 
     blocks = verify(path)
     print_line(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")

@@ -15,6 +15,7 @@ from adaptive_terrain.cbt_terrain.field import store as store_module
 from adaptive_terrain.cbt_terrain.field import store_arrays, store_folder
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -127,7 +128,7 @@ def test_info_verify_names_the_block(store, run_command):
     assert done.returncode == 1 and "error_m1.npy is damaged (block 1 of 1, bytes 4096 to" in done.stderr
     assert "delete the file" in done.stderr and len(done.stderr.strip().splitlines()) == 1
     before = mesh(open_store(store))  # it is made anew
-    assert store_module.verify(store) == dict.fromkeys(["samples.npy", "error.npy", "ranges.npy", "error_m1.npy"], 1)
+    assert verify(store) == dict.fromkeys(["samples.npy", "error.npy", "ranges.npy", "error_m1.npy"], 1)
     assert mesh(open_store(store)) == before
 
 
@@ -144,7 +145,7 @@ def test_what_a_sample_of_blocks_does_not_find_verify_does(tmp_path):
     overwrite(file, 12.0, 10 * entry + 3, fits=False)
     assert open_store(path).samples.shape == (2049, 2049)
     with pytest.raises(TerrainError, match=r"samples.npy is damaged \(block 11 of 65, bytes 2625536 to 2887679"):
-        store_module.verify(path)
+        verify(path)
     for block in (0, 64):
         overwrite(file, 13.0, block * entry + 3, fits=False)
         with pytest.raises(TerrainError, match=rf"samples.npy is damaged \(block {block + 1} of 65"):

@@ -21,7 +21,8 @@ from random import Random
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
-from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import refining, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import

@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.store import verify
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import tile_import
 from mosaic_files import EAST, NORTH, UTM32, sheet
 

@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.field import store, store_folder
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import PAGE_BYTES
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from rasters import hills, imported
 
 
@@ -179,7 +180,7 @@ def test_a_damaged_file_is_computed_again(stored, damage):
 
 def test_a_store_with_results_is_still_one(stored):
     flow_at(places_of(stored))
-    store.verify(stored.path)
+    verify(stored.path)
     (stored.path / store.JSON_NAME).unlink()
     store_folder.check_target(stored.path)
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.jet import OUTPUTS, make
-from adaptive_terrain.cbt_terrain.attributes.pyramid import shapes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
+from adaptive_terrain.cbt_terrain.field.derived_arrays import samples_by_level
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from padded import raster
@@ -39,7 +39,7 @@ def test_a_plane_is_exact_at_every_level(shape):
     field = from_array((100 + 6.0 * x + 10.0 * y).astype(np.float32), 10.0, 20.0)
     x, y = places_in(field, 500)
     west, south, _, _ = field.lattice.rectangle()
-    level = np.random.default_rng(1).integers(0, 8 * len(shapes(field.lattice)) + 20, 500) / 8
+    level = np.random.default_rng(1).integers(0, 8 * len(samples_by_level(field.lattice)) + 20, 500) / 8
     found = made(field, x, y, level, scale=-2.0, offset=7.0)
     gx, gy = -1.2, -1.0
     np.testing.assert_allclose(found["height"], 7 - 200 + gx * (x - west) + gy * (y - south), atol=2e-3)

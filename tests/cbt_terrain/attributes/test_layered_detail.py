@@ -12,7 +12,8 @@ from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.displacement_layers import max_of_masks
-from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store, verify
+from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from detail_scenes import check, ground_view

@@ -15,7 +15,8 @@ from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays, extremes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.extremes import find_extremes
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, verify
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.run import launch, stopping
 from adaptive_terrain.cbt_terrain.run.buffers import flat
 from adaptive_terrain.kernels.effects.light import sky_seen

@@ -8,12 +8,14 @@ import tracemalloc
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import layers, pyramid
-from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid, shapes
+from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid
 from adaptive_terrain.cbt_terrain.field import derived_arrays, store
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
-from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store, verify
+from adaptive_terrain.cbt_terrain.field.derived_arrays import samples_by_level
+from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing.build_store import ImportSettings, run_import
 from padded import raster
 
@@ -37,8 +39,8 @@ def halved(heights: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_levels_are_means_of_the_level_below(shape):
     field = from_array(raster(*shape[::-1]), 10.0)
-    levels = [level_of(field.raster, level) for level in range(len(shapes(field.lattice)))]
-    assert [level.shape for level in levels] == shapes(field.lattice)
+    levels = [level_of(field.raster, level) for level in range(len(samples_by_level(field.lattice)))]
+    assert [level.shape for level in levels] == samples_by_level(field.lattice)
     for below, level in itertools.pairwise(levels):
         np.testing.assert_allclose(level, halved(below.astype(np.float64)), atol=1e-4)
 
@@ -47,7 +49,7 @@ def test_levels_are_means_of_the_level_below(shape):
 def test_planes_stay_planes_to_the_last_sample(shape):
     y, x = np.mgrid[: shape[0], : shape[1]]
     field = from_array((700.0 + 3.0 * x - 2.0 * y).astype(np.float32), 10.0)
-    for level in range(len(shapes(field.lattice))):
+    for level in range(len(samples_by_level(field.lattice))):
         found = level_of(field.raster, level)
         y, x = np.mgrid[: found.shape[0], : found.shape[1]] * 2**level
         assert abs(found - (700.0 + 3.0 * x - 2.0 * y)).max() < 1e-3
@@ -67,7 +69,7 @@ def test_coded_heights_have_the_levels_of_their_floats():
     numbers, steps = (raster(97, 50) * 8 + 4000).astype(np.uint16), Steps(0, 0.125, -500.0)
     floats = from_array(steps.heights(numbers), 10.0)
     coded = floats.with_raster(samples=numbers, steps=steps)
-    for level in range(len(shapes(floats.lattice))):
+    for level in range(len(samples_by_level(floats.lattice))):
         assert level_of(floats.raster, level).tobytes() == level_of(coded.raster, level).tobytes()
 
 

@@ -16,8 +16,8 @@ from adaptive_terrain.cbt_terrain.attributes.layers import NAMES
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.store import verify
 from adaptive_terrain.cbt_terrain.field.store_arrays import all_checksums, header
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
 from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape

@@ -15,7 +15,8 @@ from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
-from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json, verify
+from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.height_operators import level_plan
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from adaptive_terrain.cbt_terrain.height_operators.mask import HeightMask

@@ -8,7 +8,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import hierarchy
 from adaptive_terrain.cbt_terrain.field.holes import refine_borders
-from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import finer_build, finer_heights, store_folder
-from adaptive_terrain.cbt_terrain.field.store import verify
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import finer_import
 from adaptive_terrain.cbt_terrain.mosaic import finer_plan
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import

@@ -79,11 +79,8 @@ def jacksboro(folder: Path) -> ImportSettings:
 
 def subject_of(name: str, settings: ImportSettings, folder: Path) -> AccuracySubject:
     """Import a raster; return it as a subject of the page."""
-    bar = Progress(1.0, f"import {name}")
-    try:
+    with Progress(1.0, f"import {name}") as bar:
         import_source(settings, folder / f"{name}.store", on_progress=lambda fraction, message: bar.to(fraction))
-    finally:
-        bar.close()
     if name != ISLAND:
         return store_subject(folder / f"{name}.store", None, None, RESOLUTION)
     flight = folder / "flight.json"

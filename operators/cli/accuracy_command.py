@@ -30,25 +30,24 @@ def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) 
 
     show_progress: see Progress.
     """
-    bar = Progress(len(subjects), "accuracy", show_progress)
     write, note = mesh_writer()
-    try:
-        for done, subject in enumerate(subjects):
-            subject.notes += [note] if note else []
-            subject.rows = sweep(
-                subject.heights,
-                subject.settings,
-                subject.frames,
-                base=subject.base,
-                write=write,
-                effects=subject.effects,
-                on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
-                on_progress=lambda fraction, done=done: bar.to(done + fraction),
-            )
-            accuracy_report.draw_crops(subject)
-    finally:
-        bar.close()
-        accuracy_report.remove_scratch_meshes()
+    with Progress(len(subjects), "accuracy", show_progress) as bar:
+        try:
+            for done, subject in enumerate(subjects):
+                subject.notes += [note] if note else []
+                subject.rows = sweep(
+                    subject.heights,
+                    subject.settings,
+                    subject.frames,
+                    base=subject.base,
+                    write=write,
+                    effects=subject.effects,
+                    on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
+                    on_progress=lambda fraction, done=done: bar.to(done + fraction),
+                )
+                accuracy_report.draw_crops(subject)
+        finally:
+            accuracy_report.remove_scratch_meshes()
 
 
 def mesh_writer() -> tuple[Callable | None, str]:

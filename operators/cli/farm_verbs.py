@@ -19,11 +19,8 @@ def run_prepare(arguments) -> None:
 
     scene, objects = open_scene(arguments.scene)
     parts = [arguments.only] if arguments.only else list(PARTS)
-    bar = Progress(len(parts) * len(objects), "prepare", arguments.progress)
-    try:
+    with Progress(len(parts) * len(objects), "prepare", arguments.progress) as bar:
         prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to)
-    finally:
-        bar.close()
 
 
 def run_render(arguments) -> None:
@@ -52,12 +49,11 @@ def run_verify(arguments) -> None:
     summaries, missing = verify_frames(arguments.folder, arguments.frames)
     terrains = [terrain for summary in summaries for terrain in summary["terrains"]]
     line = f"{len(summaries):,} frames are whole, {sum(t['triangles'] for t in terrains):,} triangles"
-    bar = Progress(1.0, "verify", arguments.progress)
-    bar.say(f"{line}, largest bound {largest_bound(terrains)}")
-    if missing:
-        bar.say(f"{missing:,} of the files that they were made of are not here and were not compared")
-    bar.to(1.0)
-    bar.close()
+    with Progress(1.0, "verify", arguments.progress) as bar:
+        bar.say(f"{line}, largest bound {largest_bound(terrains)}")
+        if missing:
+            bar.say(f"{missing:,} of the files that they were made of are not here and were not compared")
+        bar.to(1.0)
 
 
 def run_submit(arguments) -> None:

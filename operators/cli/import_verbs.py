@@ -48,7 +48,6 @@ def run_import(arguments) -> None:
         return
     part = ImportPart(arguments.only, frozenset(arguments.tiles)) if arguments.only else None
     start = time.monotonic()
-    bar = Progress(1.0, "import", arguments.progress)
     previews: list[dict] = []
 
     def on_preview(preview: dict) -> None:
@@ -56,10 +55,8 @@ def run_import(arguments) -> None:
         previews.append(preview)
         print_fields(preview)
 
-    try:
+    with Progress(1.0, "import", arguments.progress) as bar:
         report = import_source(settings, arguments.store, lambda fraction, _message: bar.to(fraction), on_preview, part)
-    finally:
-        bar.close()
     if part is not None:
         print_fields(report)
         return
@@ -107,7 +104,7 @@ def _described(arguments, is_store: bool) -> dict:
     """Return the description of a store (is_store), an exported mesh, a height map or a mosaic of several."""
     paths = arguments.paths
     if is_store:
-        from ...cbt_terrain.importing.build_store import describe
+        from ...cbt_terrain.importing.import_report import describe
 
         return describe(Path(paths[0]))
     if len(paths) == 1 and Path(paths[0]).suffix == ".npz":

@@ -41,8 +41,7 @@ def run(
     `budget_mb`: megabytes, shared evenly by the subjects; `form`: png or exr; None keeps the values of the requests.
     `show_progress`: whether to draw a bar; None: in a terminal only.
     """
-    bar = Progress(len(subjects), "maps", show_progress)
-    try:
+    with Progress(len(subjects), "maps", show_progress) as bar:
         for done, subject in enumerate(subjects):
             changes = {} if form is None else {"form": form}
             changes |= {} if budget_mb is None else {"budget_mb": budget_mb / len(subjects)}
@@ -50,8 +49,6 @@ def run(
             baked = bake_maps(request, subject.field, lambda fraction, done=done: bar.to(done + fraction))
             bar.say(summary(baked, subject.name))
             bar.say(f"{request.folder / JSON_NAME} says what they are")
-    finally:
-        bar.close()
 
 
 def subjects_of_store(

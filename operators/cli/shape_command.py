@@ -52,7 +52,6 @@ def run(
             fix="say which views count (--path FILE.json), or --whole for all of it",
         )
     started = time.monotonic()
-    bar = Progress(1.0, "shape", show_progress)
     job = None
 
     def start_job() -> ShapeJob:
@@ -69,10 +68,8 @@ def run(
             job.finish_early()
             finish_early_s = None
 
-    try:
+    with Progress(1.0, "shape", show_progress) as bar:
         return wait_for(start_job, on_progress)
-    finally:
-        bar.close()
 
 
 def export(out: Path, file: Path) -> list[Path]:

@@ -56,9 +56,8 @@ def run_tiles(arguments) -> None:
         pattern=arguments.pattern,
     )
     masks = [AttributeRequest(name, ("this command",)) for name in names]
-    index = _run_with_bar(
-        arguments, "tiles", lambda bar: export_height_tiles(field, arguments.out, settings, masks, bar)
-    )
+    with Progress(1.0, "tiles", arguments.progress) as bar:
+        index = export_height_tiles(field, arguments.out, settings, masks, bar.to)
     print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
 
 
@@ -83,8 +82,9 @@ def run_tileset(arguments) -> None:
     from ..text.tile_lines import tileset_line
 
     check_target(arguments.out)
-    field, settings = open_store(arguments.store), (arguments.max_error, arguments.triangles)
-    report = _run_with_bar(arguments, "tileset", lambda bar: export_tileset(field, arguments.out, *settings, bar))
+    field = open_store(arguments.store)
+    with Progress(1.0, "tileset", arguments.progress) as bar:
+        report = export_tileset(field, arguments.out, arguments.max_error, arguments.triangles, bar.to)
     print_line(tileset_line(str(arguments.out), report))
 
 
@@ -121,12 +121,3 @@ def run_map(arguments) -> None:
     out = Path(arguments.out).absolute()
     for file in render_map(scene, out, arguments.tiles, arguments.geotiff):
         print_line(f"{file} is written")
-
-
-def _run_with_bar(arguments, label: str, work):
-    """Return `work(report)` with a progress bar; `report` takes the fraction done."""
-    bar = Progress(1.0, label, arguments.progress)
-    try:
-        return work(bar.to)
-    finally:
-        bar.close()

@@ -28,8 +28,7 @@ def run_bake(arguments) -> None:
         raise UsageError(f"--out: {error}") from None
     check_target(arguments.out)
     remove_abandoned(arguments.out.parent)
-    bar = Progress(1.0, "bake", arguments.progress)
-    try:
+    with Progress(1.0, "bake", arguments.progress) as bar:
         piece = baked_piece(
             arguments.store,
             arguments.max_error,
@@ -40,8 +39,6 @@ def run_bake(arguments) -> None:
             fitted=arguments.fit,
             on_progress=bar.to,
         )
-    finally:
-        bar.close()
     write_piece(piece, arguments.out)
     print_line(summary_line(arguments.out.name, [figures(piece)]))
     if arguments.fit and not piece.update.rounds:
@@ -72,7 +69,6 @@ def frame_reporter(arguments, label: str):
 
     It takes the frame, its summary, and whether the frame was complete before.
     """
-    bar = Progress(len(arguments.frames), label, arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
 
     def on_frame(frame: int, summary: dict, skipped: bool) -> None:
@@ -81,10 +77,8 @@ def frame_reporter(arguments, label: str):
         bar.say(f"{line}, complete before" if skipped else line)
         bar.to(next(counter), worked=not skipped)
 
-    try:
+    with Progress(len(arguments.frames), label, arguments.progress) as bar:
         yield on_frame
-    finally:
-        bar.close()
 
 
 def _export_source(arguments):

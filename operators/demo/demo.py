@@ -56,7 +56,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
     need_bpy("The demo")
     make_folder(out)
     steps: dict[str, float] = {}
-    bar = Progress(sum(WEIGHT.values()) + WEIGHT["picture"] * (len(PICTURE_FRAMES) - 1), "demo", show_progress)
+    weights = sum(WEIGHT.values()) + WEIGHT["picture"] * (len(PICTURE_FRAMES) - 1)
 
     def end_step(step: str, line: str, weight: float) -> None:
         """Record the seconds of a step, print a line about it and advance the bar by its weight."""
@@ -66,7 +66,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
 
     started = time.perf_counter()
     warmup.start()  # compile before any frame is timed
-    try:
+    with Progress(weights, "demo", show_progress) as bar:
         store = out / "store"
         import_source(ImportSettings(source="island", size=SIZE, seed=ISLAND_SEED), out / "source")
         warmup.wait()
@@ -98,8 +98,6 @@ def run(out: Path, show_progress: bool | None = None) -> None:
             end_step(f"Picture of frame {frame}", name, WEIGHT["picture"])
         num_triangles = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
         end_step("Pictures of the levels", "levels.png, plan.png", WEIGHT["levels"])
-    finally:
-        bar.close()
     write_page(
         out / "index.html",
         machine=f"{os.cpu_count()} processor threads, {platform.system()} {platform.machine()}",

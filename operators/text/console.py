@@ -38,7 +38,7 @@ def print_line(text: object, message: str = "", file=None) -> None:
 
 
 class Progress:
-    """A bar on stderr, redrawn in place, in a terminal or on request.
+    """A bar on stderr, redrawn in place, in a terminal or on request; a context manager, whose end removes it.
 
     Args:
         total: number of steps. Steps without work do not count in the estimate of the time left.
@@ -54,6 +54,12 @@ class Progress:
         self._drawn = ""
         self._start = time.monotonic()
         self._draw()
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *_error) -> None:
+        self.close()
 
     def to(self, done: float, worked: bool = True) -> None:
         """Move the bar to `done` steps; `worked` is False for steps without work. Raises Stopped."""

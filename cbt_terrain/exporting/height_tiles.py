@@ -24,7 +24,7 @@ from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
 from ..field.store_folder import check_no_description
 from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
-from ..importing.placing import Placing, is_placed, placing_of
+from ..importing.placing import Placing, placing_or_middle
 from ..query.ground import ground_at
 from ..run import launch, stopping
 from ..run.owned_files import remove_file
@@ -279,13 +279,6 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
             f"The pattern {settings.pattern!r} of tiles: {what}", expected=f"{{name}}, {{x}} and {{y}}, as {PATTERN}"
         )
     return names
-
-
-def placing_or_middle(field: HeightField) -> Placing:
-    """Return the position of a field's middle; metres from the middle if it has none."""
-    if field.path is None or not is_placed(field, field.path):
-        return Placing()
-    return placing_of(field.path) if field.crs else Placing(float(field.origin[0]), float(field.origin[1]))
 
 
 def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:

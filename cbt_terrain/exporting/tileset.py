@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
 from ..field.store_folder import check_no_description
-from ..importing.placing import Placing
+from ..importing.placing import Placing, placing_or_middle
 from ..run import stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import remove_abandoned, written_beside
@@ -28,7 +28,6 @@ from ..view.criterion import Criterion
 from ..view.linear import length
 from .glb import glb_of
 from .globe import GlobeFrame, place_on_globe
-from .height_tiles import placing_or_middle
 from .mesh_tiles import TileMesh, border_edges, edge_keys, part_of, split, with_skirt
 
 MAX_LEVELS = 9

@@ -121,11 +121,8 @@ def raster_of(
     name of the format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises
     TerrainError for a missing band, complex values and a place that cannot be used.
     """
+    _check_band(path, dataset, settings.band)
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
-    if not 1 <= band <= dataset.count:
-        raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
-    if dataset.dtypes[band - 1].startswith("complex"):
-        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
     stored = np.dtype(dataset.dtypes[band - 1])
     facts = band_facts(path, dataset, band, _grid_of(dataset, settings))
     grid = facts.grid
@@ -143,19 +140,7 @@ def raster_of(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
-    # Overviews are read from the file itself, not from a decoded copy in memory.
-    window, is_plain = _reader_of(path, dataset, settings), driver == "GTiff" and dataset.name == str(path)
-    raster = Raster(
-        width=dataset.width,
-        height=dataset.height,
-        read=lambda first, count: window(first, count, 0, dataset.width),
-        window=window,
-        grid=grid,
-        block_rows=dataset.block_shapes[band - 1][0],
-        stored=str(stored),
-        format=driver,
-        overview=lambda factor: open_overview(path, settings, dataset.width, str(stored), factor) if is_plain else None,
-    )
+    raster = _stored_raster(path, dataset, settings, driver, grid)
     view, projected_from = None, ""
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
@@ -186,6 +171,33 @@ def raster_of(
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
         close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
+    )
+
+
+def _check_band(path: Path, dataset: DatasetReader, band: int) -> None:
+    """Raise TerrainError for a band that the dataset lacks, or that holds complex values. Bands count from 1."""
+    if not 1 <= band <= dataset.count:
+        raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
+    if dataset.dtypes[band - 1].startswith("complex"):
+        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
+
+
+def _stored_raster(path: Path, dataset: DatasetReader, settings: ImportSettings, driver: str, grid: FileGrid) -> Raster:
+    """Return the band of the settings as the dataset stores it: not reprojected, and without a georeference."""
+    stored = dataset.dtypes[settings.band - 1]
+    window = _reader_of(path, dataset, settings)
+    # Overviews are read from the file itself, not from a decoded copy in memory.
+    is_plain = driver == "GTiff" and dataset.name == str(path)
+    return Raster(
+        width=dataset.width,
+        height=dataset.height,
+        read=lambda first, count: window(first, count, 0, dataset.width),
+        window=window,
+        grid=grid,
+        block_rows=dataset.block_shapes[settings.band - 1][0],
+        stored=stored,
+        format=driver,
+        overview=lambda factor: open_overview(path, settings, dataset.width, stored, factor) if is_plain else None,
     )
 
 

@@ -96,6 +96,13 @@ def placing_of(store: str | os.PathLike) -> Placing:
     return Placing(float(field.origin[0]), float(field.origin[1]), unit_x, unit_y, field.crs, period)
 
 
+def placing_or_middle(field: HeightField) -> Placing:
+    """Return the position of a field's middle; metres from the middle if it has none."""
+    if field.path is None or not is_placed(field, field.path):
+        return Placing()
+    return placing_of(field.path) if field.crs else Placing(float(field.origin[0]), float(field.origin[1]))
+
+
 def reproject_point(x: float, y: float, source: str, target: str) -> tuple[float, float]:
     """Return a point of one coordinate system in another; x is east or the longitude. Raises TerrainError.
 

@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.exporting.height_tiles import placing_or_middle
+from ...cbt_terrain.importing.placing import placing_or_middle
 from ..bridge.camera import render_resolution
 from ..bridge.evaluated import raster_placement_of
 from ..land import shaped_land

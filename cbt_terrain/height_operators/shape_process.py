@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..field import store_folder
-from ..importing.build_store import finished_before
+from ..importing.earlier_import import finished_before
 from ..sandbox.store_job import StoreJob, Tell, serve, wait_for
 from .prepare import prepare
 from .shape_store import open_source, run_shape, shape_digest

@@ -16,8 +16,9 @@ from ..field import store, store_folder
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..field.store_layers import layer_name
-from ..importing.build_store import finished_before
-from ..importing.drafts import common_report_entries, open_draft, store_bytes
+from ..importing.drafts import open_draft, store_bytes
+from ..importing.earlier_import import finished_before
+from ..importing.import_report import common_report_entries
 from ..importing.placing import rotation_of
 from ..run import launch
 from .level_plan import MAX_WHOLE

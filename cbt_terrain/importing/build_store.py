@@ -2,8 +2,6 @@
 """Import of a source into a store, within the calling process."""
 
 import dataclasses
-import hashlib
-import json
 import os
 import time
 from collections.abc import Callable
@@ -14,27 +12,26 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import codes, store, store_folder
 from ..field.build import build
-from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference, to_crs
+from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
 from ..field.packing import copy_store
 from ..formats.archives import is_archive, unpacked
-from ..formats.sources import check_file, check_named, open_source
+from ..formats.sources import check_file, open_source
 from ..rasters.raster import ImportSettings, Raster
-from ..rasters.rounding import half_step, rounding_warnings
-from ..rasters.sidecars import sidecars
+from ..rasters.rounding import half_step
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_work import work_in
-from .drafts import common_report_entries
-from .finer_import import add_finer_tiles, finer_entries
+from .earlier_import import finished_before, finished_import, source_digest
+from .finer_import import add_finer_tiles
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
-from .plausibility import ValueCheck, relief_warning
+from .import_report import report_of
+from .plausibility import ValueCheck
 from .refining import coarse_land, first_picture, refined
-from .source_list import file_stat, files_of, names_several
-from .thinning import LOADED, REFINED, loaded_entries, loaded_steps, thinned
+from .thinning import LOADED, REFINED, loaded_steps, thinned
 from .tile_import import (
     MEASURING,
     Crew,
@@ -47,12 +44,10 @@ from .tile_import import (
 )
 from .tile_tasks import TileSource
 
+ORIGINAL_SHARE = 0.1  # of the progress of a resampled raster
 COARSE_SHARE = 0.4  # of the progress of a raster with finer tiles
 FINER = "Reading finer files"  # message meanwhile
-METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the header of {} has its true size"
-# Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "loaded_tiles")
 
 
 def run_import(
@@ -127,15 +122,9 @@ def import_raster(
         reader, crew = HeightReader(raster, settings), crew or Crew()
         by_tile = land is not None or is_tiled(raster, lattice)
         with open_work(path, folder, source, lattice, digest, by_tile, doubt) as (draft, work):
-            begin = 0.0
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
-            if raster.original is not None:  # resampling mixes marks of missing samples with heights
-                begin = 0.1
-                for share, rows in raster.original.blocks():
-                    reader.check.add(rows)
-                    on_progress(begin * share, READING)
-
+            begin = _check_original(raster, reader.check, on_progress)
             end = 1.0 if raster.finer is None else COARSE_SHARE
 
             def tell(share: float, message: str) -> None:
@@ -153,9 +142,7 @@ def import_raster(
             )
             if raster.finer is not None:
                 field = _add_finer_tiles(field, HeightReader(raster, settings), draft, on_progress)
-            report = _import_report(field, raster, place)
-            if settings.source not in LANDS:
-                report["warnings"] += _value_warnings(raster, settings, place, report, reader.check)
+            report = report_of(field, source, reader.check)
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             raster.finish(draft.folder)
@@ -165,6 +152,19 @@ def import_raster(
         return report
     finally:
         raster.close()
+
+
+def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> float:
+    """Check the values of a resampled raster before its resampling, which mixes marks of missing samples with heights.
+
+    Return the share of the progress that this took: 0 for a raster that is not resampled.
+    """
+    if raster.original is None:
+        return 0.0
+    for share, rows in raster.original.blocks():
+        check.add(rows)
+        on_progress(ORIGINAL_SHARE * share, READING)
+    return ORIGINAL_SHARE
 
 
 def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draft, on_progress: Tell) -> HeightField:
@@ -227,89 +227,6 @@ def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, l
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
-def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0) -> str:
-    """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
-
-    sources: files that the source names. method: version of the method that makes the samples, 0 for none. Raises
-    TerrainError for a missing source and for settings that cannot be used.
-    """
-    settings.check()
-    values = dataclasses.asdict(settings)
-    for field in dataclasses.fields(settings):
-        if field.name in ADDED_SETTINGS and values[field.name] == field.default:
-            del values[field.name]
-    parts = [METHOD, store.VERSION, values, *([method] if method else [])]
-    if names_several(settings):
-        for file in [*files_of(settings), *sources]:
-            check_named(file)
-            parts.append(file_stat(file))
-        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-    settings.check_file()
-    if settings.source not in LANDS:
-        source = Path(settings.source)
-        check_file(source)
-        for file in [source, *sidecars(source), *sources]:
-            if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
-                parts.append(file_stat(file.resolve()))
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-
-
-def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
-    """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
-
-    None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
-    """
-    complete = dataclasses.replace(settings, quick=0, loaded_tiles=())
-    files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
-    for wanted in (complete, settings) if settings.quick else (settings,):
-        report = finished_before(path, source_digest(wanted, files, method))
-        if report is not None:
-            return report
-    return None
-
-
-def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
-    """Return a store's report, with "unchanged", if it has this digest; None otherwise, also for a damaged store."""
-    try:
-        content = store.read_json(Path(path))
-        if content["digest"] != digest:
-            return None
-        store.open_store(path)
-        return content["report"] | {"unchanged": True}
-    except (TerrainError, KeyError):
-        return None
-
-
-def describe(path: str | os.PathLike) -> dict:
-    """Return a store's report with further facts, a flat dict of numbers, texts and lists. Raises TerrainError."""
-    content = store.read_json(Path(path))
-    field = store.open_store(path)
-    num_bytes = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
-    # A parent's error is at least its children's, so the coarsest group holds the largest.
-    group = field.lattice.group(1)
-    errors = field.error[codes.parts(field.lattice, len(field.error))[group]]
-    return {
-        "path": str(path),
-        "source": content["provenance"].get("settings", {}).get("source", ""),
-        **_border(field),
-        **content["report"],
-        "origin": content["origin"],
-        "largest_error_m": float(field.table[group][errors.max()]),
-        "bytes_per_sample": round(num_bytes / field.samples.size, 2),
-        "key": field.raster.digest,
-    }
-
-
-def _border(field: HeightField) -> dict:
-    """Return the entry with the coordinates of the outermost samples, {} without a system or for a rotated raster."""
-    place = field.raster.place
-    if place is None or not field.crs or place[1] or place[3]:
-        return {}
-    west, south, east, north = field.lattice.rectangle()
-    corners = to_crs(place, np.array([[west, south], [east, north]]))
-    return {"west_south_east_north": corners.ravel().tolist()}
-
-
 def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
     """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given.
 
@@ -369,37 +286,3 @@ def _source_max(reader: HeightReader) -> float:
     scaling = scaling_of(raster, settings)
     step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
     return step + reader.converted + (raster.moved + raster.shifted) * abs(scaling[0])
-
-
-def _value_warnings(
-    raster: Raster, settings: ImportSettings, place: Georeference, report: dict, check: ValueCheck
-) -> list[str]:
-    """Return warnings about values that are probably no heights in metres. report: figures of the import."""
-    if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
-        return []
-    found = check.warnings()
-    if found or place.size_warnings:  # possible causes of heights that are too large for the extent
-        return found
-    is_sized = settings.extent is not None or raster.is_sized
-    return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
-
-
-def _import_report(field: HeightField, raster: Raster, place: Georeference) -> dict:
-    """Return an import's report: format, sizes, and the warnings of raster, georeference and rounding."""
-    warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
-    largest = max(abs(field.min_height), abs(field.max_height))
-    warnings += rounding_warnings(raster.roundings, largest, field.source_max)
-    against = ""  # the file's raster
-    if raster.projected_from:
-        against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"
-    return {
-        "format": raster.format,
-        "raster": [raster.width, raster.height],
-        **common_report_entries(field),
-        "rotation_deg": place.rotation_deg,
-        "bounds_against": against,
-        **finer_entries(field),
-        **raster.details,
-        **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),  # replace bounds_against
-        "warnings": warnings,
-    }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drafts of stores with room on the disk, and the part of a report that imported and shaped terrains share."""
+"""Drafts of stores with room on the disk."""
 
 import shutil
 from collections.abc import Iterator
@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ..errors import TerrainError, unwritable
 from ..field import store
-from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
 
 
@@ -80,24 +79,3 @@ def _check_room(path: Path, lattice: Lattice, needed: int, elsewhere: str) -> No
 def _format_bytes(count: int) -> str:
     """Return a number of bytes as text, in GB or MB."""
     return f"{count / 1e9:.2f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
-
-
-def common_report_entries(field: HeightField) -> dict:
-    """Return the report entries that imported and shaped terrains share.
-
-    Missing samples count as `cut_out` if the field has holes, otherwise as `filled`. `source_step_m` is the largest
-    error, metres, that rounding and resampling of the source make.
-    """
-    lattice = field.lattice
-    return {
-        "samples": [lattice.width, lattice.height],
-        "squares": [lattice.columns, lattice.rows],
-        "step_m": [lattice.step_x, lattice.step_y],
-        "extent_m": [lattice.step_x * (lattice.width - 1), lattice.step_y * (lattice.height - 1)],
-        "lowest_m": field.min_height,
-        "highest_m": field.max_height,
-        "filled": 0 if field.valid is not None else field.filled,
-        "cut_out": field.filled if field.valid is not None else 0,
-        "source_step_m": field.source_max,
-        "crs": field.crs,
-    }

@@ -14,7 +14,8 @@ from ..field import store_folder
 from ..rasters.raster import ImportSettings
 from ..sandbox.guard import VARIABLES, guard_import
 from ..sandbox.store_job import CHECK_FILE, READING, JobProgress, StoreJob, Tell, serve, wait_for
-from .build_store import finished_import, run_import
+from .build_store import run_import
+from .earlier_import import finished_import
 from .source_list import files_of, names_several
 from .tile_crew import start_crew
 from .tile_import import ImportPart

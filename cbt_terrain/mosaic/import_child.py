@@ -8,7 +8,8 @@ from pathlib import Path
 from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..formats.archives import UnpackedFiles, unpacking
-from ..importing.build_store import finished_import, import_raster
+from ..importing.build_store import import_raster
+from ..importing.earlier_import import finished_import
 from ..importing.import_process import part_of
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
 from ..importing.tile_crew import serve_tasks, start_crew

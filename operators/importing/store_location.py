@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.importing.build_store import source_digest
+from ...cbt_terrain.importing.earlier_import import source_digest
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ..bridge.scene_paths import absolute_path

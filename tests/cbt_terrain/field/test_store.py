@@ -15,8 +15,9 @@ from adaptive_terrain.cbt_terrain.field import bicubic, codes, store, store_arra
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
-from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
+from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import partial_files
 

@@ -9,7 +9,7 @@ import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats import format_choice
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
-from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.rasters import driver_gaps, source_formats
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings

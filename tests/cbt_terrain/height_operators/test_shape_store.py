@@ -24,7 +24,8 @@ from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import levels_of
-from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion

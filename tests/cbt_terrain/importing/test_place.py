@@ -10,7 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.georeference import from_crs, to_crs
-from adaptive_terrain.cbt_terrain.importing.build_store import describe
+from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.importing.placing import _reprojected
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from rasterio.transform import Affine

@@ -308,8 +308,8 @@ def test_a_complete_store_is_not_replaced_by_tiles(tmp_path, small_tiles, monkey
         run_import(replace(settings, quick=0), store)
         return finish(*arguments)
 
-    finish = build_store._import_report  # the last step before the tiles are published
-    monkeypatch.setattr(build_store, "_import_report", lambda *given: monkeypatch.undo() or complete_first(*given))
+    finish = build_store.report_of  # the last step before the tiles are published
+    monkeypatch.setattr(build_store, "report_of", lambda *given: monkeypatch.undo() or complete_first(*given))
     with pytest.raises(TerrainError, match="has no first picture of"):
         run_import(replace(settings, loaded_tiles=(0, 9)), store)
     assert "refined_m" not in open_store(store).provenance and open_store(store).lattice.width == 505

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
-from adaptive_terrain.cbt_terrain.importing.build_store import describe, run_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.importing.thinning import loaded_text, positions, stride_of
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasterio.transform import Affine, from_origin

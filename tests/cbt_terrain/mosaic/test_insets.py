@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
 from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet

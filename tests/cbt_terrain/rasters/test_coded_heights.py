@@ -13,7 +13,7 @@ import rasterio
 import rasterio.shutil
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
-from adaptive_terrain.cbt_terrain.importing import build_store
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source
 from adaptive_terrain.cbt_terrain.rasters.coded_heights import codes_of, may_be_coded, tile_of
@@ -146,5 +146,5 @@ def test_an_older_stores_digest_stays_the_same(tmp_path):
     older = {name: value for name, value in values.items() if name not in added}
     parts = [2, 6, older, (str(source.resolve()), stat.st_size, stat.st_mtime_ns)]
     wanted = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-    assert build_store.source_digest(ImportSettings(str(source))) == wanted
-    assert build_store.source_digest(ImportSettings(str(source), encoding="mapbox")) != wanted
+    assert source_digest(ImportSettings(str(source))) == wanted
+    assert source_digest(ImportSettings(str(source), encoding="mapbox")) != wanted

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
-from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.rasters.sidecars import MAX_BYTES, sidecars
 from rasterio.crs import CRS

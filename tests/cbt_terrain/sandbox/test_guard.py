@@ -14,7 +14,7 @@ import pytest
 from adaptive_terrain import __version__
 from adaptive_terrain.cbt_terrain.errors import TerrainError, shown
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
-from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source, versions
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings

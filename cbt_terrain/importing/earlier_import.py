@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Recognition of a store that an earlier import has made of the same settings and files."""
+
+import dataclasses
+import hashlib
+import json
+import os
+from pathlib import Path
+
+from ..errors import TerrainError
+from ..field import store
+from ..field.lands import LANDS
+from ..formats.sources import check_file, check_named
+from ..rasters.raster import ImportSettings, Raster
+from ..rasters.sidecars import sidecars
+from .source_list import file_stat, files_of, names_several
+
+METHOD = 2  # increased when the same source gives a different store
+# Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
+ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "loaded_tiles")
+
+
+def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
+    """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
+
+    None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
+    """
+    complete = dataclasses.replace(settings, quick=0, loaded_tiles=())
+    files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
+    for wanted in (complete, settings) if settings.quick else (settings,):
+        report = finished_before(path, source_digest(wanted, files, method))
+        if report is not None:
+            return report
+    return None
+
+
+def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
+    """Return a store's report, with "unchanged", if it has this digest; None otherwise, also for a damaged store."""
+    try:
+        content = store.read_json(Path(path))
+        if content["digest"] != digest:
+            return None
+        store.open_store(path)
+        return content["report"] | {"unchanged": True}
+    except (TerrainError, KeyError):
+        return None
+
+
+def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0) -> str:
+    """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
+
+    sources: files that the source names. method: version of the method that makes the samples, 0 for none. Raises
+    TerrainError for a missing source and for settings that cannot be used.
+    """
+    settings.check()
+    values = dataclasses.asdict(settings)
+    for field in dataclasses.fields(settings):
+        if field.name in ADDED_SETTINGS and values[field.name] == field.default:
+            del values[field.name]
+    parts = [METHOD, store.VERSION, values, *([method] if method else [])]
+    if names_several(settings):
+        for file in [*files_of(settings), *sources]:
+            check_named(file)
+            parts.append(file_stat(file))
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    settings.check_file()
+    if settings.source not in LANDS:
+        source = Path(settings.source)
+        check_file(source)
+        for file in [source, *sidecars(source), *sources]:
+            if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
+                parts.append(file_stat(file.resolve()))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

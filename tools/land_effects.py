@@ -130,8 +130,13 @@ def sheet(pictures: dict[str, bytes]) -> bytes:
         x, y = number % 2 * (width + GAP), number // 2 * (height + LETTERS + GAP)
         whole.paste(tile.resize((width, height), Image.Resampling.LANCZOS), (x, y))
         ImageDraw.Draw(whole).text((x, y + height + 1), name, fill=(28, 31, 38), font=font)
+    return jpg(np.asarray(whole), quality=86)
+
+
+def jpg(pixels: np.ndarray, quality: int) -> bytes:
+    """Return pixels, uint8 [rows, columns, 3], as a JPEG file. quality: 1 to 95."""
     file = io.BytesIO()
-    whole.save(file, "JPEG", quality=86)
+    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
     return file.getvalue()
 
 
@@ -206,9 +211,7 @@ def beside(shown: Shown, part: tuple[float, float, float], layer: str, ramp: tup
     gap = np.ones((WIDE, 6, 3))
     pixels = [_resized(half[::-1]) for half in halves]
     picture = (255 * np.clip(np.concatenate([pixels[0], gap, pixels[1]], axis=1), 0, 1) + 0.5).astype(np.uint8)
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "JPEG", quality=86)
-    return file.getvalue()
+    return jpg(picture, quality=86)
 
 
 def _resized(pixels: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ from adaptive_terrain.operators.demo.stack import ISLAND_SEED, STACK
 from adaptive_terrain.operators.export.exporting import write_files
 from adaptive_terrain.operators.text.machine import describe_machine
 from adaptive_terrain.operators.text.numbers import plain
-from land_effects import land_section
+from land_effects import jpg, land_section
 from PIL import Image, ImageDraw, ImageFont
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -50,6 +50,7 @@ RESOLUTION = (1920, 1080)
 EYE, TARGET = (-3100, -1480, 840), (200, 0, 410)  # near the demo's frame
 FRAME = 12
 LETTERS = 20  # pixels, of a line below a picture
+QUALITY = 88  # of JPEG files
 WIDE = 1650  # pixels, of all pictures at a glance
 LAYERS = np.array([(0.76, 0.66, 0.42), (0.45, 0.62, 0.27), (0.55, 0.5, 0.47), (0.93, 0.95, 0.98)])
 HEAD = """# Effects
@@ -84,7 +85,7 @@ def main() -> int:
             field = open_store(Path(folder) / "island")
             demo = of_demo(Path(folder))
             drawn = {name: picture(name, field, demo.given) for name in ATTRIBUTES}
-            pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
+            pictures = {f"effect_{name}.jpg": jpg(pixels, QUALITY) for name, pixels in drawn.items() if pixels.any()}
             land, land_pictures = land_section()
             page = [HEAD, *saving(demo), *attribute_table(costs(field)), SCALES, *land, CUSTOM_EFFECT]
     except TerrainError as error:
@@ -94,13 +95,6 @@ def main() -> int:
     write_files(DOCS / "images", shown | land_pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
     write_files(DOCS, {"effects.md": "\n".join(page)})
     return 0
-
-
-def jpg(pixels: np.ndarray) -> bytes:
-    """Return pixels as a JPEG file."""
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=88)
-    return file.getvalue()
 
 
 def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
@@ -125,7 +119,7 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
         sheet.paste(tile, (x, y))
         draw.text((x, y + side + 1), name, fill=(28, 31, 38) if name in worn else (160, 160, 160), font=font)
     sheet = sheet.resize((WIDE, WIDE * sheet.height // sheet.width), Image.Resampling.LANCZOS)
-    return jpg(np.asarray(sheet))
+    return jpg(np.asarray(sheet), QUALITY)
 
 
 @dataclass(frozen=True)

@@ -57,43 +57,117 @@ class TileSums:
         self.unmasked[tile] = mask is None or mask[within(level.window(tile, BAND, BAND), window)].any()
 
 
-def apply_run(
-    shaping: Shaping,
-    work: LevelWork,
-    numbers: list[int],
-    tiles: list[int],
-    coarse: Sequence[Arrays | None],
-    land: LandWindow,
-) -> tuple[Sequence[Arrays], list[TileSums]]:
-    """Apply a run of entries (LevelPlan.runs) to a level, add its changes to `land`, and return changes and statistics.
+@dataclass(frozen=True, eq=False)
+class LevelRun:
+    """A run of entries (LevelPlan.runs) at a level.
 
-    Changes of level 0 are not returned for a run in tiles, since no finer level reads them.
-
-    numbers: the run's entries, by index; a single one if it is applied to the whole level. tiles: tiles to compute
-    otherwise. coarse: each entry's change at the coarser level, None at the coarsest. Raises Finished if the caller
-    needs no finer levels.
+    `numbers`: the entries, by index; a single one if it is applied to the whole level. `coarse`: each entry's change at
+    the coarser level, None at the coarsest.
     """
-    entry = shaping.entries[numbers[0]]
-    if shaping.plan.how(numbers[0], work.level) != WHOLE:
-        return _apply_tiles(shaping, work, numbers, tiles, coarse, land)
-    sums, level, coarser = TileSums.zeros(work.level), work.level, coarse[0]
-    mask, cost = work.mask(entry, land), shaping.plan.cost(entry, level.whole)
-    report = shaping.progress(cost, level, entry)
-    report(0.0)
-    start = None if coarser is None else _upsample(coarser, level.shape)
-    with _counted(shaping, entry, sums, cost):
-        change = apply_whole(work, entry, land, mask, start, report)
-    shaping.done += cost
-    # If the change contradicts the interpolated coarser one, finer levels are computed in one piece.
-    if start is not None and level.number and numbers[0] not in shaping.plan.doubted:
-        before, after = (unpacked(entry.declaration, arrays) for arrays in (start, change))
-        if entry.declaration.doubts(before, after, level.step_x * level.step_y):
-            shaping.plan.doubt(numbers[0])
-    delta = change[0] if start is None else change[0] - start[0]
-    for tile in range(level.tile_count):
-        sums.add(level, tile, delta, mask, level.whole)
-    land.total += work.accumulate(entry, change, mask, land)
-    return [change], [sums]
+
+    shaping: Shaping
+    work: LevelWork
+    numbers: list[int]
+    coarse: Sequence[Arrays | None]
+
+    def apply(self, tiles: list[int], land: LandWindow) -> tuple[Sequence[Arrays], list[TileSums]]:
+        """Apply the entries to the level, add their changes to `land`, and return changes and statistics.
+
+        Changes of level 0 are not returned for a run in tiles, since no finer level reads them. tiles: tiles to
+        compute, unless the run is applied to the whole level. Raises Finished if the caller needs no finer levels.
+        """
+        entry = self.shaping.entries[self.numbers[0]]
+        if self.shaping.plan.how(self.numbers[0], self.work.level) != WHOLE:
+            return self._apply_to_tiles(tiles, land)
+        sums, level, coarser = TileSums.zeros(self.work.level), self.work.level, self.coarse[0]
+        mask, cost = self.work.mask(entry, land), self.shaping.plan.cost(entry, level.whole)
+        report = self.shaping.progress(cost, level, entry)
+        report(0.0)
+        start = None if coarser is None else _upsample(coarser, level.shape)
+        with _counted(self.shaping, entry, sums, cost):
+            change = apply_whole(self.work, entry, land, mask, start, report)
+        self.shaping.done += cost
+        # If the change contradicts the interpolated coarser one, finer levels are computed in one piece.
+        if start is not None and level.number and self.numbers[0] not in self.shaping.plan.doubted:
+            before, after = (unpacked(entry.declaration, arrays) for arrays in (start, change))
+            if entry.declaration.doubts(before, after, level.step_x * level.step_y):
+                self.shaping.plan.doubt(self.numbers[0])
+        delta = change[0] if start is None else change[0] - start[0]
+        for tile in range(level.tile_count):
+            sums.add(level, tile, delta, mask, level.whole)
+        land.total += self.work.accumulate(entry, change, mask, land)
+        return [change], [sums]
+
+    def _apply_to_tiles(self, tiles: list[int], land: LandWindow) -> tuple[Sequence[Arrays], list[TileSums]]:
+        """Apply the entries to tiles, blend these into the interpolated coarser level, and update `land`.
+
+        The land after all entries is blended, not each change, so that depths that are nowhere negative stay so.
+        Arguments and result are those of `apply`.
+        """
+        level, first, changes = self.work.level, None, []
+        start = land.crop(level.whole)  # the land before the run, as `land` is updated below
+        for number, arrays in zip(self.numbers, self.coarse, strict=True):
+            entry = self.shaping.entries[number]
+            assert arrays is not None  # the coarsest level is computed as a whole
+            mask, count = self.work.mask(entry, land), num_arrays(entry.declaration, level)
+            change = [finer(array, level.shape) for array in arrays[:count]]
+            first = mask if number == self.numbers[0] else first  # the mask of the first entry
+            land.total = land.total + self.work.accumulate(entry, change, mask, land)
+            changes += [change] if level.number else []
+        sums = [TileSums.zeros(level) for _ in self.numbers]
+        if all(self.shaping.plan.how(number, level) == UPSAMPLED for number in self.numbers):
+            return changes, sums
+        rest = np.ones(level.shape, np.float32)  # weight of the interpolated coarser level
+        for tile in tiles:
+            rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
+        names = {layer.name for number in self.numbers for layer in self.shaping.entries[number].declaration.layers}
+        land.layers |= {name: land.layers[name] * rest for name in names}  # copies, since changes may share the arrays
+        for total in (land.total, *(array for change in changes for array in change)):
+            total *= rest
+        for tile in tiles:
+            window, weights = level.window(tile, BAND, BAND), level.weights(tile)
+            tile_changes, tile_land = self._compute_tile(tile, start, first, sums)
+            land.total[window] += tile_land.total * weights
+            for name in names:
+                land.layers[name][window] += tile_land.layers[name] * weights
+            for change, tile_change in zip(changes, tile_changes if changes else (), strict=True):
+                for array, tile_array in zip(change, tile_change, strict=True):
+                    array[window] += tile_array * weights
+        return changes, sums
+
+    def _compute_tile(
+        self, tile: int, land: LandWindow, mask: np.ndarray | None, sums: list[TileSums]
+    ) -> tuple[list[np.ndarray], LandWindow]:
+        """Apply the entries to one tile.
+
+        Return their changes and the land over its window widened by BAND. land: the land of the whole level. mask:
+        weights of the first entry's mask for the whole level, None without one. sums: statistics of each entry's
+        changes, to which those of the tile are added.
+        """
+        level, changes = self.work.level, []
+        windows = [level.window(tile, *margin) for margin in self.shaping.plan.margins(level, self.numbers)]
+        land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
+        for number, arrays, entry_sums, target in zip(self.numbers, self.coarse, sums, windows[1:], strict=True):
+            assert arrays is not None
+            entry, window = self.shaping.entries[number], land.window
+            mask = mask if number == self.numbers[0] else self.work.mask(entry, land)
+            here = within(target, window)
+            coarser = np.stack([finer_window(array, *window) for array in arrays])
+            change = coarser[(slice(num_arrays(entry.declaration, level)), *here)]
+            if self.shaping.plan.how(number, level) == TILES:
+                cost = self.shaping.plan.cost(entry, window)
+                report = self.shaping.progress(cost, level, entry)
+                report(0.0)
+                # A mask of 0 everywhere spares the work.
+                if mask is None or entry.declaration.masks or mask[here].any():
+                    with _counted(self.shaping, entry, entry_sums, cost):
+                        change = apply_tile(self.work, entry, land, mask, coarser, target, report)
+                self.shaping.done += cost
+            land, mask = land.crop(target), None if mask is None else mask[here]
+            entry_sums.add(level, tile, change[0] - coarser[0][here], mask, target)
+            land.total = land.total + self.work.accumulate(entry, change, mask, land)
+            changes.append(change[(slice(None), *within(windows[-1], target))])
+        return changes, land
 
 
 def _upsample(arrays: Arrays, shape: tuple[int, int]) -> np.ndarray:
@@ -112,90 +186,3 @@ def _counted(shaping: Shaping, entry: Entry, sums: TileSums, cost: float) -> Ite
     sums.computed += shaping.cache.made[entry.effect] - before
     sums.ms += (time.perf_counter() - start) * 1e3
     sums.planned_ms += cost / 1e6
-
-
-def _apply_tiles(
-    shaping: Shaping,
-    work: LevelWork,
-    numbers: list[int],
-    tiles: list[int],
-    coarse: Sequence[Arrays | None],
-    land: LandWindow,
-) -> tuple[Sequence[Arrays], list[TileSums]]:
-    """Apply a run of entries to tiles, blend these into the interpolated coarser level, and update `land`.
-
-    The land after all entries is blended, not each change, so that depths that are nowhere negative stay so. Arguments
-    and result are those of `apply_run`.
-    """
-    level, first, changes = work.level, None, []
-    start = land.crop(level.whole)  # the land before the run, as `land` is updated below
-    for number, arrays in zip(numbers, coarse, strict=True):
-        entry = shaping.entries[number]
-        assert arrays is not None  # the coarsest level is computed as a whole
-        mask, count = work.mask(entry, land), num_arrays(entry.declaration, level)
-        change = [finer(array, level.shape) for array in arrays[:count]]
-        first = mask if number == numbers[0] else first  # the mask of the first entry
-        land.total = land.total + work.accumulate(entry, change, mask, land)
-        changes += [change] if level.number else []
-    sums = [TileSums.zeros(level) for _ in numbers]
-    if all(shaping.plan.how(number, level) == UPSAMPLED for number in numbers):
-        return changes, sums
-    rest = np.ones(level.shape, np.float32)  # weight of the interpolated coarser level
-    for tile in tiles:
-        rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
-    names = {layer.name for number in numbers for layer in shaping.entries[number].declaration.layers}
-    land.layers |= {name: land.layers[name] * rest for name in names}  # copies, since changes may share the arrays
-    for total in (land.total, *(array for change in changes for array in change)):
-        total *= rest
-    for tile in tiles:
-        window, weights = level.window(tile, BAND, BAND), level.weights(tile)
-        tile_changes, tile_land = _compute_tile(shaping, work, numbers, tile, coarse, start, first, sums)
-        land.total[window] += tile_land.total * weights
-        for name in names:
-            land.layers[name][window] += tile_land.layers[name] * weights
-        for change, tile_change in zip(changes, tile_changes if changes else (), strict=True):
-            for array, tile_array in zip(change, tile_change, strict=True):
-                array[window] += tile_array * weights
-    return changes, sums
-
-
-def _compute_tile(
-    shaping: Shaping,
-    work: LevelWork,
-    numbers: list[int],
-    tile: int,
-    coarse: Sequence[Arrays | None],
-    land: LandWindow,
-    mask: np.ndarray | None,
-    sums: list[TileSums],
-) -> tuple[list[np.ndarray], LandWindow]:
-    """Apply a run of entries, given by their numbers, to one tile.
-
-    Return their changes and the land over its window widened by BAND. coarse: each entry's change at the coarser level.
-    land: the land of the whole level. mask: weights of the first entry's mask for the whole level, None without one.
-    sums: statistics of each entry's changes, to which those of the tile are added.
-    """
-    level, changes = work.level, []
-    windows = [level.window(tile, *margin) for margin in shaping.plan.margins(level, numbers)]
-    land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
-    for number, arrays, entry_sums, target in zip(numbers, coarse, sums, windows[1:], strict=True):
-        assert arrays is not None
-        entry, window = shaping.entries[number], land.window
-        mask = mask if number == numbers[0] else work.mask(entry, land)
-        here = within(target, window)
-        coarser = np.stack([finer_window(array, *window) for array in arrays])
-        change = coarser[(slice(num_arrays(entry.declaration, level)), *here)]
-        if shaping.plan.how(number, level) == TILES:
-            cost = shaping.plan.cost(entry, window)
-            report = shaping.progress(cost, level, entry)
-            report(0.0)
-            # A mask of 0 everywhere spares the work.
-            if mask is None or entry.declaration.masks or mask[here].any():
-                with _counted(shaping, entry, entry_sums, cost):
-                    change = apply_tile(work, entry, land, mask, coarser, target, report)
-            shaping.done += cost
-        land, mask = land.crop(target), None if mask is None else mask[here]
-        entry_sums.add(level, tile, change[0] - coarser[0][here], mask, target)
-        land.total = land.total + work.accumulate(entry, change, mask, land)
-        changes.append(change[(slice(None), *within(windows[-1], target))])
-    return changes, land

@@ -14,7 +14,7 @@ import numpy as np
 from ..field.heightfield import HeightField
 from .interpolation import finer_change
 from .level_plan import UPSAMPLED, WHOLE
-from .level_runs import TileSums, apply_run
+from .level_runs import LevelRun, TileSums
 from .level_work import Arrays, LandWindow, LevelGround, LevelWork, zero_holes
 from .levels import finer
 from .shaping import Added, Finished, Shaping
@@ -116,7 +116,7 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
     added = []
     for numbers in shaping.plan.runs(level):
         coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
-        results, sums = apply_run(shaping, work, numbers, tiles, coarse, land)
+        results, sums = LevelRun(shaping, work, numbers, coarse).apply(tiles, land)
         for number, entry_sums in zip(numbers, sums, strict=True):
             how = shaping.plan.how(number, level)
             total.max_change += entry_sums.max_change

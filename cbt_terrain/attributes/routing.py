@@ -80,13 +80,13 @@ def route(
     step_y: float,
     holes: np.ndarray | None = None,
     threads: int = 1,
-    draw: "routing.Draw | None" = None,
+    noise: "routing.ReceiverNoise | None" = None,
     cell_weight: np.ndarray | None = None,
 ) -> Drainage:
     """Route water over heights, float32 [rows, columns] metres, samples `step_x` and `step_y` metres apart.
 
     Water leaves at the border and in `holes` (bool, same shape). Depressions drain over their lowest passes, flats
-    along the shortest paths. draw: noise in the choice of receivers. cell_weight: float64 of the same shape, weight of
+    along the shortest paths. noise: in the choice of receivers. cell_weight: float64 of the same shape, weight of
     each sample in `catchments`, None for 1. The result does not depend on `threads`. heights: without NaN, at least two
     rows and columns; they are copied.
     """
@@ -103,7 +103,7 @@ def route(
     d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
     d.label, d.order = flat(np.zeros(count, np.int32), wp.int32), flat(order, wp.int32)
     spread = partial(launch.spread, step="routing", threads=threads)
-    inputs = [d, _inverse_distances(grid, draw), draw or routing.Draw()]
+    inputs = [d, _inverse_distances(grid, noise), noise or routing.ReceiverNoise()]
     spread(routing.find_receivers, rows, inputs, cost=columns / 8)
     launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
@@ -128,12 +128,12 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
     return grid
 
 
-def _inverse_distances(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
+def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None") -> wp.vec3f:
     """Return 1 / metres along x, along y and diagonally, with the factors of DIAGONAL, for the choice of receivers.
 
-    draw: noise on the choice, None without; then no factor is needed.
+    noise: on the choice, None without; then no factor is needed.
     """
-    if draw is None or draw.jitter == 0.0:
+    if noise is None or noise.jitter == 0.0:
         return grid.inverse_distance
     ew, ns, across = grid.inverse_distance
     axes = math.sqrt(ew / ns)

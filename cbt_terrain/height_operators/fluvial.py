@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from ...kernels.effects.routing import Draw
+from ...kernels.effects.routing import ReceiverNoise
 from ...kernels.land import creep as creep_kernels
 from ...kernels.land import fluvial as kernels
 from ..attributes.routing import Drainage, grid_of, route
@@ -84,8 +84,8 @@ class Bed:
     path: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     path_level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
-    def drain(self, draw: "Draw | None" = None) -> Drainage:
-        """Route water over the bed with its boundary conditions; `draw`: noise of the receivers, None for none.
+    def drain(self, noise: "ReceiverNoise | None" = None) -> Drainage:
+        """Route water over the bed with its boundary conditions; `noise`: of the receivers, None for none.
 
         The `heights` of the result are those of the bed, at the border at least `outlet_level`; only the choice of
         receivers sees the path.
@@ -95,7 +95,7 @@ class Bed:
         chosen = heights.copy()
         chosen[self.path] = np.minimum(chosen[self.path], self.path_level)
         fixed, steps = self.fixed.reshape(self.shape), (self.step_x, self.step_y)
-        drainage = route(chosen.reshape(self.shape), *steps, fixed, self.threads, draw, self.cell_weight)
+        drainage = route(chosen.reshape(self.shape), *steps, fixed, self.threads, noise, self.cell_weight)
         drainage.heights = heights
         return drainage
 
@@ -106,7 +106,7 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
     values: parameters of rivers.py. Return the sediment that reached each sample (at outlets: that has left), float64
     [n], metres times samples; None without deposition.
     """
-    ground, drainage = bed.heights, bed.drain(_draw(bed, number))
+    ground, drainage = bed.heights, bed.drain(_noise_of_step(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
     bed.heights = raised.copy()
     river, filled = _incise(bed, drainage, years, values)
@@ -153,12 +153,12 @@ def vary_rock(bed: Bed, variety: float) -> None:
     launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)
 
 
-def _draw(bed: Bed, number: int) -> Draw:
-    """Return the random numbers of step `number` for kernels, the same for a sample in every tile."""
-    draw = Draw()
-    draw.jitter, draw.seed = JITTER, (bed.seed * 0x9E3779B1 + number * 0x85EBCA77 + 1) & 0xFFFFFFFF
-    draw.row, draw.column = bed.first
-    return draw
+def _noise_of_step(bed: Bed, number: int) -> ReceiverNoise:
+    """Return the noise of the receivers in step `number`, the same for a sample in every tile."""
+    noise = ReceiverNoise()
+    noise.jitter, noise.seed = JITTER, (bed.seed * 0x9E3779B1 + number * 0x85EBCA77 + 1) & 0xFFFFFFFF
+    noise.row, noise.column = bed.first
+    return noise
 
 
 def _incise(

@@ -19,10 +19,9 @@ def draw_triangles(
     """Write to `shown` the number of the nearest triangle at the middle of each pixel in a band of BAND rows.
 
     The thread draws band `first + tid`. Pixels without a triangle stay as they are. Triangles count from both sides; of
-    equally near ones the first is shown. corners: three entries of
-    `projected` for each triangle. projected: pixels from the left and from below, and a depth key, which is linear over
-    the picture and larger for nearer points. depth_key [height * width]: that of the triangle shown so far, -inf at
-    first.
+    equally near ones the first is shown. corners: three entries of `projected` for each triangle. projected: pixels
+    from the left and from below, and a depth key, which is linear over the picture and larger for nearer points.
+    depth_key [height * width]: that of the triangle shown so far, -inf at first.
     """
     bottom = (first + wp.tid()) * BAND
     top = wp.min(bottom + BAND, height) - 1

@@ -60,7 +60,7 @@ class MeasuredFacet:
     east: wp.int64
     north: wp.int64
     area2: wp.int64  # twice the area, square lattice units; 0 where it covers nothing
-    u: wp.float64  # a point of the plane
+    u: wp.float64  # a point of the plane: cells, cells and metres
     v: wp.float64
     z: wp.float64
     slope_u: wp.float64  # metres a cell

@@ -28,7 +28,7 @@ WAITING = wp.constant(wp.uint8(16))
 
 
 @wp.struct
-class Draw:
+class ReceiverNoise:
     """Noise in the choice of receivers: slopes times 1 - jitter / 2 .. 1 + jitter / 2, which breaks straight lines.
 
     It is a function of the position in the whole raster.
@@ -59,11 +59,11 @@ def straight_first(q: wp.int32) -> wp.int32:
 
 
 @wp.kernel
-def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, draw: Draw):
+def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, noise: ReceiverNoise):
     """Write the D8 receiver of each sample of row `offset + tid`; ROOT if no neighbour is lower, and at outlets.
 
     (O'Callaghan and Mark 1984.) The raster's border is ROOT, too. inverse_distance: 1 / distance of the neighbours
-    east-west, north-south and diagonally, 1/m. draw: noise that breaks straight lines.
+    east-west, north-south and diagonally, 1/m. noise: breaks straight lines.
     """
     y = offset + wp.tid()
     first = y * d.grid.width
@@ -73,10 +73,10 @@ def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, d
     else:
         d.to[first] = ROOT
         d.to[first + d.grid.width - 1] = ROOT
-        noise = scramble(wp.uint32(draw.row + y) + draw.seed) + wp.uint32(draw.column)
-        lowest = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
-        step = draw.jitter * wp.float32(0.00390625)
-        find_receivers_of_row(d, y, inverse_distance, lowest, step, noise)
+        row_hash = scramble(wp.uint32(noise.row + y) + noise.seed) + wp.uint32(noise.column)
+        lowest = wp.float32(1.0) - noise.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
+        step = noise.jitter * wp.float32(0.00390625)
+        find_receivers_of_row(d, y, inverse_distance, lowest, step, row_hash)
 
 
 @wp.func
@@ -174,7 +174,7 @@ def find_passes(
 def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
     """Return the representative of the set that basin `a` is in (union-find with path halving).
 
-    up: parent of each basin.
+    up: parent of each basin; the path from `a` is shortened in it.
     """
     while up[a] != a:
         up[a] = up[up[a]]

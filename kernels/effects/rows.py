@@ -77,7 +77,7 @@ class DrainageArrays:
 def find_receivers_of_row(
     d: DrainageArrays, y: int, inverse_distance: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
 ):
-    """Find the receivers of row y: steepest descents, each slope times a random factor, see Draw.
+    """Find the receivers of row y: steepest descents, each slope times a random factor, see ReceiverNoise.
 
     inverse_distance: 1 / distance by axis. A factor is lowest + step * byte, the bytes from hashes of noise + column.
     """

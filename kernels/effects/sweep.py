@@ -105,8 +105,8 @@ class Sky:
     per_cell: wp.vec2f  # vertical scale over the size of a cell in metres
     azimuth: wp.vec2f
     share: wp.float32  # fraction of the whole sky
-    heights: wp.array(dtype=wp.float32)
-    horizons: wp.array(dtype=wp.float32)
+    heights: wp.array(dtype=wp.float32)  # metres
+    horizons: wp.array(dtype=wp.float32)  # metres a metre
     out: wp.array(dtype=wp.float32)  # the sky so far
 
 

@@ -9,7 +9,7 @@ from .pyramid import Pyramid
 
 @wp.struct
 class Texels:
-    """An image over the ground: the centre of its first, north-western texel, and its steps."""
+    """An image over the ground: the centre of its first, north-western texel, and its steps, metres."""
 
     columns: wp.int32
     west: wp.float64

@@ -57,7 +57,10 @@ class PackedLayers:
 
 @wp.func
 def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return height (metres) and slopes (metres a metre) along x and y of all octaves of a layer's noise at (x, y)."""
+    """Return height (metres) and slopes along x and y (metres a metre) of all octaves of a layer's noise.
+
+    x, y: metres from the raster's middle.
+    """
     total = wp.vec3d()
     a = layer.amplitude
     c = layer.frequency
@@ -99,9 +102,9 @@ def slope_basis(t: wp.float64) -> wp.vec4d:
 
 @wp.func
 def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return height (metres) and slopes along x and y of a layer's image, (x, y) metres from the raster's middle.
+    """Return height (metres) and slopes along x and y (metres a metre) of a layer's image.
 
-    The image repeats; its pixels are control heights of a bicubic B-spline.
+    x, y: metres from the raster's middle. The image repeats; its pixels are control heights of a bicubic B-spline.
     """
     u = x * layer.frequency
     v = y * layer.frequency

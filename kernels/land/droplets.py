@@ -27,7 +27,8 @@ class DropletRain:
     `across`: tiles from west to east of the whole level. `drops`: droplets of a tile. `stride`: length of a step, of
     which a droplet takes at most `steps`. `brush_x`, `brush_y`: radius of the brush in samples. `capacity`: m3 on a
     slope of 1. Fractions in a step: `inertia` of the old direction, `load` of the difference to the capacity that is
-    eroded or deposited, `dry` of the water that is lost. `sea`: height where droplets end. `mask`: factor on erosion.
+    eroded or deposited, `dry` of the water that is lost. `sea`: height where droplets end. Of each sample, `ground`:
+    height, NaN where it must not change; `mask`: factor on erosion; `change`: of the height, by droplets so far.
     """
 
     width: wp.int32

@@ -23,7 +23,8 @@ class Slope:
     `hard`: tangents at which the softest and the hardest bed break. `thick`: thickness of a bed. `dip_x`, `dip_y`:
     metres that beds rise to the next sample in the east and north. `share`: fraction of the excess that the upper
     sample of a pair gives, at most `max_fraction` of its scree. `weather`: fraction of the excess of bare rock that
-    breaks off. `facing`: cosine of the angle between downhill and the nearest of eight directions.
+    breaks off. Of each sample, `base`: height of the rock that cannot break, NaN at walls; `left`: rock on it that may
+    still break; `scree`: on both; `facing`: cosine of the angle between downhill and the nearest of eight directions.
     """
 
     width: wp.int32

@@ -202,9 +202,9 @@ def displace(
     """Write positions (metres from the local origin), normals and texture coordinates of points first .. end - 1.
 
     The surface has no detail (kernels/detail/displace.py), and no point morphs. `points.not_finite` is set if a value
-    is not finite.
-    Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the
-    mesh. slot: number of the list of runs that are copied from the last frame; all other points are computed.
+    is not finite. Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and vertex
+    `vertex_base` of the mesh. slot: number of the list of runs that are copied from the last frame; all other points
+    are computed.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

@@ -44,7 +44,7 @@ def found(h, base, steps, draw, threads):
 @pytest.mark.parametrize("jitter", [0.0, 1.6])
 @pytest.mark.parametrize("shape", [(3, 3), (40, 67), (31, 200)])
 def test_receivers_are_those_of_numpy(jitter, shape):
-    rng, draw = np.random.default_rng(6), routing.Draw()
+    rng, draw = np.random.default_rng(6), routing.ReceiverNoise()
     draw.jitter, draw.seed, draw.row, draw.column = jitter, 0xDEADBEEF, 1000, 77
     h = np.round(9 * rng.standard_normal(shape), 1).astype(F)
     base = (rng.random(shape) < 0.05).astype(np.uint8)
@@ -66,7 +66,7 @@ def test_receivers_are_those_of_numpy(jitter, shape):
 
 
 def test_noise_has_the_mean_one_and_is_of_the_place():
-    draw = routing.Draw()
+    draw = routing.ReceiverNoise()
     draw.jitter, draw.seed = 1.6, 5
     factors = noise((200, 200), draw)
     for factor in factors.values():
@@ -81,7 +81,7 @@ def test_donors_basins_and_passes_are_those_of_plain_loops():
     h = rng.standard_normal(shape).astype(F)
     h[10:20, 20:100] = np.indices((10, 80))[1] * F(0.01)  # one large basin: blocks without a pass
     base = np.zeros(shape, np.uint8)
-    to, d = found(h, base, (1.0, 1.0), routing.Draw(), 1)
+    to, d = found(h, base, (1.0, 1.0), routing.ReceiverNoise(), 1)
     donors = np.empty(h.size, np.uint8)
     d.donors = flat(donors, wp.uint8)
     launch.spread(routing.count_donors, height, [d], step="test")

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.routing import route
-from adaptive_terrain.kernels.effects.routing import Draw
+from adaptive_terrain.kernels.effects.routing import ReceiverNoise
 
 AROUND = [(a, b) for a, b in itertools.product((-1, 0, 1), repeat=2) if (a, b) != (0, 0)]
 
@@ -166,10 +166,10 @@ def test_with_noise_the_mean_path_down_a_plane_is_its_fall(steps, most, rms):
     y, x = np.indices((200, 200)) * np.array(steps)[::-1, None, None]
     off = []
     for degrees in range(4, 360, 11):
-        turn, draw = np.radians(degrees), Draw()
+        turn, draw = np.radians(degrees), ReceiverNoise()
         plane = (1e4 - 0.6 * (np.cos(turn) * x + np.sin(turn) * y)).astype(np.float32)
         draw.jitter, draw.seed = 1.6, degrees
-        to = route(plane, *steps, draw=draw).to.reshape(plane.shape)[1:-1, 1:-1].astype(int)
+        to = route(plane, *steps, noise=draw).to.reshape(plane.shape)[1:-1, 1:-1].astype(int)
         mean = np.degrees(np.arctan2((to // 3 - 1).mean() * steps[1], (to % 3 - 1).mean() * steps[0]))
         off.append((mean - degrees + 180) % 360 - 180)
     assert np.abs(off).max() < most and np.sqrt(np.mean(np.square(off))) < rms

@@ -18,21 +18,19 @@ from . import world_ground
 NO_TERRAIN = "The scene has no terrain; add one"
 
 
-def has_ground(cls, context) -> bool:
-    """Return whether the scene has a terrain and is in Object Mode, for `poll`; if not, set the reason."""
-    if context.mode != "OBJECT":
-        cls.poll_message_set(IN_A_MODE)
-        return False
-    if any(obj.adaptive_terrain.enabled for obj in context.scene.objects):
-        return True
-    cls.poll_message_set(NO_TERRAIN)
-    return False
-
-
 class GroundOperator(KernelOperator):
     """Base of operators that measure the ground of the scene's terrains. `modules`: kernels of the measurement."""
 
     modules: tuple[ModuleType, ...] = (ground, rays)
+
+    @classmethod
+    def poll(cls, context):
+        """Return whether the scene has a terrain and is in Object Mode; if not, set the reason."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set(IN_A_MODE)
+            return False
+        cls.poll_message_set(NO_TERRAIN)
+        return any(obj.adaptive_terrain.enabled for obj in context.scene.objects)
 
     def kernels(self, context) -> list[ModuleType]:
         """Return the modules of the measurement, and those of the terrains' surfaces."""

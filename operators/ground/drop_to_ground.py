@@ -13,7 +13,7 @@ from ..session.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
 from .bounds import corners_of
-from .chosen import GroundOperator, active_terrain, chosen_grounds, has_ground, objects_to_move, selected_objects
+from .chosen import GroundOperator, active_terrain, chosen_grounds, objects_to_move, selected_objects
 from .drop_points import drop_points
 from .properties import ON
 
@@ -59,7 +59,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Return whether there is ground and an object to drop; otherwise set the reason that Blender shows."""
-        if not has_ground(cls, context):
+        if not super().poll(context):
             return False
         cls.poll_message_set("Select what is to be dropped: objects that are no terrains")
         return bool(selected_objects(context))

@@ -10,7 +10,7 @@ from ..bridge import camera as cameras
 from ..session.polls import cancelled_by_errors
 from . import keep_ground
 from . import vertical_moves as moves
-from .chosen import GroundOperator, active_terrain, has_ground, objects_to_move, selected_objects
+from .chosen import GroundOperator, active_terrain, objects_to_move, selected_objects
 from .properties import ABOVE
 
 
@@ -31,7 +31,7 @@ class KeepAboveGround(GroundOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Return whether there is ground and an object to keep above it; otherwise set the reason to show."""
-        if not has_ground(cls, context):
+        if not super().poll(context):
             return False
         cls.poll_message_set("Select an object that is no terrain, or give the scene a camera")
         return bool(_chosen_objects(context))

@@ -12,7 +12,7 @@ from ..session.polls import cancelled_by_errors
 from ..text.numbers import plain
 from . import vertical_moves as moves
 from . import world_ground
-from .chosen import GroundOperator, chosen_grounds, has_ground
+from .chosen import GroundOperator, chosen_grounds
 
 CURSOR, OBJECT = "CURSOR", "OBJECT"
 DOWN = 0.0, 0.0, -1.0
@@ -35,10 +35,6 @@ class PickGround(GroundOperator, bpy.types.Operator):
     direction: bpy.props.FloatVectorProperty(
         name="Direction", description="Direction of the ray, for scripts", default=DOWN
     )
-
-    @classmethod
-    def poll(cls, context):
-        return has_ground(cls, context)
 
     def invoke(self, context, event):
         """Start waiting for a click in the 3D viewport, with an eyedropper as the mouse pointer."""

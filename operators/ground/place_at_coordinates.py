@@ -12,7 +12,7 @@ from ..text.numbers import length_text
 from ..text.translations import phrase
 from . import keep_ground
 from . import vertical_moves as moves
-from .chosen import GroundOperator, chosen_grounds, has_ground, objects_to_move, selected_objects
+from .chosen import GroundOperator, chosen_grounds, objects_to_move, selected_objects
 from .known_points import AUTOMATIC, SYSTEMS, find_point
 
 
@@ -33,10 +33,6 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
         name="System", description="Meaning of the two numbers", items=SYSTEMS, default=AUTOMATIC
     )
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
-
-    @classmethod
-    def poll(cls, context):
-        return has_ground(cls, context)
 
     def invoke(self, context, event):
         """Ask for the coordinates, or move once they are chosen and the kernels are ready."""

@@ -13,13 +13,13 @@ from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.scene_origin import is_in_degrees
 from ..bridge.scene_paths import absolute_path
+from ..maps.properties import PATH_OPTIONS
 from ..session.polls import cancelled_by_errors
 from ..text import profile_plot
 from ..text.numbers import length_text
-from .chosen import GroundOperator, has_ground, terrain_at
+from .chosen import GroundOperator, terrain_at
 
 SUFFIXES = ".csv", ".svg"
-PATH_OPTIONS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
 
 class ProfileCurve(GroundOperator, bpy.types.Operator):
@@ -45,7 +45,7 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Return whether there is ground and a selected curve; otherwise set the reason that Blender shows."""
-        if not has_ground(cls, context):
+        if not super().poll(context):
             return False
         cls.poll_message_set("Select a curve over the terrain")
         return bool(_chosen_curves(context))

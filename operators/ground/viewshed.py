@@ -9,7 +9,7 @@ from ...kernels.query import viewshed as viewshed_kernels
 from ..bridge import camera as cameras
 from ..bridge.writer import UV_LAYER
 from ..session.polls import cancelled_by_errors
-from .chosen import GroundOperator, has_ground, selected_objects, terrain_at
+from .chosen import GroundOperator, selected_objects, terrain_at
 
 NAME = "viewshed"
 MARK = "adaptive_terrain_viewshed"  # custom property of the image and the node group: the name of their terrain
@@ -44,7 +44,7 @@ class Viewshed(GroundOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Return whether there is ground and an eye that looks at it; otherwise set the reason that Blender shows."""
-        if not has_ground(cls, context):
+        if not super().poll(context):
             return False
         cls.poll_message_set("Make the object that looks active, or a terrain to be seen from the scene's camera")
         return _eye(context) is not None

@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from ..rasters.source_formats import FORMATS, SourceFormat
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from . import archives
 
 HEAD_BYTES = 1024  # the first record of a USGS DEM, which is text
@@ -16,8 +16,7 @@ def format_of(path: Path) -> SourceFormat | None:
     if form is None or not form.others:
         return form
     try:
-        with open_regular(path, links=True) as file:
-            return _choose(form, file.read(HEAD_BYTES))
+        return _choose(form, read_start(path, HEAD_BYTES))
     except OSError:  # opening it reports that
         return form
 

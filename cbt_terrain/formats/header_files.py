@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..rasters.rasterio_types import DatasetReader
 from ..rasters.source_formats import FORMATS
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 
 MAX_HEADER_BYTES = 1 << 20
 
@@ -46,13 +46,12 @@ def check_header(path: Path) -> Path:
             f"{shown(path)} has no header {shown(path.with_suffix('.hdr').name)} beside it",
             fix="put it there, or convert another kind of file to GeoTIFF (gdal_translate)",
         )
-    with open_regular(header, links=True) as file:
-        if file.read(4) == b"ENVI":
-            raise TerrainError(
-                f"{shown(path)} has an ENVI header",
-                expected="an ESRI header",
-                fix="write it as a GeoTIFF (gdal_translate)",
-            )
+    if read_start(header, 4) == b"ENVI":
+        raise TerrainError(
+            f"{shown(path)} has an ENVI header",
+            expected="an ESRI header",
+            fix="write it as a GeoTIFF (gdal_translate)",
+        )
     return header
 
 
@@ -61,8 +60,7 @@ def check_length(path: Path, header: Path, dataset: DatasetReader) -> None:
 
     dataset: the opened file, for its size and type.
     """
-    with open_regular(header, links=True) as file:
-        text = file.read(MAX_HEADER_BYTES).decode("latin-1")
+    text = read_start(header, MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)
     bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 0)) or 8 * np.dtype(dataset.dtypes[0]).itemsize
     needed = dataset.width * dataset.height * dataset.count * bits // 8 + (int(skipped[1]) if skipped else 0)

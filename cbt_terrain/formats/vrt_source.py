@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from ..errors import TerrainError, shown
 from ..field.lattice import lattice_for
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from ..run.owned_files import real_path
 
 MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
@@ -159,10 +159,8 @@ def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> P
         raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
     if source.suffix.lower() not in suffixes:
         raise TerrainError(what, expected=f"one of {', '.join(sorted(suffixes))}")
-    if source.suffix.lower() != ".vrt":
-        with open_regular(source, links=True) as file:
-            if file.read(4096).lstrip().startswith(b"<"):
-                raise TerrainError(f"{what}, which holds XML", expected="samples by its suffix")
+    if source.suffix.lower() != ".vrt" and read_start(source, 4096).lstrip().startswith(b"<"):
+        raise TerrainError(f"{what}, which holds XML", expected="samples by its suffix")
     return source
 
 
@@ -173,8 +171,7 @@ def _is_local(source: Path, path: Path) -> bool:
 
 def _parse(path: Path) -> ElementTree.Element:
     """Return the allowed elements of a VRT. Raises TerrainError for elements on neither list and for damaged XML."""
-    with open_regular(path, links=True) as file:
-        content = file.read(MAX_BYTES + 1)
+    content = read_start(path, MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         what = f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML"
         raise TerrainError(what, fix="cut it into several VRTs")

@@ -14,7 +14,7 @@ from ..rasters.coded_heights import PLAIN
 from ..rasters.raster import ImportSettings
 from ..rasters.sidecars import sidecars
 from ..run import child
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from ..sandbox.guard import guard
 from ..sandbox.store_job import ask, serve
 from .stack import file_identity
@@ -48,8 +48,7 @@ def load_image(file: str, folder: Path) -> np.ndarray:
 def _shape_in(array_file: Path) -> tuple[int, int] | None:
     """Return the rows and columns in the header of a .npy file; None if the file is missing or damaged."""
     try:
-        with open_regular(array_file) as handle:
-            found = re.search(rb"'shape': \((\d{1,9}), (\d{1,9})\)", handle.read(PAGE_BYTES))
+        found = re.search(rb"'shape': \((\d{1,9}), (\d{1,9})\)", read_start(array_file, PAGE_BYTES, links=False))
     except OSError:
         return None
     return None if found is None else (int(found[1]), int(found[2]))

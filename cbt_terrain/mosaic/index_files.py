@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from ..errors import TerrainError, shown
 from ..importing.source_list import MAX_FILES
 from ..rasters.source_formats import FORMATS
-from ..run.named_file import cause, open_regular, read_regular
+from ..run.named_file import cause, open_regular, read_regular, read_start
 
 MAX_XML_BYTES = 1 << 20
 SQLITE, XML = b"SQLite format 3\0", b"<"
@@ -43,8 +43,7 @@ def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
     column: the name of the column of paths, "" for one of the usual names. Raises OSError, ValueError, and the errors
     of the modules that parse the index.
     """
-    with open_regular(path, links=True) as file:
-        start = file.read(len(SQLITE))
+    start = read_start(path, len(SQLITE))
     if start == SQLITE:
         return _names_in_database(path, column), path, column
     if start.lstrip().startswith(XML):

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from .rasterio_types import DatasetReader
 
 # First bytes of files, and their kinds.
@@ -56,8 +56,7 @@ def float_alpha(dataset: DatasetReader, band: int) -> int:
 def content_hint(path: Path, driver: str) -> dict[str, str]:
     """Return the fields `expected` and `fix` of the error about a file that GDAL refuses, by its first bytes."""
     try:
-        with open_regular(path, links=True) as file:
-            head = file.read(16)
+        head = read_start(path, 16)
     except OSError:
         head = b""
     kind = next((name for start, name in CONTENTS if head.startswith(start)), "")

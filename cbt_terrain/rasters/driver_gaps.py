@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from .file_grid import FileGrid
 from .rasterio_types import DatasetReader
 
@@ -49,8 +49,7 @@ def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFact
 
     The file has a float32, of which seven digits count.
     """
-    with open_regular(path, links=True) as file:
-        (scale,) = struct.unpack_from("<f", file.read(256), BT_SCALE_AT)
+    (scale,) = struct.unpack_from("<f", read_start(path, 256), BT_SCALE_AT)
     if facts.unit or scale in BT_SCALES or not np.isfinite(scale):
         return facts
     return facts._replace(unit="m", factor=float(f"{scale:.7g}"))
@@ -62,8 +61,7 @@ def _correct_saga(path: Path, _dataset: DatasetReader, _band: int, facts: BandFa
     A factor that is 0 or no finite number counts as 1.
     """
     header = path.with_suffix(".sgrd")
-    with open_regular(header, links=True) as file:
-        text = file.read(MAX_HEADER_BYTES).decode("latin-1")
+    text = read_start(header, MAX_HEADER_BYTES).decode("latin-1")
     entries = dict(re.findall(r"(?m)^\s*(\w+)[ \t]*=[ \t]*(.*?)\s*$", text))
     try:
         factor = float(entries.get("Z_FACTOR") or 1.0)

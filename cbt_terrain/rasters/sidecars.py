@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ..errors import TerrainError, shown
-from ..run.named_file import open_regular
+from ..run.named_file import read_start
 from .rasterio_types import CRS
 
 AUX = ".aux.xml"
@@ -142,8 +142,7 @@ def named_crs(path: Path, notes: list[str]) -> CRS | None:
 def _content(file: Path) -> bytes:
     """Return the bytes of a sidecar. Raises TerrainError if it is too large or cannot be read."""
     try:
-        with open_regular(file, links=True) as opened:
-            content = opened.read(MAX_BYTES + 1)
+        content = read_start(file, MAX_BYTES + 1)
     except OSError as reason:
         what = f"{shown(file)} cannot be read ({reason.strerror or reason})"
         raise TerrainError(what, fix="change its permissions") from reason

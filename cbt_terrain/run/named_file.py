@@ -40,6 +40,12 @@ def open_regular(file: str | os.PathLike, links: bool = False) -> BufferedReader
     raise OSError("it is not a regular file")
 
 
+def read_start(file: str | os.PathLike, num_bytes: int, links: bool = True) -> bytes:
+    """Return the first `num_bytes` bytes of a regular file, or all of it. links: follow links. Raises OSError."""
+    with open_regular(file, links) as handle:
+        return handle.read(num_bytes)
+
+
 def read_regular(file: str | os.PathLike, max_bytes: int, links: bool = True) -> bytes:
     """Return the content of a regular file.
 

@@ -35,7 +35,7 @@ from ..field.lattice import lattice_for
 from ..field.store import Draft
 from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
 from ..run import owned_files, partial_files
-from ..run.named_file import open_regular, read_regular
+from ..run.named_file import open_regular, read_regular, read_start
 from .tile_grid import TILE_BITS, TileBox, TileGrid
 from .tile_records import MEASURED, READ, line_of, record_of
 
@@ -179,8 +179,7 @@ class TileWork:
         size = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
         if not owned_files.is_real_file(file) or os.lstat(file).st_size != size:
             return False
-        with open_regular(file) as reader:
-            return reader.read(PAGE_BYTES) == header(shape, dtype)
+        return read_start(file, PAGE_BYTES, links=False) == header(shape, dtype)
 
     def remove(self, name: str) -> None:
         """Remove the file of an array."""

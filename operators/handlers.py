@@ -201,8 +201,11 @@ def on_render_end(scene, _unused=None) -> None:
 
 @_unless_paused
 def on_depsgraph_update(scene, depsgraph) -> None:
-    """Mark the terrains for an update if an object, a camera or another type changed that they may depend on."""
-    if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
+    """Mark the terrains for an update if an object, a camera or another type changed that they may depend on.
+
+    A graph does not have the images of empties: Blender reports only that some image changed.
+    """
+    if depsgraph.id_type_updated("IMAGE") or any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
 

@@ -109,21 +109,30 @@ def _check_not_truncated(image, user: str) -> None:
 
 @persistent
 def forget_changed(_scene, depsgraph) -> None:
-    """Drop the cached values of images that have changed, and tag the terrains whose layers or displacement have them.
-
-    Without a cached value nothing has read the image, and nothing is tagged.
-    """
-    changed = {update.id.name_full for update in depsgraph.updates if isinstance(update.id, bpy.types.Image)}
-    read = [key for key in _read if key[0] in changed]
-    if not read:
-        return
-    for key in read:
+    """Drop the cached values of images that have changed. The next live update (handlers.py) reads them again."""
+    changed = _changed_images(depsgraph) if _read else set()
+    for key in [key for key in _read if key[0] in changed]:
         del _read[key]
-    for obj in bpy.data.objects:
-        settings = obj.adaptive_terrain
-        images = [settings.ground.image, *(i for layer in settings.layers for i in (layer.image, layer.detail.image))]
-        if any(image is not None and image.name_full in changed for image in images):
-            obj.update_tag()
+
+
+def _changed_images(depsgraph) -> set[str]:
+    """Return the full names of the images that may have changed by an update of a dependency graph.
+
+    The graph does not have the images of empties. Painting one reports no more than that some image has changed, so all
+    of them are in the result. Reloading one by a script updates its empty, without a transform.
+    """
+    changed, some = set(), depsgraph.id_type_updated("IMAGE")
+    for update in depsgraph.updates:
+        if isinstance(update.id, bpy.types.Image):
+            changed.add(update.id.name_full)
+        elif isinstance(update.id, bpy.types.Object) and not update.is_updated_transform:
+            changed |= _image_of_empty(update.id)
+    return changed.union(*map(_image_of_empty, bpy.data.objects)) if some else changed
+
+
+def _image_of_empty(obj) -> set[str]:
+    """Return the full name of the image of an empty in a set, which is empty for any other object."""
+    return {obj.data.name_full} if obj.type == "EMPTY" and obj.data is not None else set()
 
 
 @persistent

@@ -307,9 +307,18 @@ def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
 
 
 def wait_for_kernels(job: BackgroundJob) -> Steps:
-    """Yield until the kernels that an update needs are compiled, and load them.
+    """Yield until the kernels that an update needs are compiled, and load them. Raises JobStopped."""
+    while warmup.preparing():
+        job.raise_if_stopped()
+        yield
+    warmup.wait()
 
-    Raises JobStopped if the job's terrain is gone; another cancellation takes effect after these steps.
+
+def wait_with_result(job: BackgroundJob) -> Steps:
+    """Yield until the kernels of an update that shows the job's result are compiled, and load them.
+
+    A cancellation comes too late, because the files of the result are complete. Raises JobStopped only if the job's
+    terrain is gone.
     """
     while warmup.preparing():
         if job.is_orphan:

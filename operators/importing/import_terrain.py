@@ -221,7 +221,7 @@ class ImportOperator(JobOperator):
         """Import into the store `folder` in a child process; return the import's report and the path."""
         job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
-        yield from jobs.wait_for_kernels(job)  # the end of an import may update the mesh
+        yield from jobs.wait_with_result(job)  # the end of an import may update the mesh
         return report, folder
 
     def abandon(self) -> None:

@@ -121,7 +121,7 @@ class _Shaping(JobOperator):
         child, wanted = derived_store.begin_shaping(land, wanted)
         derived_store.counts["stores"] += 1  # for tests
         yield from jobs.run_in_child(job, child)
-        yield from jobs.wait_for_kernels(job)  # the end of shaping may update the mesh
+        yield from jobs.wait_with_result(job)  # the end of shaping may update the mesh
         derived_store.finish_shaping(land, wanted)
         return land
 

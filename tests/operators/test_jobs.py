@@ -159,3 +159,24 @@ def test_frames_are_visited_until_a_turn_is_over(monkeypatch):
     job.advance()
     job.stop()
     assert job.advance() and job.result is None and closed == [True, True]
+
+
+@pytest.mark.parametrize("wait", [jobs.wait_for_kernels, lambda job: jobs.prepare_kernels(job, [])])
+def test_a_cancel_does_not_wait_for_kernels(wait, preparing):
+    job = jobs.BackgroundJob(jobs.MEASURE, None, wait)
+    assert not job.advance() and not job.advance()
+    job.stop()
+    assert job.advance() and job.error == "" and not preparing.done.is_set()
+
+
+def test_a_complete_result_is_not_cancelled(preparing):
+    """Its files have been renamed into place, so it cannot be said that the store stays as it was."""
+    job = jobs.BackgroundJob(jobs.IMPORT, None, jobs.wait_with_result)
+    job.stop()
+    assert not job.advance()
+    preparing.done.set()
+    to_the_end(job)
+    orphan = jobs.BackgroundJob(jobs.IMPORT, None, jobs.wait_with_result)
+    preparing.done.clear()
+    orphan.is_orphan = True
+    assert orphan.advance()

@@ -102,6 +102,8 @@ class Fitter:
         self.scale = abs(self.placement[0])
         self.source = field.source_max * self.scale
         self.depth = max(1, usual_depth(field))
+        # Triangles at this depth are not split: this is the largest number of halvings that `raise_cells` gets.
+        assert (self.depth - field.lattice.cell_depth) // 2 <= raising.MAX_HALVINGS
         self.plain = refinable_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:

@@ -14,6 +14,8 @@ from ..unchecked import item_at, put
 PER_OCTAVE = wp.constant(16)
 MIN_ERROR = wp.constant(0.125)
 RAISED = wp.constant(1 + 4 * 16)
+# Largest `halvings` of `raise_cells`: its highest code is 225 then, and a code is at most 255.
+MAX_HALVINGS = 5
 
 
 @wp.func
@@ -76,8 +78,8 @@ def raise_cells(
     """Raise the codes of cell (i, j) and of cells around it, so that triangles after `halvings` of its sides are split.
 
     An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
-    cell more on every side is raised: a quarter of RAISED may split again; a sixteenth never does. codes: errors of all
-    diamonds. stack: scratch.
+    cell more on every side is raised: a quarter of RAISED may split again; a sixteenth never does. halvings: at most
+    MAX_HALVINGS. codes: errors of all diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1

@@ -7,10 +7,13 @@ from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.fit import fitter as fitter_room
 from adaptive_terrain.cbt_terrain.fit.fit import fit
+from adaptive_terrain.cbt_terrain.fit.fitter import Fitter
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.kernels.fitting import raising
 from fields import mesh_heights, reference_heights, rough, scattered
 from invariants import arrays, assert_invariants
 
@@ -237,3 +240,23 @@ def test_progress_goes_up_and_may_cancel():
 def test_the_requested_error_must_be_a_distance(error_m):
     with pytest.raises(TerrainError):
         fit(rough(9, 9), error_m)
+
+
+def test_raised_errors_fit_into_a_byte(monkeypatch):
+    """A wrapped code would merge triangles that are too coarse, and climb through every ancestor."""
+    make_codes, raised = Fitter._codes, []
+
+    def keep_codes(fitter, error_m):
+        made = make_codes(fitter, error_m)
+        raised.append((fitter, made[0]))
+        return made
+
+    monkeypatch.setattr(Fitter, "_codes", keep_codes)
+    y, x = np.mgrid[:9, :9]
+    assert_holds(field := from_array((1e3 * (x * y % 3)).astype(np.float32)), fit(field, 6.0), 6.0)
+    halvings = max((fitter.depth - field.lattice.cell_depth) // 2 for fitter, _ in raised)
+    assert halvings == 4 <= raising.MAX_HALVINGS and max(codes.max() for _, codes in raised) <= 193
+    assert raising.RAISED + raising.MAX_HALVINGS * 2 * raising.PER_OCTAVE == 225
+    monkeypatch.setattr(fitter_room, "usual_depth", lambda field: field.lattice.cell_depth + 12)
+    with pytest.raises(AssertionError):
+        fit(field, 6.0)

@@ -110,8 +110,7 @@ def _header_entry(name: str, kind: str, value: bytes) -> bytes:
 def comment_of(path: Path) -> str | None:
     """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one.
 
-    The offset of the last block is written last, so a file is complete if that block ends with the file. The file is a
-    square of whole blocks, as every map is.
+    The offset of the last block is written last, so a file is complete if that block ends with the file.
     """
     try:
         with open_regular(path, links=True) as file:
@@ -123,9 +122,9 @@ def comment_of(path: Path) -> str | None:
             text = start + len(COMMENT) + 8  # after the name and type, which end with 0
             (length,) = struct.unpack("<i", head[text : text + 4])
             window = head.find(b"dataWindow\0box2i\0") + 21  # after name, type and size
-            side = struct.unpack("<iiii", head[window : window + 16])[2] + 1
+            last_line = struct.unpack("<iiii", head[window : window + 16])[3]
             # The table follows the last entry (24 bytes of name and type, size, value) and the header's final 0.
-            file.seek(end + 33 + 8 * (side // BLOCK - 1))
+            file.seek(end + 33 + 8 * (last_line // BLOCK))
             (last,) = struct.unpack("<Q", file.read(8))
             file.seek(last + 4)  # a block: number of its first line, size, data
             (size,) = struct.unpack("<i", file.read(4))

@@ -3,6 +3,7 @@
 
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import OpenEXR
@@ -244,3 +245,16 @@ def test_a_decal_may_be_finer_than_the_samples(tmp_path):
         bake(field, asked, tmp_path / str(side), [side])
         shares.append(np.ptp(values(tmp_path / str(side), "color", 0)[..., 0]))
     assert shares[0] < 0.05 and shares[1] > 0.95
+
+
+@pytest.mark.parametrize(("side", "lines"), [(40, 7), (16, 33), (200, 48), (5, 5)])
+def test_an_exr_of_any_shape_has_its_comment(tmp_path, side, lines):
+    file = tmp_path / "map.exr"
+    with ThreadPoolExecutor(1) as pool:
+        exr_file = exr.ExrFile(file, side, 3, 16, "made by a test", pool, lines=lines)
+        exr_file.add(np.random.default_rng(0).random((lines, side, 3), np.float32))
+        exr_file.close()
+    whole = file.read_bytes()
+    assert exr.comment_of(file) == "made by a test"
+    file.write_bytes(whole[:-1])
+    assert exr.comment_of(file) is None

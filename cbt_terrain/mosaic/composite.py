@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mosaic import resample
+from ..errors import TerrainError
 from ..formats.archives import UnpackedFiles
 from ..formats.gdal_source import open_overview
 from ..importing.source_list import file_stat
@@ -354,8 +355,13 @@ class Composite:
         if rank not in self._open:
             tile = self.tiles[rank]
             tile.check_unchanged()
-            raster = self._open[rank] = open_tile(self._unpacked.path_of(Path(tile.path)), self._settings)
-            tile.check_header(raster)
+            raster = open_tile(self._unpacked.path_of(Path(tile.path)), self._settings)
+            try:
+                tile.check_header(raster)
+            except TerrainError:
+                raster.close()
+                raise
+            self._open[rank] = raster
             if len(self._open) > MAX_OPEN:
                 self._open.popitem(last=False)[1].close()
         self._open.move_to_end(rank)

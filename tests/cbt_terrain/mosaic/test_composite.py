@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Resampling of a mosaic: equal bits through any window, against an independent exact sampler."""
 
+from contextlib import closing
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic import mosaic_source, positions
@@ -308,3 +312,13 @@ def test_a_finer_file_below_a_coarser_one_is_named(tmp_path):
     [text] = warned.pop(("below", "order"))
     assert text.startswith("a.tif lies below") and "--priority resolution" in text
     assert not any(warned.values())
+
+
+def test_a_file_whose_header_has_changed_stays_refused(three):
+    """The second read used its raster unchecked."""
+    with closing(open_composite(settings_of(*three[0]), None)) as composite:
+        composite.tiles[0] = replace(composite.tiles[0], width=composite.tiles[0].width + 1)
+        for _ in range(2):
+            with pytest.raises(TerrainError, match="as before.*import again when it is complete"):
+                composite.tile_window(0, 0, 2, 0, 2)
+        assert not composite._open

@@ -153,6 +153,6 @@ def _place_by_middle(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
         return [f"{systems}, and it stays where it is ({error.what}): import it with that system as Reproject."]
     ((obj.location.x, obj.location.y),) = from_crs(origin.place, np.array([there])).tolist()
     return [
-        f"{systems}: it is placed by its middle, and turned and scaled by up to the difference of both systems. Import "
-        "it with the scene's system as Reproject to have all of it in the right place."
+        f"{systems}, which differ in direction and scale: only the terrain's origin is in the right place. To place "
+        "all of it exactly, import it with the scene's system as Reproject."
     ]

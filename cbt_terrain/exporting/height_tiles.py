@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Height rasters and masks in tiles for game engines, and one JSON file with their scale and position.
 
-Samples are points of the terrain's surface without displacement. Integer formats share one scale and one offset:
+Samples are points of the terrain's surface without displacement, also in finer tiles. Integer formats share one scale and one offset:
 height = offset + scale * number. The largest difference to the surface is counted while the tiles are written.
 """
 
@@ -19,13 +19,15 @@ import numpy as np
 from ..attributes.attribute import AttributeRequest, SamplePoints
 from ..attributes.catalogue import ATTRIBUTES
 from ..attributes.evaluate import values_at
+from ..attributes.exr import BLOCK
+from ..attributes.finer_pyramid import min_level
 from ..attributes.splat import NAMES as SPLATS
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
 from ..field.store_folder import check_no_description
 from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
 from ..importing.placing import Placing, placing_or_middle
-from ..query.ground import ground_at
+from ..query.grid import heights_on_grid
 from ..run import launch, stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import written_beside
@@ -48,7 +50,8 @@ class HeightTiles:
     Attributes:
         form: a suffix of FORMATS without its dot.
         size: samples of a tile's side, 0 for one tile.
-        tiles: numbers of tiles that cover the terrain exactly; None keeps the spacing of the samples.
+        step: metres between samples, 0 for those of the raster.
+        tiles: numbers of tiles that cover the terrain exactly, instead of a step; None keeps the step.
         overlap: samples that neighbours share.
         is_flipped: whether the first row of a tile, and the first row of tiles, are the southern ones.
         pattern: name of a tile without suffix, with {name}, {x} and {y}; `name` is the first of these.
@@ -61,6 +64,7 @@ class HeightTiles:
     is_flipped: bool = False
     name: str = "terrain"
     pattern: str = PATTERN
+    step: float = 0.0
 
 
 # Lowest and highest value of no values, which `_Layer.widen` extends.
@@ -121,57 +125,57 @@ class _Samples:
     """Heights, attributes and holes at the samples of a grid, in blocks.
 
     Attributes:
-        field, filled: the terrain without displacement, the latter also without holes.
+        field: the terrain without displacement.
         axes: the grid's samples from west to east, and from its first row to its last.
         x, y: coordinates of its columns and rows in the terrain, metres.
         layers: rasters to write, heights first; a later one without a source is the mask of holes.
-        level: log2 of the raster's samples per sample of the grid, over which attributes are averaged.
+        level: log2 of the raster's samples per sample of the grid, over which attributes are averaged; below 0 in
+            finer tiles.
     """
 
     def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[_Layer], flipped: bool):
         """Locate the grid's columns and rows in the terrain. `flipped`: row 0 is the south."""
         self.field, self.layers = with_detail(field, detail=None), layers
-        self.filled = self.field.with_raster(valid=None)
-        self.axes, self.threads = axes, launch.default_threads()
+        self.axes, self.threads, self._flipped = axes, launch.default_threads(), flipped
         west, south, _, north = field.lattice.rectangle()
         self.x = west + axes[0].places
         self.y = south + axes[1].places if flipped else north - axes[1].places
         steps = axes[0].spacing / field.lattice.step_x, axes[1].spacing / field.lattice.step_y
-        self.level = max(0.0, math.log2(max(steps)))
+        self.level = max(float(min_level(field.raster)), math.log2(max(steps)))
 
     def block(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
         """Return the values of a block: heights, metres, with holes filled; where ground is; values of layers.
 
         All arrays are [rows, columns]: float64, bool (None without holes), and float64 for each layer after the first.
         """
-        x, y = np.meshgrid(self.x[columns], self.y[rows])
-        points, shape = np.stack([x.ravel(), y.ravel()], -1), x.shape
-        heights = ground_at(self.filled, points, threads=self.threads).heights
-        inside = None
-        if self.field.valid is not None:
-            inside = ground_at(self.field, points, threads=self.threads).inside.reshape(shape)
+        across = self.axes[0].grid.positions(columns.start, columns.stop)
+        down = self.axes[1].grid.positions(rows.start, rows.stop, is_reversed=not self._flipped)
+        heights, inside = heights_on_grid(self.field, across, down, self.threads)
         requests = list({layer.source.name: layer.source for layer in self.layers if layer.source}.values())
-        positions = np.column_stack([points, heights]).astype(np.float32)
-        level = np.full(len(points), self.level, np.float32)
-        attributes = values_at(SamplePoints(self.field, positions, level, threads=self.threads), requests)
+        attributes = {}
+        if requests:
+            x, y = np.meshgrid(self.x[columns], self.y[rows])
+            positions = np.stack([x.ravel(), y.ravel(), heights.ravel()], -1).astype(np.float32)
+            level = np.full(len(positions), self.level, np.float32)
+            attributes = values_at(SamplePoints(self.field, positions, level, threads=self.threads), requests)
         values = []
         for layer in self.layers[1:]:
-            if layer.source is None:
-                assert inside is not None  # the layer of holes
+            if layer.source is None:  # the layer of holes
                 values.append(1.0 - inside)
             else:
-                channel_values = attributes[layer.source.name].reshape(*shape, -1)[..., layer.channel]
+                channel_values = attributes[layer.source.name].reshape(*heights.shape, -1)[..., layer.channel]
                 values.append(channel_values.astype(np.float64))
-        return heights.reshape(shape), inside, values
+        return heights, inside if self.field.valid is not None else None, values
 
     def row_blocks(self, first: int, end: int) -> Iterator[slice]:
-        """Yield the rows `first` to `end` (exclusive) in slices of at most LINES.
+        """Yield the rows `first` to `end` (exclusive) in slices of at most LINES, of fewer for a wide tile.
 
         A request to stop raises between them.
         """
-        for row in range(first, end, LINES):
+        lines = min(max(LINES * MAX_COLUMNS // self.axes[0].size // BLOCK, 1) * BLOCK, LINES)
+        for row in range(first, end, lines):
             stopping.check()
-            yield slice(row, min(row + LINES, end))
+            yield slice(row, min(row + lines, end))
 
     def groups(self) -> Iterator[range]:
         """Yield the columns of the tiles of a row in groups whose files and samples fit into memory together."""
@@ -195,7 +199,7 @@ def export_height_tiles(
 ) -> dict:
     """Write the tiles of a store's field and NAME.json into the folder `out`; return the content of that file.
 
-    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError, also for finer tiles.
+    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError.
     """
     suffix = f".{settings.form.lower()}"
     if suffix not in FORMATS:
@@ -205,8 +209,7 @@ def export_height_tiles(
     if not out.is_dir():
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
     check_no_description(out / f"{settings.name}.json")
-    field.raster.check_no_finer("The export of height tiles")
-    axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap)
+    axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap, settings.step)
     layers = [_Layer("", FORMATS[suffix], suffix), *_mask_layers(masks)]
     if field.valid is not None:
         layers.append(_Layer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.lattice import Lattice
+from ..query.grid import GridAxis, grid_axes
 
 MAX_TILE, MAX_TILES = 32_768, 10_000
 # Samples a side that fill Unreal's landscape components completely (Landscape Technical Guide).
@@ -23,15 +24,23 @@ class TileAxis:
         size: samples of a tile.
         tiles: number of tiles.
         overlap: samples that neighbouring tiles share.
-        spacing: metres between samples.
-        length: metres of the terrain. Samples beyond repeat the border.
+        grid: positions of the samples on the terrain. Samples beyond repeat the border.
     """
 
     size: int
     tiles: int
     overlap: int
-    spacing: float
-    length: float
+    grid: GridAxis
+
+    @property
+    def spacing(self) -> float:
+        """Return the distance between samples, metres."""
+        return self.grid.spacing
+
+    @property
+    def length(self) -> float:
+        """Return the length of the terrain, metres."""
+        return self.grid.length
 
     @property
     def total(self) -> int:
@@ -41,7 +50,7 @@ class TileAxis:
     @property
     def inside(self) -> int:
         """Return the number of samples on the terrain; those beyond repeat its border."""
-        return min(self.total, round(self.length / self.spacing) + 1)
+        return min(self.total, self.grid.inside)
 
     def first(self, tile: int) -> int:
         """Return the first sample of a tile; neighbours share `overlap` samples."""
@@ -53,17 +62,20 @@ class TileAxis:
         return np.minimum(np.arange(self.total) * self.spacing, self.length)
 
 
-def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap: int) -> tuple[TileAxis, TileAxis]:
+def axes_of(
+    lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap: int, step: float = 0.0
+) -> tuple[TileAxis, TileAxis]:
     """Return the axes from west to east and between north and south.
 
     Raises TerrainError for sizes and overlaps out of range, and for more than MAX_TILES tiles.
 
     Args:
         lattice: the terrain's lattice.
-        size: samples of a tile's side; 0 for one tile with the samples of the raster.
+        size: samples of a tile's side; 0 for one tile.
         tiles: number of tiles along x and y that cover the terrain exactly, with another spacing of the samples; None
-            keeps the raster's spacing, and the last tiles reach beyond its border.
+            for samples `step` apart, and the last tiles reach beyond its border.
         overlap: samples that neighbouring tiles share, 0 or 1.
+        step: metres between samples, 0 for those of the raster.
     """
     if overlap not in (0, 1):
         raise TerrainError(f"Tiles overlap by {overlap} samples", expected="0 or 1")
@@ -71,9 +83,10 @@ def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap:
         raise TerrainError(f"A tile has {size} samples a side", expected=f"2 to {MAX_TILE:,}")
     if tiles and not size:
         raise TerrainError("The number of tiles has no size of a tile", expected="samples a side, as 1009")
+    if tiles and step:
+        raise TerrainError("The number of tiles and the step of samples exclude each other", fix="leave one out")
     counts = tiles or (0, 0)
-    lines = (lattice.width, lattice.step_x), (lattice.height, lattice.step_y)
-    axes = tuple(_axis(*line, size, count, overlap) for line, count in zip(lines, counts, strict=True))
+    axes = tuple(_axis(*each, size, overlap) for each in zip(grid_axes(lattice, step), counts, strict=True))
     if axes[0].tiles * axes[1].tiles > MAX_TILES:
         raise TerrainError(
             f"These are {axes[0].tiles:,} x {axes[1].tiles:,} tiles",
@@ -83,16 +96,17 @@ def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap:
     return axes[0], axes[1]
 
 
-def _axis(samples: int, step: float, size: int, count: int, overlap: int) -> TileAxis:
-    """Return the tiles along an axis of `samples` samples, `step` metres apart.
+def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
+    """Return the tiles along an axis with the samples of a grid.
 
-    `size`: samples of a tile, 0 for a single tile. `count`: tiles that end at the border exactly, 0 to keep the step.
+    `count`: tiles that end at the border exactly, with a grid of their own; 0 to keep the grid. `size`: samples of a
+    tile, 0 for a single tile.
     """
-    length = (samples - 1) * step
     if not size:
-        return TileAxis(samples, 1, overlap, step, length)
+        return TileAxis(grid.inside, 1, overlap, grid)
     stride = size - overlap
     if not count:
-        return TileAxis(size, max(1, math.ceil((samples - overlap) / stride)), overlap, step, length)
+        return TileAxis(size, max(1, math.ceil((grid.inside - overlap) / stride)), overlap, grid)
     # The tiles have count * stride + overlap samples together.
-    return TileAxis(size, count, overlap, length / (count * stride + overlap - 1), length)
+    fitted = GridAxis(grid.samples, grid.step, grid.samples - 1, count * stride + overlap - 1)
+    return TileAxis(size, count, overlap, fitted)

@@ -2,11 +2,12 @@
 """Export of heights and layers of a store as rasters: float32 GeoTIFF with the georeference, or OpenEXR.
 
 Heights go to `heights.tif` and each layer to `heights_NAME.tif`. The first row is the northern one, a pixel's centre is
-a sample, holes are NaN. GDAL writes in a child process, since it clashes with Blender.
+a sample, holes are NaN. Samples have the raster's step or another one, and in finer tiles the heights of these. GDAL
+writes in a child process, since it clashes with Blender.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,13 +21,13 @@ from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
+from ..query.grid import GridAxis, grid_axes
 from ..run import child
 from ..run.partial_files import is_device, remove_abandoned, written_beside
 from ..sandbox.store_job import Tell, ask, serve
+from .exported_rows import HEIGHTS, LINES, ExportedRows
 
 MODULE = "cbt_terrain.height_operators.export"
-LINES = 256  # whole blocks of either format
-HEIGHTS = "heights"
 OnProgress = Callable[[float], None]
 
 
@@ -35,15 +36,17 @@ def export_raster(
     file: str | os.PathLike,
     names: tuple[str, ...] | None = None,
     on_progress: OnProgress = lambda _fraction: None,
+    step: float = 0.0,
 ) -> list[Path]:
     """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
-    names: those to write of HEIGHTS and the names of layers, None for all. on_progress(fraction) is called repeatedly;
+    names: those to write of HEIGHTS and the names of layers, None for all. step: metres between samples, 0 for those of
+    the raster. on_progress(fraction) is called repeatedly;
     an exception from it stops the export, and the file that it writes is not left; complete files stay.
     """
     file = check_export(file)
     field = open_store(store)
-    field.raster.check_no_finer("The export of heights")
+    grid_axes(field.lattice, step)  # raises TerrainError before any file is written
     known = (HEIGHTS, *field.layers)
     for name in names or ():
         if name not in known:
@@ -51,7 +54,7 @@ def export_raster(
     files = {name: _file_of(file, name) for name in names or known}
     if HEIGHTS in files:
         field.raster.check_samples()
-    WRITERS[file.suffix.lower()](field, Path(store), files, on_progress)
+    WRITERS[file.suffix.lower()](field, Path(store), files, on_progress, step)
     return list(files.values())
 
 
@@ -73,48 +76,39 @@ def _file_of(file: Path, name: str) -> Path:
     return file if name == HEIGHTS else file.with_name(f"{file.stem}_{name}{file.suffix}")
 
 
-def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
-    """Return at most LINES lines from line `first` on, counted from the north, float32 [lines, columns].
+def _strips(rows: ExportedRows, number: int, count: int, on_progress: OnProgress) -> Iterator[np.ndarray]:
+    """Yield the strips of the layer `number` of `count`; call on_progress(fraction) after each.
 
-    name: HEIGHTS or a layer's.
+    The fraction is that of all layers.
     """
-    end = field.lattice.height - first  # rows of the field are counted from the south
-    rows = slice(max(end - LINES, 0), end)
-    found = np.array(field.heights(rows) if name == HEIGHTS else field.layers[name][rows], np.float32)
-    if field.valid is not None:
-        found[field.valid[rows] == 0] = np.nan
-    return found[::-1]
+    done, height = 0, rows.axes[1].inside
+    for strip in rows.strips():
+        yield strip
+        done += len(strip)
+        on_progress((number + done / height) / count)
 
 
-def _strips(field: HeightField, names: Sequence[str], number: int, on_progress: OnProgress) -> Iterator[np.ndarray]:
-    """Yield the rows of the layer names[number] in strips of LINES rows, from the north.
-
-    on_progress(fraction) is called after each strip with the fraction of all layers.
-    """
-    firsts = range(0, field.lattice.height, LINES)
-    for k, first in enumerate(firsts):
-        yield _rows(field, names[number], first)
-        on_progress((number + (k + 1) / len(firsts)) / len(names))
-
-
-def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
+def _write_exrs(
+    field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress, step: float
+) -> None:
     """Write heights and layers as OpenEXR files. files: the file of each, by HEIGHTS or a layer's name."""
-    for number, path in enumerate(files.values()):
-        _write_exr(field, _strips(field, list(files), number, on_progress), path)
+    for number, (name, path) in enumerate(files.items()):
+        rows = ExportedRows(field, name, step)
+        _write_exr(rows, _strips(rows, number, len(files), on_progress), path)
 
 
-def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> None:
+def _write_exr(rows: ExportedRows, strips: Iterable[np.ndarray], path: Path) -> None:
     """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits.
 
     strips: arrays of LINES rows, from the north; the last may be shorter. Raises TerrainError.
     """
-    lattice = field.lattice
+    width, height = (axis.inside for axis in rows.axes)
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
-            exr = ExrFile(partial, lattice.width, channels=1, depth=32, text="", pool=pool, lines=lattice.height)
+            exr = ExrFile(partial, width, channels=1, depth=32, text="", pool=pool, lines=height)
             try:
-                for rows in strips:
-                    exr.add(rows[..., None])
+                for strip in strips:
+                    exr.add(strip[..., None])
                 exr.close()
             finally:
                 exr.abandon()
@@ -122,12 +116,15 @@ def _write_exr(field: HeightField, strips: Iterable[np.ndarray], path: Path) -> 
         raise unwritable(str(path), reason) from reason
 
 
-def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path], on_progress: OnProgress) -> None:
+def _write_tiffs(
+    _field: HeightField, store: Path, files: dict[str, Path], on_progress: OnProgress, step: float
+) -> None:
     """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
 
     files: the file of each, by HEIGHTS or its name. Raises TerrainError.
     """
     request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
+    request |= {"step": step}
     try:
         ask(MODULE, request, f"the store {store}", lambda fraction, _message: on_progress(fraction))
     except BaseException:  # a killed child leaves its partial file
@@ -215,15 +212,15 @@ class RasterFormat:
         open: open(path, shape, dtype, pool) returns a RowFile.
         finish: finish(paths, shapes) completes files that `open` has written, None if nothing is left to do.
         keeps_missing: whether NaN marks missing samples; they are filled in other formats.
-        export: export(field, store, files, on_progress) writes rasters of a whole store, None if `export_raster` does
-            not offer it.
+        export: export(field, store, files, on_progress, step) writes rasters of a whole store, None if `export_raster`
+            does not offer it.
     """
 
     dtype: np.dtype
     open: Callable[[Path, RasterShape, np.dtype, Executor], RowFile]
     finish: Callable[[Iterable[Path], Iterable[RasterShape]], None] | None = None
     keeps_missing: bool = False
-    export: Callable[[HeightField, Path, dict[str, Path], OnProgress], None] | None = None
+    export: Callable[[HeightField, Path, dict[str, Path], OnProgress, float], None] | None = None
 
     @property
     def is_integer(self) -> bool:
@@ -260,17 +257,23 @@ def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -
     if "raws" in request:
         for raw in request["raws"]:
             shape = RasterShape(**raw["shape"])
-            samples = np.fromfile(raw["path"], "<f4").reshape(shape.height, shape.width)
-            strips = (samples[first : first + LINES] for first in range(0, shape.height, LINES))
-            _write_tiff(Path(raw["path"]), strips, shape)
+            _write_tiff(Path(raw["path"]), _raw_strips(raw["path"], shape), shape)
         return []
     field = open_store(request["store"])
-    transform, crs = _georeference(field, request["store"])
-    names, lattice, missing = list(request["files"]), field.lattice, field.valid is not None
+    missing, count = field.valid is not None, len(request["files"])
     for number, (name, path) in enumerate(request["files"].items()):
-        shape = RasterShape(lattice.width, lattice.height, transform[:6], crs, missing, name)
-        _write_tiff(Path(path), _strips(field, names, number, lambda fraction: tell(fraction, "Writing")), shape)
+        rows = ExportedRows(field, name, request["step"])
+        transform, crs = _georeference(field, request["store"], rows.axes)
+        shape = RasterShape(rows.axes[0].inside, rows.axes[1].inside, transform[:6], crs, missing, name)
+        _write_tiff(Path(path), _strips(rows, number, count, lambda fraction: tell(fraction, "Writing")), shape)
     return list(request["files"].values())
+
+
+def _raw_strips(path: str, shape: RasterShape) -> Iterator[np.ndarray]:
+    """Yield the rows of a RAW file of float32 in strips of LINES."""
+    for first in range(0, shape.height, LINES):
+        count = min(LINES, shape.height - first) * shape.width
+        yield np.fromfile(path, "<f4", count, offset=4 * first * shape.width).reshape(-1, shape.width)
 
 
 def _write_tiff(path: Path, strips: Iterable[np.ndarray], shape: RasterShape) -> None:
@@ -297,10 +300,10 @@ def _write_tiff(path: Path, strips: Iterable[np.ndarray], shape: RasterShape) ->
         raise unwritable(str(path), reason) from reason
 
 
-def _georeference(field: HeightField, store: str) -> tuple:
+def _georeference(field: HeightField, store: str, axes: tuple[GridAxis, GridAxis]) -> tuple:
     """Return the transform from pixels to coordinates and the coordinate system, "" if it has no name.
 
-    For a terrain without a system, rotated against it, or with an extent set by the user, coordinates are metres from
+    axes: positions of columns and rows. For a terrain without a system, rotated against it, or with an extent set by the user, coordinates are metres from
     the centre.
     """
     from rasterio.transform import Affine
@@ -313,5 +316,7 @@ def _georeference(field: HeightField, store: str) -> tuple:
             crs = field.crs
             metres_x, metres_y = unit_lengths(field)
             step_x, step_y = step_x / metres_x, step_y / metres_y
-    west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y
-    return Affine(step_x, 0.0, west, 0.0, -step_y, north), crs
+    west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y  # of the raster's pixels
+    across, down = (axis.num * cell / axis.den for axis, cell in zip(axes, (step_x, step_y), strict=True))
+    west, north = west + (step_x - across) / 2, north - (step_y - down) / 2
+    return Affine(across, 0.0, west, 0.0, -down, north), crs

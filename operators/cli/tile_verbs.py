@@ -22,7 +22,9 @@ def add_tiles(make_verb, subparsers) -> None:
     verb.add_argument("--format", choices=forms, default="png", help="png and r16: 16 bits; others: float32 (png)")
     sizes = f"samples of a tile's side; Unreal: {', '.join(map(str, UNREAL_SIZES))} (one tile, as the raster)"
     verb.add_argument("--size", type=count, default=0, metavar="N", help=sizes)
-    fitted = "tiles east and south that cover the terrain exactly; without it the raster's spacing is kept"
+    step = "metres between samples, those of finer files included (the raster's step)"
+    verb.add_argument("--step", type=positive(MAX_ERROR_M), default=0.0, metavar="METRES", help=step)
+    fitted = "tiles east and south that cover the terrain exactly, instead of a step"
     verb.add_argument("--tiles", type=pair("x", int, MAX_INT), metavar="NxM", help=fitted)
     verb.add_argument("--overlap", type=int, choices=(0, 1), default=1, help="samples that neighbours share (1)")
     verb.add_argument("--flip", action="store_true", help="the first row of samples and tiles is the southern one")
@@ -49,6 +51,7 @@ def run_tiles(arguments) -> None:
     settings = HeightTiles(
         form=arguments.format,
         size=arguments.size,
+        step=arguments.step,
         tiles=arguments.tiles,
         overlap=arguments.overlap,
         is_flipped=arguments.flip,

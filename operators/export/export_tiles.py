@@ -14,7 +14,7 @@ from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
 from ...cbt_terrain.height_operators.export import FORMATS, WRITERS, check_export, export_raster
 from ...cbt_terrain.run import stopping
-from ...kernels.query import ground
+from ...kernels.query import grid
 from .. import jobs
 from ..attributes.request import gather_effects
 from ..bridge.evaluated import raster_placement_of
@@ -46,6 +46,18 @@ def mask_requests(obj, depsgraph, field) -> tuple:
         gather_effects(obj, evaluated, raster_placement_of(evaluated), depsgraph, RENDER, names).requests
         if names
         else ()
+    )
+
+
+def step_property():
+    """Return the property for the distance between exported heights."""
+    return bpy.props.FloatProperty(
+        name="Step",
+        description="Distance between exported heights; 0 for that of the height map, also where finer files are",
+        default=0.0,
+        min=0.0,
+        unit="LENGTH",
+        precision=3,
     )
 
 
@@ -115,20 +127,25 @@ class ExportHeights(LandExport, bpy.types.Operator):
     filename_ext = ".tif"
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in WRITERS), options={"HIDDEN"})
+    step: step_property()
 
     def check_file(self) -> None:
         """Raise TerrainError if the file is of no format for heights, or cannot be written."""
         check_export(self.filepath)
 
     def prepare(self, _obj, _depsgraph, field):
-        """Return no kernels, and a function that writes heights and layers as rasters named after the chosen file."""
+        """Return the kernels of points between samples, and a function that writes heights and layers as rasters.
+
+        The rasters are named after the chosen file.
+        """
 
         def write(on_progress) -> str:
             """Write the files, and return their names."""
-            files = export_raster(field.path, self.filepath, on_progress=on_progress)
+            files = export_raster(field.path, self.filepath, on_progress=on_progress, step=step)
             return f"Written: {', '.join(file.name for file in files)}"
 
-        return [], write
+        step = self.step
+        return [grid] if step or field.raster.finer else [], write
 
 
 class ExportHeightTiles(LandExport, bpy.types.Operator):
@@ -147,6 +164,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
     free_size: bpy.props.IntProperty(
         name="Samples", description="Number of heights along each side of a tile", default=513, min=2, max=MAX_TILE
     )
+    step: step_property()
     fit: bpy.props.BoolProperty(
         name="Fit Number of Tiles",
         description="Change the distance between heights so that a given number of tiles covers the land exactly",
@@ -177,17 +195,20 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
     )
 
     def draw(self, _context):
-        """Draw the options of the tiles; the fixed size and the fit apply unless the whole raster is one tile."""
+        """Draw the options of the tiles. The fit applies unless the whole land is one tile, the step without a fit."""
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "size")
         if self.size == FREE:
             column.prop(self, "free_size")
+        fits = self.fit and self.size != WHOLE
         if self.size != WHOLE:
             column.prop(self, "fit")
-            if self.fit:
+            if fits:
                 column.prop(self, "tiles")
             column.prop(self, "overlap")
+        if not fits:
+            column.prop(self, "step")
         for name in ("flip", "masks", "pattern"):
             column.prop(self, name)
 
@@ -197,10 +218,12 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
         They are named after the chosen file, in its folder.
         """
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}  # 0: one tile
+        fits = self.fit and self.size != WHOLE
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
             size=sizes[self.size] if self.size in sizes else int(self.size),
-            tiles=tuple(self.tiles) if self.fit and self.size != WHOLE else None,
+            tiles=tuple(self.tiles) if fits else None,
+            step=0.0 if fits else self.step,
             overlap=self.overlap,
             is_flipped=self.flip,
             name=path.stem,
@@ -213,7 +236,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
             index = export_height_tiles(field, path.parent, settings, masks, on_progress)
             return height_tiles_line(settings.name, index)
 
-        return [ground, *kernels_of(plan(masks))], write
+        return [grid, *kernels_of(plan(masks))], write
 
 
 class ExportTileset(LandExport, bpy.types.Operator):

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights on a grid of evenly spaced samples, exact where they are samples of the raster or of its finer tiles."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...kernels.query import grid as kernels
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+from ..run import launch
+from ..run.buffers import shared
+from .surface import pack_surface
+
+SNAPPED = 1e-5  # a step that differs by less, relatively, from a simple part of the raster's is taken for that part
+MAX_DENOMINATOR = 1 << 20
+MAX_SAMPLES = 1 << 30  # along a side
+COST = 2.0  # of a height, times dearer than a lookup
+
+
+class CellPositions(NamedTuple):
+    """Positions along one axis of a raster: cells, int32 [n], and places in them, float64 [n], 0 .. 1."""
+
+    cells: np.ndarray
+    parts: np.ndarray
+
+
+@dataclass(frozen=True)
+class GridAxis:
+    """Evenly spaced positions along one axis of a raster, from one of its borders on.
+
+    Attributes:
+        samples: of the raster.
+        step: metres between them.
+        num, den: positions are num / den cells of the raster apart.
+    """
+
+    samples: int
+    step: float
+    num: int = 1
+    den: int = 1
+
+    @property
+    def length(self) -> float:
+        """Return the length of the raster, metres."""
+        return (self.samples - 1) * self.step
+
+    @property
+    def spacing(self) -> float:
+        """Return the distance of two positions, metres."""
+        return self.num * self.step / self.den
+
+    @property
+    def inside(self) -> int:
+        """Return the number of positions on the raster."""
+        return (self.samples - 1) * self.den // self.num + 1
+
+    def positions(self, first: int, end: int, is_reversed: bool = False) -> CellPositions:
+        """Return the positions `first` to `end` (exclusive); those beyond the raster are at its other border.
+
+        is_reversed: count positions from the raster's last sample backwards.
+        """
+        last = (self.samples - 1) * self.den
+        at = np.minimum(np.arange(first, end, dtype=np.int64) * self.num, last)
+        at = last - at if is_reversed else at
+        cells = np.minimum(at // self.den, self.samples - 2)
+        return CellPositions(cells.astype(np.int32), (at - cells * self.den) / self.den)
+
+
+def grid_axes(lattice: Lattice, step: float = 0.0) -> tuple[GridAxis, GridAxis]:
+    """Return the axes along x and y of a grid over a raster. step: metres between samples; 0 for those of the raster.
+
+    A step that is nearly a simple part or multiple of the raster's becomes one, so samples coincide. Raises
+    TerrainError for a step with fewer than two samples along a side or more than MAX_SAMPLES.
+    """
+    sides = (lattice.width, lattice.step_x), (lattice.height, lattice.step_y)
+    if not step:
+        return GridAxis(*sides[0]), GridAxis(*sides[1])
+    shortest, longest = (end((samples - 1) * cell for samples, cell in sides) for end in (min, max))
+    if not longest / MAX_SAMPLES < step <= shortest * (1.0 + SNAPPED):
+        expected = f"more than {longest / MAX_SAMPLES:.3g} and at most {shortest:g} m"
+        raise TerrainError(f"The step of exported heights is {step:g} m", expected=expected)
+    across, down = (GridAxis(samples, cell, *_ratio_of(step / cell)) for samples, cell in sides)
+    return across, down
+
+
+def _ratio_of(cells: float) -> tuple[int, int]:
+    """Return a number of cells as a ratio of two integers, of which one is 1 if it nearly is."""
+    whole = max(round(cells), 1), max(round(1.0 / cells), 1)
+    if min(whole) == 1 and abs(cells * whole[1] / whole[0] - 1.0) < SNAPPED:
+        return whole
+    ratio = Fraction(cells).limit_denominator(MAX_DENOMINATOR)
+    return ratio.numerator, ratio.denominator
+
+
+def heights_on_grid(
+    field: HeightField, columns: CellPositions, rows: CellPositions, threads: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights of all rows and columns, float64 [rows, columns] metres, and where there is ground, bool.
+
+    Holes have heights, too. The displacement of the field is included.
+    """
+    surface, shape = pack_surface(field, 1.0, 0.0), (len(rows.cells), len(columns.cells))
+    heights, inside = np.empty(shape), np.empty(shape, bool)
+    inputs = [surface, shared(columns.cells, wp.int32), shared(columns.parts, wp.float64)]
+    inputs += [shared(rows.cells, wp.int32), shared(rows.parts, wp.float64)]
+    inputs += [shared(heights.reshape(-1), wp.float64), shared(inside.reshape(-1), wp.bool)]
+    launch.spread(kernels.grid_heights, shape[0], inputs, step="query", threads=threads, cost=COST * shape[1])
+    return heights, inside

@@ -52,7 +52,7 @@ def mask_requests(obj, depsgraph, field) -> tuple:
 def step_property():
     """Return the property for the distance between exported heights."""
     return bpy.props.FloatProperty(
-        name="Step",
+        name="Sample Step",
         description="Distance between exported heights; 0 for that of the height map, also where finer files are",
         default=0.0,
         min=0.0,

@@ -12,7 +12,6 @@ from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.mosaic import finer_plan
@@ -164,7 +163,6 @@ def test_what_needs_one_step_says_how_to_get_it(country, tmp_path):
     for action in (
         lambda: interpolated(open_store(store), "bicubic"),
         lambda: run_shape(store, stack, tmp_path / "land"),
-        lambda: export_raster(store, tmp_path / "heights.tif"),
     ):
         with pytest.raises(TerrainError, match="finer tiles.*--step"):
             action()

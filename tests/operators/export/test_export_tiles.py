@@ -130,7 +130,8 @@ def test_an_export_stops_within_a_level(export, monkeypatch):
 @pytest.fixture
 def heights(terrain, tmp_path):
     """Return a function that starts the export of heights in a window, to a file with a suffix."""
-    return lambda suffix: running(ExportHeights, terrain, filepath=str(tmp_path / f"land{suffix}"), is_chosen=True)
+    options = {"is_chosen": True, "step": 0.0}
+    return lambda suffix: running(ExportHeights, terrain, filepath=str(tmp_path / f"land{suffix}"), **options)
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".exr"])

@@ -4,6 +4,7 @@
 import bpy
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.attributes.folder import read_index
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import build
@@ -95,3 +96,25 @@ def test_a_bicubic_terrain_with_finer_tiles_names_the_remedy(scene, add_terrain,
     obj.adaptive_terrain.store, obj.adaptive_terrain.interpolation = city, "bicubic"
     with pytest.raises(TerrainError, match=r"finer tiles.*--step"):
         session.update_object(obj)
+
+
+def read_pixels(path):
+    with rasterio.open(path) as file:
+        return file.read(1)
+
+
+def test_exported_heights_are_those_of_the_finer_tiles(scene, add_terrain, city, tmp_path):
+    """A scale, a vertical scale and an anchor are of the object; files have metres and the store's place."""
+    obj = add_terrain()
+    obj.adaptive_terrain.store = city
+    obj.location, obj.scale = (300.0, -50.0, 20.0), (2.0, 2.0, 1.5)
+    obj.adaptive_terrain.vertical_scale = 3.0
+    obj.adaptive_terrain.anchor = (256.0, 200.0)
+    bpy.context.view_layer.objects.active = obj
+    expected = dense_field(session.open_field(city)).heights()[::-1]
+    assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "a.tif"), step=2.0) == {"FINISHED"}
+    assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "b.tif")) == {"FINISHED"}
+    assert bpy.ops.adaptive_terrain.export_tiles(filepath=str(tmp_path / "c.r32"), step=2.0) == {"FINISHED"}
+    fine, coarse = read_pixels(tmp_path / "a.tif"), read_pixels(tmp_path / "b.tif")
+    assert (fine == expected).all() and (coarse == expected[::16, ::16]).all()
+    assert (np.fromfile(tmp_path / "c_x0_y0.r32", "<f4").reshape(1025, 1025) == expected).all()

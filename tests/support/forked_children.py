@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Child processes that are forked from one process, which has imported their modules, instead of started.
+
+Each child would import numpy, Warp and the engine for a second of a processor: most of the time of the tests of the
+operators. Tests of the engine, hard cases, faults and the real program start real children.
+"""
+
+import ctypes
+import functools
+import gc
+import importlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from types import SimpleNamespace
+
+MODULES = (
+    *("height_operators.export", "height_operators.shape_process", "importing.build_store", "importing.import_process"),
+    *("importing.placing", "importing.source_info", "mosaic.import_child", "run.idle_process"),
+)
+BECOME_PARENT_OF_ORPHANS = 36  # PR_SET_CHILD_SUBREAPER
+MAX_REQUEST_BYTES = 100_000
+
+
+@functools.cache
+def _nursery() -> socket.socket:
+    """Start the process that forks; return the channel for requests. It ends with this process."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ctypes.CDLL(None).prctl(BECOME_PARENT_OF_ORPHANS, 1, 0, 0, 0)
+    path = os.pathsep.join(folder for folder in sys.path if folder)
+    environment = os.environ | {"PYTHONPATH": path}
+    subprocess.Popen([sys.executable, "-P", __file__], stdin=theirs, env=environment, start_new_session=True)
+    theirs.close()
+    return ours
+
+
+class ForkedChild(subprocess.Popen):
+    """A child process of the extension that is forked from the nursery."""
+
+    def _execute_child(
+        self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, startup, flags, shell, *pipes_and_more
+    ):
+        from adaptive_terrain.cbt_terrain.run import child
+
+        pipes = pipes_and_more[:6]
+        streams = [given if given >= 0 else number for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
+        _, package, module, *arguments = args[args.index(child.BOOTSTRAP) + 1 :]
+        request = {"module": f"{package}.{module}", "arguments": arguments, "folder": os.getcwd(), "environment": env}
+        socket.send_fds(_nursery(), [json.dumps(request).encode()], streams)
+        self.pid = int(_nursery().recv(MAX_REQUEST_BYTES))
+        self._child_created = True
+        self._close_pipe_fds(*pipes)
+
+
+def start(command: list[str], **how) -> subprocess.Popen:
+    """Fork a child of the extension, or start another program, as subprocess.Popen does."""
+    from adaptive_terrain.cbt_terrain.run import child
+
+    same_kernels = how["env"].get("WARP_CACHE_PATH") == os.environ.get("WARP_CACHE_PATH")
+    forks = sys.platform == "linux" and child.BOOTSTRAP in command and same_kernels
+    return (ForkedChild if forks else subprocess.Popen)(command, **how)
+
+
+# Stands for the module `subprocess` in cbt_terrain/run/child.py.
+SUBPROCESS = SimpleNamespace(Popen=start, PIPE=subprocess.PIPE)
+
+
+def _serve(channel: socket.socket) -> functools.partial:
+    """Fork a child for each request; return, in the child, its work."""
+    gc.disable()
+    for module in MODULES:
+        importlib.import_module(f"adaptive_terrain.cbt_terrain.{module}")
+    gc.freeze()
+    while True:
+        message, streams, _, _ = socket.recv_fds(channel, MAX_REQUEST_BYTES, 3)
+        if not message:
+            os._exit(0)
+        reading, writing = os.pipe()
+        # Forked twice: the process of the tests becomes the parent of the orphan.
+        if between := os.fork():
+            os.waitpid(between, 0)
+            channel.send(os.read(reading, 100))
+            for descriptor in (reading, writing, *streams):
+                os.close(descriptor)
+        elif orphan := os.fork():
+            os.write(writing, str(orphan).encode())
+            os._exit(0)
+        else:
+            os.setsid()
+            channel.close()
+            for number, descriptor in enumerate(streams):
+                os.dup2(descriptor, number)
+            for descriptor in (reading, writing, *streams):
+                os.close(descriptor)
+            return _work_of(json.loads(message))
+
+
+def _work_of(request: dict) -> functools.partial:
+    """Take the folder and the environment of a request, and return its work."""
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    tempfile.tempdir = None
+    gc.enable()
+    return functools.partial(importlib.import_module(request["module"]).child_main, *request["arguments"])
+
+
+if __name__ == "__main__":
+    _serve(socket.socket(fileno=os.dup(0)))()

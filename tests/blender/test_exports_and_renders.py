@@ -112,11 +112,9 @@ def test_an_export_of_a_store_leaves_the_extension_whole(program, scene, tmp_pat
     [terrain] = scene[1]["terrains"].values()
     bake = ["--command", "adaptive_terrain", "bake", "--store", terrain["store"], "--max-error", "50", "--out"]
     wheels = set((program.user / "extensions").glob(".local/lib/*/site-packages/*"))
-    for form in ("ply", "stl"):
-        program.run(*bake, tmp_path / f"dem.{form}")
+    program.run(*bake, tmp_path / "dem.ply")
     assert wheels and set((program.user / "extensions").glob(".local/lib/*/site-packages/*")) == wheels
-    counts = {len(read_mesh(tmp_path / f"dem.{form}")[1]) for form in ("ply", "stl")}
-    assert len(counts) == 1 and counts.pop() > 100
+    assert len(read_mesh(tmp_path / "dem.ply")[1]) > 100
 
 
 def test_the_extension_offers_no_benchmarks(program):

@@ -15,7 +15,10 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 from types import SimpleNamespace
+
+import pytest
 
 MODULES = (
     *("height_operators.export", "height_operators.shape_process", "importing.build_store", "importing.import_process"),
@@ -23,6 +26,7 @@ MODULES = (
 )
 BECOME_PARENT_OF_ORPHANS = 36  # PR_SET_CHILD_SUBREAPER
 MAX_REQUEST_BYTES = 100_000
+_lock = threading.Lock()  # one request at a time: tests start children on threads, too
 
 
 @functools.cache
@@ -49,8 +53,9 @@ class ForkedChild(subprocess.Popen):
         streams = [given if given >= 0 else number for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
         _, package, module, *arguments = args[args.index(child.BOOTSTRAP) + 1 :]
         request = {"module": f"{package}.{module}", "arguments": arguments, "folder": os.getcwd(), "environment": env}
-        socket.send_fds(_nursery(), [json.dumps(request).encode()], streams)
-        self.pid = int(_nursery().recv(MAX_REQUEST_BYTES))
+        with _lock:
+            socket.send_fds(_nursery(), [json.dumps(request).encode()], streams)
+            self.pid = int(_nursery().recv(MAX_REQUEST_BYTES))
         self._child_created = True
         self._close_pipe_fds(*pipes)
 
@@ -64,8 +69,12 @@ def start(command: list[str], **how) -> subprocess.Popen:
     return (ForkedChild if forks else subprocess.Popen)(command, **how)
 
 
-# Stands for the module `subprocess` in cbt_terrain/run/child.py.
-SUBPROCESS = SimpleNamespace(Popen=start, PIPE=subprocess.PIPE)
+@pytest.fixture
+def fork_children(monkeypatch):
+    """Fork children of the extension from one process that has imported their modules."""
+    from adaptive_terrain.cbt_terrain.run import child
+
+    monkeypatch.setattr(child, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
 
 
 def _serve(channel: socket.socket) -> functools.partial:

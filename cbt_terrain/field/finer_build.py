@@ -150,7 +150,8 @@ def _part_of(numbers: np.ndarray, corner: Tile) -> np.ndarray:
 def _square_at(plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray, corner: Tile) -> _Square:
     """Return a square of BLOCK x BLOCK tiles with a margin of one tile on each side.
 
-    Beyond the raster's border heights and change are those at the border.
+    Beyond the raster's border heights and change are those at the border. bits: a raster cell has 2^bits finer cells a
+    side.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     count, (column, row), part = (BLOCK + 2) * SIDE + 1, corner, _part_of(numbers, corner)

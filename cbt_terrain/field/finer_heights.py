@@ -45,7 +45,7 @@ class FinerRecords:
 def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the heights of the raster's bilinear surface at finer columns x and rows y, both rising, float64 [y, x].
 
-    Outside of the raster they are those at its border.
+    Outside of the raster they are those at its border. bits: a raster cell has 2^bits finer cells a side.
     """
     lattice, sides = plain.lattice, []
     for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
@@ -74,7 +74,10 @@ def fill_heights(
     read: Callable[[FinerBox], np.ndarray],
     records: FinerRecords,
 ) -> Iterator[float]:
-    """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done."""
+    """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done.
+
+    Arguments are those of `with_finer_tiles`. numbers: that of the tile at each place of the table, -1 for none.
+    """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     windows = [list(tiles) for _window, tiles in groupby(known, window_of)]
 

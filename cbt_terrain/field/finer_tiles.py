@@ -121,7 +121,10 @@ class FinerTiles:
 
 
 def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
-    """Return shape and type of each array of `tiles` finer tiles, by the name of its file without suffix."""
+    """Return shape and type of each array of `tiles` finer tiles, by the name of its file without suffix.
+
+    bits: a raster cell has 2^bits finer cells a side.
+    """
     rows, columns = tile_shape(lattice, bits)
     blocks = sum(int(high * wide) for high, wide in level_shapes(rows, columns))
     return {
@@ -134,7 +137,10 @@ def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tup
 
 
 def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
-    """Return rows and columns of the table of tiles: also those beyond the border that diamonds inside reach into."""
+    """Return rows and columns of the table of tiles: also those beyond the border that diamonds inside reach into.
+
+    bits: a raster cell has 2^bits finer cells a side.
+    """
     rows, columns = (((cells << bits) + REACH >> TILE_BITS) + 1 for cells in (lattice.cells_y, lattice.cells_x))
     return rows, columns
 

@@ -54,7 +54,7 @@ def compute_morton_keys(
 ):
     """Write the Morton key of point `offset + tid`. Points on the far borders (end_x, end_y) get keys just inside.
 
-    So the last squares of triangles at the border hold them.
+    So the last squares of triangles at the border hold them. x, y: the points, in the units of MeasuredPoints.
     """
     p = offset + wp.tid()
     key[p] = morton(wp.min(x[p], end_x - wp.int64(1)), wp.min(y[p], end_y - wp.int64(1)))

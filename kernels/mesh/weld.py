@@ -9,8 +9,8 @@ instead, since the later square passes them last edge first.
 
 Slices of the curve are welded side by side, each from exact bases (weld_state.py), and joined afterwards (join.py).
 
-`slot`: the slice's row in the arrays. `leaves`: number of its leaves. `b`: its first numbers. `e`: its first entry in
-`state`. `s`: its strip. `code`: a leaf's word.
+`slot`: the slice's row in the arrays. `leaves`: number of its leaves. `b`: its first numbers. `first_state`: its first
+entry in `state`. `s`: its strip. `code`: a leaf's word.
 """
 
 import warp as wp
@@ -145,11 +145,11 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 
     No edge is open. The front is an import from the slice before, unless a square begins here.
     """
-    e = STATE_SIZE * slot
+    first_state = STATE_SIZE * slot
     for i in range(STATE_SIZE):
-        w.state[e + i] = 0
+        w.state[first_state + i] = 0
     for i in range(4):
-        w.state[e + LEFT + i] = w.before[4 * slot + i]
+        w.state[first_state + LEFT + i] = w.before[4 * slot + i]
     s = Strip()
     s.vertex = b.vertex
     s.edge = b.edge
@@ -160,14 +160,14 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
     code = wp.int32(w.code[w.leaf_base[slot]])
     starts = code >> FIRST & 1
-    w.state[e + SQUARE] = w.squares[slot] - starts
-    w.state[e + FIRST_BEGUN] = w.squares[slot] + 1 - starts
+    w.state[first_state + SQUARE] = w.squares[slot] - starts
+    w.state[first_state + FIRST_BEGUN] = w.squares[slot] + 1 - starts
     if starts == 0:
-        s.front0 = add_import(w, b, e, FRONT, 0)
-        s.front1 = add_import(w, b, e, FRONT, 1)
-        s.entry = add_import(w, b, e, FRONT, 2)
+        s.front0 = add_import(w, b, first_state, FRONT, 0)
+        s.front1 = add_import(w, b, first_state, FRONT, 1)
+        s.entry = add_import(w, b, first_state, FRONT, 2)
         s.level = level_of(code, ENTRY_LEGS)
-    w.state[e + FIRST_LEVEL] = s.level
+    w.state[first_state + FIRST_LEVEL] = s.level
     return s
 
 
@@ -178,16 +178,16 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
     The front is the edge by which the curve enters; no edge is open. The slice's state is that of the new square. s:
     the strip at the end of the square before, or of the slice before its first leaf.
     """
-    e = STATE_SIZE * slot
+    first_state = STATE_SIZE * slot
     for i in range(4):
-        w.state[e + LEFT + i] = 0
-    w.state[e + SQUARE] = w.state[e + SQUARE] + 1
-    w.state[e + RESTARTED] = 1
-    check_level(w, e, 0, s.level)  # not 0: the leaves of the square before do not fill it
+        w.state[first_state + LEFT + i] = 0
+    w.state[first_state + SQUARE] = w.state[first_state + SQUARE] + 1
+    w.state[first_state + RESTARTED] = 1
+    check_level(w, first_state, 0, s.level)  # not 0: the leaves of the square before do not fill it
     s.level = level_of(code, ENTRY_LEGS)
     s.next0 = stack_base(b.room, leaves, 0)
     s.next1 = stack_base(b.room, leaves, 1)
-    corner, end, entry, vertex, edge = begin_left_side(w, b, e, slot, code, s.level, s.vertex, s.edge)
+    corner, end, entry, vertex, edge = begin_left_side(w, b, first_state, slot, code, s.level, s.vertex, s.edge)
     s.entry = entry
     s.vertex = vertex
     s.edge = edge
@@ -204,7 +204,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     A new edge or vertex gets the next number, which the caller counts. Imports are negative numbers. code: the leaf's
     word. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or if an earlier slice has opened it.
     """
-    e = STATE_SIZE * slot
+    first_state = STATE_SIZE * slot
     side = side_of(code)
     level = level_of(code, THIRD_LEGS)
     role = (code >> BORDER) & 7
@@ -215,23 +215,23 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     grow = wp.int32(0)
     if (code & 1) == 1:  # the curve has passed the edge before, in this square
         if top == stack_base(b.room, leaves, side):
-            third = import_open_edge(w, b, e, side, level)
+            third = import_open_edge(w, b, first_state, side, level)
             far = third
         else:
             third = w.stack[top - 1][0]
             far = w.stack[top - 1][1]
             grow = -1
     elif role == TAKE_LEFT or role == TAKE_BELOW:
-        shared_edge = read_side(w, b, e, slot, role, level)
+        shared_edge = read_side(w, b, first_state, slot, role, level)
         third = shared_edge[0]
         far = shared_edge[1]
     elif role == GIVE_RIGHT:
-        append_right(w, e, third, level, side_vertex, far)
+        append_right(w, first_state, third, level, side_vertex, far)
     elif role == GIVE_ABOVE:
-        append_above(w, e, third, level, side_vertex)
+        append_above(w, first_state, third, level, side_vertex)
     else:
         if role == TO_CORNER:
-            far = corner_below(w, b, e, w.state[e + SQUARE])
+            far = corner_below(w, b, first_state, w.state[first_state + SQUARE])
         grow = 1
     return third, far, grow
 
@@ -242,30 +242,30 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
 
     The next is the square above. third, far: the leaf's third edge and that edge's far vertex.
     """
-    e = STATE_SIZE * slot
+    first_state = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:
-        n = w.state[e + FIXES]
+        n = w.state[first_state + FIXES]
         w.fixes[b.room + n] = t
-        w.state[e + FIXES] = n + 1
-    if code >> LAST == 1 and w.state[e + SQUARE] < w.columns * (w.rows - 1):
+        w.state[first_state + FIXES] = n + 1
+    if code >> LAST == 1 and w.state[first_state + SQUARE] < w.columns * (w.rows - 1):
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
         begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
-        append_above(w, e, leave, level_of(code, LEAVE_LEGS), begun)
+        append_above(w, first_state, leave, level_of(code, LEAVE_LEGS), begun)
 
 
 @wp.func
 def end_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
     """Store the front and the number of open edges at the end of a slice, from which the next slice imports."""
-    e = STATE_SIZE * slot
-    w.state[e + LAST_LEVEL] = s.level
+    first_state = STATE_SIZE * slot
+    w.state[first_state + LAST_LEVEL] = s.level
     if s.torn != 0:
-        w.state[e + TORN] = 1
-    w.state[e + END_FRONT] = s.front0
-    w.state[e + END_FRONT + 1] = s.front1
-    w.state[e + END_FRONT + 2] = s.entry
-    w.state[e + END_TOPS] = s.next0 - stack_base(b.room, leaves, 0)
-    w.state[e + END_TOPS + 1] = s.next1 - stack_base(b.room, leaves, 1)
+        w.state[first_state + TORN] = 1
+    w.state[first_state + END_FRONT] = s.front0
+    w.state[first_state + END_FRONT + 1] = s.front1
+    w.state[first_state + END_FRONT + 2] = s.entry
+    w.state[first_state + END_TOPS] = s.next0 - stack_base(b.room, leaves, 0)
+    w.state[first_state + END_TOPS + 1] = s.next1 - stack_base(b.room, leaves, 1)
 
 
 @wp.kernel

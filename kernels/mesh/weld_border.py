@@ -2,7 +2,7 @@
 """Welding across root squares: sides that two squares share are kept per side, edge by edge.
 
 Squares are numbered row by row. A square reads its left and lower side, last edge first, and writes its right and upper
-side. `slot`: the slice's row in the arrays. `e`: its first entry in `state`. `b`: its first numbers.
+side. `slot`: the slice's row in the arrays. `first_state`: its first entry in `Weld.state`. `b`: its first numbers.
 """
 
 import warp as wp
@@ -40,23 +40,30 @@ def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, befo
 
 
 @wp.func
-def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
+def corner_below(w: Weld, b: Base, first_state: wp.int32, square: wp.int32) -> wp.int32:
     """Return the vertex at the lower left corner of `square`, which the square below has made as its upper left one.
 
     It is an import (a negative number) if an earlier slice made it.
     """
     below = square - w.columns
     v = wp.int32(0)
-    if below >= w.state[e + FIRST_BEGUN]:
+    if below >= w.state[first_state + FIRST_BEGUN]:
         v = w.corners[2 * below]
     else:
-        v = add_import(w, b, e, UPPER_LEFT, below)
+        v = add_import(w, b, first_state, UPPER_LEFT, below)
     return v
 
 
 @wp.func
 def begin_left_side(
-    w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, level: wp.int32, vertices: wp.int32, edges: wp.int32
+    w: Weld,
+    b: Base,
+    first_state: wp.int32,
+    slot: wp.int32,
+    code: wp.int32,
+    level: wp.int32,
+    vertices: wp.int32,
+    edges: wp.int32,
 ):
     """Begin a square with its left side's first edge, from the upper left corner down.
 
@@ -65,7 +72,7 @@ def begin_left_side(
     written to `w.edges`. The corner is noted in `w.corners`. code: the leaf's word. level: the edge's level. vertices,
     edges: the next free numbers.
     """
-    square = w.state[e + SQUARE]
+    square = w.state[first_state + SQUARE]
     column = square % w.columns
     corner = vertices
     end = wp.int32(0)
@@ -74,20 +81,20 @@ def begin_left_side(
     if column > 0:
         owner = square - 1
         last = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
-        w.state[e + LEFT] = 1
+        w.state[first_state + LEFT] = 1
         if is_in_slice(w, slot, owner, last - w.side_base[owner], RIGHT_SIDE):
             corner = w.corners[2 * owner + 1]
             entry = w.side[last][0]
             end = w.side[last][1]
-            check_level(w, e, level, w.side_level[last])
+            check_level(w, first_state, level, w.side_level[last])
         else:
-            corner = add_import(w, b, e, UPPER_RIGHT, owner)
-            end = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), last)
+            corner = add_import(w, b, first_state, UPPER_RIGHT, owner)
+            end = add_import(w, b, first_state, SIDE | (level << LEVEL_SHIFT), last)
             entry = end
     else:
         new_vertices = 1
         if ((code >> CORNER) & 1) == 1:
-            end = corner_below(w, b, e, square)
+            end = corner_below(w, b, first_state, square)
         else:
             end = vertices + 1
             new_vertices = 2
@@ -97,60 +104,60 @@ def begin_left_side(
 
 
 @wp.func
-def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
+def read_side(w: Weld, b: Base, first_state: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
     """Return the next (edge, far vertex) of the side shared with the square to the left or below.
 
     They are imports (negative numbers) if an earlier slice made them. The slice's state counts the edge as passed.
     role: TAKE_LEFT or TAKE_BELOW. level: the edge's level, which is checked.
     """
-    square = w.state[e + SQUARE]
+    square = w.state[first_state + SQUARE]
     entry = wp.int32(0)
     is_here = wp.bool(False)
     if role == TAKE_LEFT:
-        n = w.state[e + LEFT]
-        w.state[e + LEFT] = n + 1
+        n = w.state[first_state + LEFT]
+        w.state[first_state + LEFT] = n + 1
         entry = w.side_base[square] - 1 - n
         is_here = is_in_slice(w, slot, square - 1, entry - w.side_base[square - 1], RIGHT_SIDE)
     else:
         owner = square - w.columns
-        n = w.state[e + BELOW]
-        w.state[e + BELOW] = n + 1
+        n = w.state[first_state + BELOW]
+        w.state[first_state + BELOW] = n + 1
         above = w.columns * w.rows + owner
         entry = w.side_base[above + 1] - 1 - n
         is_here = is_in_slice(w, slot, owner, entry - w.side_base[above], UPPER_SIDE)
     shared_edge = wp.vec2i(0, 0)
     if is_here:
         shared_edge = w.side[entry]
-        check_level(w, e, level, w.side_level[entry])
+        check_level(w, first_state, level, w.side_level[entry])
     else:
-        n = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), entry)
+        n = add_import(w, b, first_state, SIDE | (level << LEVEL_SHIFT), entry)
         shared_edge = wp.vec2i(n, n)
     return shared_edge
 
 
 @wp.func
-def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
+def append_right(w: Weld, first_state: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     """Append an edge to the right side of the current square, for the square to the right.
 
     level: the edge's. begun: the vertex at which the curve began the edge. far: its other vertex, which becomes the
     upper right corner at the end of the side.
     """
-    square = w.state[e + SQUARE]
-    n = w.side_base[square] + w.state[e + RIGHT]
+    square = w.state[first_state + SQUARE]
+    n = w.side_base[square] + w.state[first_state + RIGHT]
     w.side[n] = wp.vec2i(edge, begun)
     w.side_level[n] = level
-    w.state[e + RIGHT] = w.state[e + RIGHT] + 1
+    w.state[first_state + RIGHT] = w.state[first_state + RIGHT] + 1
     if n + 1 == w.side_base[square + 1]:
         w.corners[2 * square + 1] = far
 
 
 @wp.func
-def append_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
+def append_above(w: Weld, first_state: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
     """Append an edge to the upper side of the current square, for the square above.
 
     level: the edge's. begun: the vertex at which the curve began the edge.
     """
-    n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
+    n = w.side_base[w.columns * w.rows + w.state[first_state + SQUARE]] + w.state[first_state + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)
     w.side_level[n] = level
-    w.state[e + ABOVE] = w.state[e + ABOVE] + 1
+    w.state[first_state + ABOVE] = w.state[first_state + ABOVE] + 1

@@ -102,34 +102,34 @@ def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
 
 
 @wp.func
-def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
+def add_import(w: Weld, b: Base, first_state: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
     """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it.
 
-    kind: of STACK and SIDE, with the edge's level above LEVEL_SHIFT bits. value: which one of its kind, see the kinds
-    above.
+    first_state: the slice's first entry in `w.state`. kind: of STACK and SIDE, with the edge's level above LEVEL_SHIFT
+    bits. value: which one of its kind, see the kinds above.
     """
-    n = w.state[e + IMPORTS]
+    n = w.state[first_state + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
-    w.state[e + IMPORTS] = n + 1
+    w.state[first_state + IMPORTS] = n + 1
     return -1 - n
 
 
 @wp.func
-def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
+def import_open_edge(w: Weld, b: Base, first_state: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
     """Import the next edge from the stack that earlier slices left open on a side; return its negative number.
 
-    level: the edge's level, which is checked later, by `join`.
+    first_state: the slice's first entry in `w.state`. level: the edge's level, which is checked later, by `join`.
     """
-    n = w.state[e + POPS + side]
-    w.state[e + POPS + side] = n + 1
-    return add_import(w, b, e, (STACK + side) | (level << LEVEL_SHIFT), n)
+    n = w.state[first_state + POPS + side]
+    w.state[first_state + POPS + side] = n + 1
+    return add_import(w, b, first_state, (STACK + side) | (level << LEVEL_SHIFT), n)
 
 
 @wp.func
-def check_level(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
+def check_level(w: Weld, first_state: wp.int32, level: wp.int32, other: wp.int32):
     """Mark the slice as torn if the two leaves of an edge give it different levels: errors are not nested then.
 
-    level, other: the edge's level as each of them has it.
+    first_state: the slice's first entry in `w.state`. level, other: the edge's level as each of them has it.
     """
     if level != other:
-        w.state[e + TORN] = 1
+        w.state[first_state + TORN] = 1

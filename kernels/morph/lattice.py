@@ -20,7 +20,10 @@ class SplitVertex:
 
 @wp.func
 def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
-    """Return the depth of the diamond that is split at lattice point p; 0 for a corner of a root square."""
+    """Return the depth of the diamond that is split at lattice point p; 0 for a corner of a root square.
+
+    unit_bits: a root square has 2^unit_bits lattice units a side.
+    """
     both = p[0] | p[1]
     step = both & -both  # the largest power of two of which both coordinates are multiples
     depth = wp.int32(0)
@@ -33,7 +36,10 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
 
 @wp.func
 def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
-    """Return the vector from p to one end of the edge that p splits. depth: that of the diamond split at p."""
+    """Return the vector from p to one end of the edge that p splits, lattice units.
+
+    unit_bits: a root square has 2^unit_bits of them a side. depth: that of the diamond split at p, above 0.
+    """
     half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
     along = wp.vec2i(half, 0)
     if (depth & 1) == 1:
@@ -49,7 +55,7 @@ def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
 def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
     """Return lattice point p as a SplitVertex: the depth of its diamond and the ends of the edge that it splits.
 
-    A corner of a root square has depth 0 and no ends.
+    A corner of a root square has depth 0 and no ends. unit_bits: a root square has 2^unit_bits lattice units a side.
     """
     v = SplitVertex()
     v.point = p
@@ -65,8 +71,8 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 def diamond_above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
     """Return the diamond an even number of bisections above that of v, of which one triangle contains v's whole edge.
 
-    bisections: even, below v's depth. Two above, the split vertex is that end of the edge which is two bisections
-    older; the other end is older still.
+    unit_bits: as in `split_vertex`. bisections: even, below v's depth. Two above, the split vertex is that end of the
+    edge which is two bisections older; the other end is older still.
     """
     for _ in range(bisections >> 1):
         end = v.left

@@ -14,7 +14,7 @@ def ground_view(field, above=2.0, at=(0.1, -0.2)):
 
 
 # Weights of places in a triangle: corners, edges and inside.
-WEIGHTS = np.array([(a, b, 6 - a - b) for a in range(7) for b in range(7 - a)]) / 6
+WEIGHTS = np.array([(a, b, 4 - a - b) for a in range(5) for b in range(5 - a)]) / 4
 
 
 def places_in(surface):

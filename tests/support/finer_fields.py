@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Height fields with finer tiles, and their surface by other code: bilinear interpolation of one dense grid."""
 
+from functools import cache
+from unittest import mock
+
 import numpy as np
+from adaptive_terrain.cbt_terrain.field import finer_build
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
@@ -12,10 +15,11 @@ from fields import rough
 KNOWN = (2, 3), (3, 3), (3, 2)
 
 
+@cache
 def finer_field(
-    rows: int = 97, columns: int = 130, bits: int = 4, known=KNOWN, seed: int = 7, relief: float = 6.0
+    rows: int = 97, columns: int = 130, bits: int = 4, known=KNOWN, seed: int = 7, relief: float = 6.0, block: int = 5
 ) -> HeightField:
-    """Return rough land 32 m apart, with more relief in some tiles of 2 m or another fraction."""
+    """Return rough land 32 m apart, with more relief in some tiles of 2 m or another fraction. Tests share it."""
     plain = rough(rows, columns, seed, relief=80.0, step=32.0)
     rng = np.random.default_rng(seed)
     waves = rng.uniform(0.02, 0.3, (6, 2)), rng.uniform(0, 6, 6)
@@ -28,7 +32,13 @@ def finer_field(
         found[(x % 97 < 3) & (y % 61 < 2)] = np.nan  # only the raster is known there
         return found.astype(np.float32)
 
-    return with_finer_tiles(plain, bits, known, read)
+    return in_small_squares(plain, bits, known, read, block)
+
+
+def in_small_squares(plain: HeightField, bits: int, known, read, block: int = 5) -> HeightField:
+    """Add finer tiles, measured in squares of `block` tiles a side: the bytes are those of 8, the time is half."""
+    with mock.patch.object(finer_build, "BLOCK", block):
+        return finer_build.with_finer_tiles(plain, bits, known, read)
 
 
 def dense_raster(field: HeightField, bits: int) -> np.ndarray:
@@ -53,6 +63,7 @@ def dense_heights(field: HeightField) -> np.ndarray:
     return found
 
 
+@cache
 def dense_field(field: HeightField) -> HeightField:
     """Return a field of all finer samples: the same surface without tiles."""
     step = 1 << field.raster.finer.bits

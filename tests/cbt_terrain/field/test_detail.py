@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.depths import depth_limit, usual_depth
 from adaptive_terrain.cbt_terrain.field.detail import Detail
-from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -98,15 +98,14 @@ def test_the_noise_bends_and_climbs_no_more_than_its_constants():
 
 def test_the_noise_is_seen_to_climb_and_bend_as_much():
     rng, h = np.random.default_rng(1), 1e-3
-    x, y = rng.uniform(-100, 100, (2, 200_000))
+    x, y = rng.uniform(-100, 100, (2, 50_000))
     angle = rng.uniform(0, 2 * np.pi, len(x))
     here, ahead, behind = (value_noise(x + k * np.cos(angle), y + k * np.sin(angle), 1) for k in (0.0, h, -h))
     assert 0.8 * details.SLOPE < np.abs(ahead - here).max() / h <= details.SLOPE
     assert 0.6 * details.CURVATURE < np.abs(ahead - 2 * here + behind).max() / h**2 <= details.CURVATURE
 
 
-@pytest.mark.parametrize("steps", [(2.0, 2.0), (2.0, 3.0)])
-@pytest.mark.parametrize("name", DETAILS)
+@pytest.mark.parametrize(("name", "steps"), [*zip(DETAILS, [(2.0, 2.0), (2.0, 3.0)] * 3, strict=False)])
 def test_bounds_of_details_hold_and_are_tight(name, steps):
     """Triangles of both kinds, of all sizes, where a search finds the detail furthest from them: their distance from
     it against the table's."""
@@ -136,12 +135,12 @@ def test_bounds_of_details_hold_and_are_tight(name, steps):
     assert np.mean(ratios) < 3.0
 
 
-@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
-@pytest.mark.parametrize("kind", ["square", "padded", "strip", "flat"])
-def test_no_error_is_above_its_bound(kind, interpolation):
-    rng, parts = np.random.default_rng(len(kind) + len(interpolation)), []
+@pytest.mark.parametrize(("number", "kind"), [*enumerate(["square", "padded", "strip", "flat"])])
+def test_no_error_is_above_its_bound(number, kind):
+    rng, parts = np.random.default_rng(len(kind)), []
     for detail in DETAILS.values():
-        field = field_of(kind, detail, interpolation)
+        number += 1
+        field = field_of(kind, detail, INTERPOLATIONS[number % 2])
         scale, offset = float(rng.choice([1.0, -2.0, 0.3])), float(rng.choice([0.0, 700.0]))
         turn = rng.uniform(0, 2 * np.pi)
         placement = np.eye(4)
@@ -168,7 +167,7 @@ def test_no_error_is_above_its_bound(kind, interpolation):
             found = Terrain(field, 1).update(Criterion(**asked, max_triangles=2000), views, placement, scale, offset)
             assert_invariants(found.surface, field.lattice, asked.get("meshlet", 0))
             parts.append(check(found, field, views, placement, scale, offset))
-    print(kind, interpolation, f"largest seen / bound: mean {np.mean(parts):.2f}, most {max(parts):.2f}")
+    print(kind, f"largest seen / bound: mean {np.mean(parts):.2f}, most {max(parts):.2f}")
     assert np.mean(parts) > 0.15
 
 

@@ -13,19 +13,18 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.displacement_layers import DisplacementLayer, DisplacementLayers, LayerMask
 from adaptive_terrain.cbt_terrain.field.domain import make_domain
-from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
+from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from adaptive_terrain.cbt_terrain.field.painted import Painted
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from detail_scenes import check, ground_view, places_in
+from detail_scenes import WEIGHTS, check, ground_view, places_in
 from detail_surface import image_heights, mask_values
 from fields import extent, reference_heights
 from invariants import arrays, assert_invariants
 
 TRIANGLES = {1: [(-1, -1), (1, -1), (-1, 1)], 0: [(-1, -1), (1, -1), (0, 0)]}
-WEIGHTS = np.array([(a, b, 8 - a - b) for a in range(9) for b in range(9 - a)]) / 8
 AT = [int(np.flatnonzero((WEIGHTS == corner).all(1))[0]) for corner in np.eye(3)]
 
 
@@ -156,12 +155,12 @@ def grounds(shape):
     }
 
 
-@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
-@pytest.mark.parametrize("shape", [(33, 33), (27, 40), (9, 65)])
-def test_no_error_is_above_its_bound(shape, interpolation):
-    rng, parts = np.random.default_rng(shape[1] + len(interpolation)), []
+@pytest.mark.parametrize(("number", "shape"), [*enumerate([(33, 33), (27, 40), (9, 65)])])
+def test_no_error_is_above_its_bound(number, shape):
+    rng, parts = np.random.default_rng(shape[1]), []
     for ground in grounds(shape).values():
-        field = field_of(shape, ground, interpolation)
+        number += 1
+        field = field_of(shape, ground, INTERPOLATIONS[number % 2])
         scale, offset = float(rng.choice([1.0, -2.0, 0.3])), float(rng.choice([0.0, 700.0]))
         eye = np.array([*(rng.uniform(-0.4, 0.4, 2) * extent(field)[:2]), 0.0])
         eye[2] = reference_heights(field, eye[None, :2])[0] * scale + offset + 1.5 + 2 * ground.amplitude * abs(scale)
@@ -177,7 +176,7 @@ def test_no_error_is_above_its_bound(shape, interpolation):
             found = Terrain(field, threads).update(criterion, [view], None, scale, offset)
             assert_invariants(found.surface, field.lattice, asked.get("meshlet", 0))
             parts.append(check(found, field, [view], None, scale, offset))
-    print(shape, interpolation, f"largest seen / bound: mean {np.mean(parts):.2f}, most {max(parts):.2f}")
+    print(shape, f"largest seen / bound: mean {np.mean(parts):.2f}, most {max(parts):.2f}")
     assert np.mean(parts) > 0.1
 
 

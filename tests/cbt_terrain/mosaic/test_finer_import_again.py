@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -19,8 +20,8 @@ from adaptive_terrain.cbt_terrain.tiling import tile_work
 from adaptive_terrain.cbt_terrain.tiling.tile_records import FINER, line_of
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
-CITY = EAST + 4000.0, NORTH - 3000.0  # its corner in the north-west
-BLOCK, WINDOW = 4, 2  # tiles along a side of a square and of a window, so that there are several
+CITY = EAST + 1800.0, NORTH - 3200.0  # its corner in the north-west; its tiles meet four squares
+BLOCK, WINDOW = 3, 1  # tiles along a side of a square and of a window, so that there are several
 
 
 @pytest.fixture(autouse=True)
@@ -40,8 +41,8 @@ def make_small(patch):
 def settings(tmp_path_factory):
     """Return the settings of a country of 32 m and of a city of 2 m on it, with missing heights."""
     folder = tmp_path_factory.mktemp("country")
-    sheet(UTM32, EAST, NORTH, 32.0, 32.0, 300, 220).write(folder / "a_country.tif")
-    sheet(UTM32, *CITY, 2.0, 2.0, 1200, 900, shift=3.0).write(folder / "b_city.tif")
+    sheet(UTM32, EAST, NORTH, 32.0, 32.0, 220, 150).write(folder / "a_country.tif")
+    sheet(UTM32, *CITY, 2.0, 2.0, 250, 250, shift=3.0).write(folder / "b_city.tif")
     return ImportSettings(source=str(folder))
 
 
@@ -152,20 +153,30 @@ def test_an_import_that_was_killed_goes_on(settings, whole, tmp_path, monkeypatc
     assert_same(store, whole[0])
 
 
-def stopped(settings, store, whole, monkeypatch):
-    """Stop an import at its last record, and return its folder of arrays."""
-    with monkeypatch.context() as patch:
+@pytest.fixture(scope="module")
+def almost_whole(settings, whole, tmp_path_factory):
+    """Return a store whose import was stopped at its last record."""
+    store = tmp_path_factory.mktemp("stopped") / "store"
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch)
         count_records(patch, sum(whole[1].values()) - 1)
         with pytest.raises(KeyboardInterrupt):
             run_mosaic_import(settings, store)
-    [folder] = store.glob("data-*")
+    return store
+
+
+@pytest.fixture
+def stopped(almost_whole, tmp_path):
+    """Return the folder of arrays of a stopped import into tmp_path / "store"."""
+    shutil.copytree(almost_whole, tmp_path / "store")
+    [folder] = (tmp_path / "store").glob("data-*")
     return folder
 
 
 @pytest.mark.parametrize("name", ["finer_heights", "finer_errors"])
 @pytest.mark.parametrize("damage", ["cut off", "altered", "header", "gone"])
-def test_damaged_leftovers_are_made_again(settings, whole, tmp_path, monkeypatch, name, damage):
-    file = stopped(settings, tmp_path / "store", whole, monkeypatch) / f"{name}.npy"
+def test_damaged_leftovers_are_made_again(settings, whole, stopped, tmp_path, monkeypatch, name, damage):
+    file = stopped / f"{name}.npy"
     array = np.load(file)
     if damage == "cut off":
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
@@ -183,8 +194,8 @@ def test_damaged_leftovers_are_made_again(settings, whole, tmp_path, monkeypatch
     assert_same(tmp_path / "store", whole[0])
 
 
-def test_links_in_leftovers_are_refused(settings, whole, tmp_path, monkeypatch):
-    file = stopped(settings, tmp_path / "store", whole, monkeypatch) / "finer_heights.npy"
+def test_links_in_leftovers_are_refused(settings, stopped, tmp_path):
+    file = stopped / "finer_heights.npy"
     text = file.read_bytes()
     (tmp_path / "user.npy").write_bytes(text)
     file.unlink()
@@ -194,10 +205,9 @@ def test_links_in_leftovers_are_refused(settings, whole, tmp_path, monkeypatch):
     assert (tmp_path / "user.npy").read_bytes() == text
 
 
-def test_an_altered_raster_is_noticed(settings, whole, tmp_path, monkeypatch):
+def test_an_altered_raster_is_noticed(settings, whole, stopped, tmp_path, monkeypatch):
     """Heights of the raster that were altered after they were measured are measured again, and so are finer tiles."""
-    folder = stopped(settings, tmp_path / "store", whole, monkeypatch)
-    samples = np.load(folder / "samples.npy", mmap_mode="r+")
+    samples = np.load(stopped / "samples.npy", mmap_mode="r+")
     samples[100:105] += samples.dtype.type(9)
     samples.flush()
     counts = count_records(monkeypatch)
@@ -208,9 +218,8 @@ def test_an_altered_raster_is_noticed(settings, whole, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "change", [{"sums": 7, "limits": [["a", 1.0]]}, {"figures": {}, "limits": [[1.0]]}, {"inputs": None}]
 )
-def test_records_with_impossible_entries_count_as_none(settings, whole, tmp_path, monkeypatch, change):
-    folder = stopped(settings, tmp_path / "store", whole, monkeypatch)
-    for log in folder.glob("tiles-*.jsonl"):
+def test_records_with_impossible_entries_count_as_none(settings, whole, stopped, tmp_path, monkeypatch, change):
+    for log in stopped.glob("tiles-*.jsonl"):
         records = [json.loads(line)["record"] for line in log.read_text().splitlines()]
         for record in records:
             if record["kind"] in FINER:
@@ -222,8 +231,7 @@ def test_records_with_impossible_entries_count_as_none(settings, whole, tmp_path
     assert_same(tmp_path / "store", whole[0])
 
 
-def test_another_import_begins_again(settings, whole, tmp_path, monkeypatch):
-    stopped(settings, tmp_path / "store", whole, monkeypatch)
+def test_another_import_begins_again(settings, whole, stopped, tmp_path, monkeypatch):
     counts = count_records(monkeypatch)
     run_mosaic_import(ImportSettings(settings.source, height_scale=2.0), tmp_path / "store")
     assert counts == whole[1] and len(list((tmp_path / "store").glob("data-*"))) == 1

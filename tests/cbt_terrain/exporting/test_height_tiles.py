@@ -4,6 +4,7 @@
 import json
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import OpenEXR
@@ -22,15 +23,33 @@ from rasters import hills, imported, write_raster
 UTM = {"crs": "EPSG:32632", "transform": Affine(30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0)}
 
 
-@pytest.fixture
-def make(tmp_path):
-    """Import 100 x 75 pixels, write tiles of them, and return the heights and the JSON file."""
+@pytest.fixture(scope="module")
+def land(tmp_path_factory):
+    """Return a function that imports 100 x 75 pixels, once with holes and once without: heights and field."""
 
-    def make(settings, masks=(), holes=False, heights=None, **place):
-        heights = hills(100, 75) if heights is None else heights
+    @cache
+    def land(holes):
+        folder, heights = tmp_path_factory.mktemp("land"), hills(100, 75)
         if holes:
             heights[10:20, 30:50] = np.nan
-        field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", heights, **(place or UTM)), holes=holes)
+        return heights, imported(folder, write_raster(folder / "in.tif", heights, **UTM), holes=holes)[0]
+
+    return land
+
+
+placing = cache(height_tiles.placing_or_middle)  # a child process finds it out, once for each field
+
+
+@pytest.fixture
+def make(land, tmp_path, monkeypatch):
+    """Write tiles of 100 x 75 pixels, and return the heights and the JSON file."""
+    monkeypatch.setattr(height_tiles, "placing_or_middle", placing)
+
+    def make(settings, masks=(), holes=False, heights=None, **place):
+        if heights is None:
+            heights, field = land(holes)
+        else:
+            field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", heights, **place))
         (tmp_path / "tiles").mkdir()
         export_height_tiles(field, tmp_path / "tiles", settings, [AttributeRequest(m, ("test",)) for m in masks])
         return heights, json.loads((tmp_path / "tiles" / f"{settings.name}.json").read_text())
@@ -226,7 +245,7 @@ def test_a_row_may_have_more_tiles_than_open_files(make, tmp_path, form):
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (200, limits[1]))
     try:
-        heights, index = make(HeightTiles(form, size=2, tiles=(240, 1)), heights=hills(100, 75))
+        heights, index = make(HeightTiles(form, size=2, tiles=(240, 1)))
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
     scale = index["heights"]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exported rasters, read by other libraries: values, order of rows, georeference."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import rasterio
@@ -23,12 +25,16 @@ PLACES = {
 }
 
 
-@pytest.fixture
-def shaped(tmp_path):
-    """Import 333 x 290 pixels with a georeference and add a layer of marks; return the heights and the store."""
+@pytest.fixture(scope="module")
+def shaped(tmp_path_factory):
+    """Return a function that imports 333 x 290 pixels with a georeference and adds a layer of marks, once each.
 
+    It returns the heights and the store, beside which the source in.tif is.
+    """
+
+    @cache
     def make(place, holes=False):
-        heights = hills(333, 290)
+        tmp_path, heights = tmp_path_factory.mktemp("shaped"), hills(333, 290)
         if holes:
             heights[10:20, 30:50] = np.nan
         crs, transform = PLACES[place]
@@ -45,7 +51,7 @@ def test_a_geotiff_has_the_source_pixels_and_georeference(shaped, tmp_path, plac
     heights, store = shaped(place)
     files = export_raster(store, tmp_path / "old.tif")
     assert [file.name for file in files] == ["old.tif", "old_fresh.tif", "old_mark.tif"]
-    with rasterio.open(files[0]) as found, rasterio.open(tmp_path / "in.tif") as source:
+    with rasterio.open(files[0]) as found, rasterio.open(store.parent / "in.tif") as source:
         assert found.crs == source.crs and found.dtypes == ("float32",) and found.shape == (290, 333)
         for a, b in zip(found.transform[:6], source.transform[:6], strict=True):
             assert a == pytest.approx(b, rel=1e-9, abs=1e-9)

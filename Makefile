@@ -17,7 +17,7 @@ READY := $(VENV)/.ready
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
-	@echo "make test-core  the engine alone, in two processes (after make kernels)"
+	@echo "make test-core  the engine alone without thorough tests, in two processes (after make kernels)"
 	@echo "make smoke      a few tests of everything, two minutes"
 	@echo "make test-all   every test on Python 3.11 and 3.13 and in the real Blender program (Debian, root)"
 	@echo "make kernels    compile all kernels now, so that nothing waits for them later"
@@ -43,13 +43,15 @@ test: $(READY)
 smoke: $(READY)
 	$(PY) -m pytest $(SMOKE)
 
-# The engine without the rooms that measure accuracy and shape land, in two processes. A new room is in the second.
+# The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`, in two
+# processes. A new room is in the second.
 # Each process takes half of the processor time.
 CORE_FIRST := $(addprefix tests/cbt_terrain/,field attributes fit view)
 CORE_LEFT_OUT := $(addprefix --ignore=,$(CORE_FIRST)) $(addprefix --ignore=tests/cbt_terrain/,accuracy height_operators)
+CORE := $(PY) -m pytest -q -p no:cacheprovider -m "not thorough"
 test-core: $(READY)
-	$(PY) -m pytest -q -p no:cacheprovider tests/kernels $(CORE_FIRST) & first=$$!; \
-	$(PY) -m pytest -q -p no:cacheprovider tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second
+	$(CORE) tests/kernels $(CORE_FIRST) & first=$$!; \
+	$(CORE) tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second
 
 test-all: $(READY)
 	tools/get_blender.sh trixie .cache/blender

@@ -115,6 +115,7 @@ def test_hills_have_their_derivatives_at_the_finer_step(hilly):
         assert errors[-4.0][name] < limit and errors[0.0][name] > 10 * limit, (name, errors)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rows", "columns", "bits", "known"),
     [

@@ -205,6 +205,7 @@ def test_a_sweep_along_samples_finds_their_largest_slopes(azimuth):
         assert out[y, x] == pytest.approx(max(0.0, *ahead, 0.0), rel=1e-6, abs=1e-7)
 
 
+@pytest.mark.thorough
 def test_threads_change_no_bit():
     field = from_array(raster(300, 211), 3.0)
     suns = ((1.0, 0.4, 0.5, DISC),)

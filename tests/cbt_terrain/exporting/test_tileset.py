@@ -157,6 +157,7 @@ def geodetic(points):
     return np.degrees(np.arctan2(y, x)), np.degrees(latitude), height
 
 
+@pytest.mark.thorough
 def test_the_bound_on_the_globe_contains_the_curvature(tmp_path):
     """A plane of 200 km: points of its triangles are compared with the same points on the ellipsoid."""
     transform = Affine(20_000.0, 0, 400_000.0, 0, -20_000.0, 5_300_000.0)

@@ -80,6 +80,7 @@ def test_leaves_and_heights_do_not_depend_on_the_anchor():
         assert np.abs(a.surface.normals - b.surface.normals).max() < 1e-4 and np.array_equal(a.surface.uv, b.surface.uv)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
 @pytest.mark.parametrize("shape", [(9, 65), (27, 40)])
 def test_bounds_hold_with_an_anchor(interpolation, shape):

@@ -135,6 +135,7 @@ def test_below_the_cells_errors_are_nested(kind, meshlet):
             assert (error[one] >= bend[two] / 2).all() and (bend[one] >= bend[two] / 2).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("relief", "base"), [(100.0, 0.0), (1e-3, 0.0), (30.0, 8000.0), (1e6, -500.0)])
 @pytest.mark.parametrize("kind", KINDS[:6])
 def test_vertices_lie_on_the_surface_and_carry_its_normals(kind, relief, base):
@@ -264,6 +265,7 @@ def test_a_tile_beside_planar_ground_needs_distant_cells(monkeypatch):
     assert built_bytes(field) != whole
 
 
+@pytest.mark.thorough
 def test_a_bicubic_surface_takes_the_memory_of_one_tile(monkeypatch):
     """Four times the samples take the same memory above the arrays themselves."""
     monkeypatch.setattr(bicubic_errors, "TILE", 128)

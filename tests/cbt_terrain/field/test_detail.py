@@ -105,6 +105,7 @@ def test_the_noise_is_seen_to_climb_and_bend_as_much():
     assert 0.6 * details.CURVATURE < np.abs(ahead - 2 * here + behind).max() / h**2 <= details.CURVATURE
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "steps"), [*zip(DETAILS, [(2.0, 2.0), (2.0, 3.0)] * 3, strict=False)])
 def test_bounds_of_details_hold_and_are_tight(name, steps):
     """Triangles of both kinds, of all sizes, where a search finds the detail furthest from them: their distance from
@@ -135,6 +136,7 @@ def test_bounds_of_details_hold_and_are_tight(name, steps):
     assert np.mean(ratios) < 3.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("number", "kind"), [*enumerate(["square", "padded", "strip", "flat"])])
 def test_no_error_is_above_its_bound(number, kind):
     rng, parts = np.random.default_rng(len(kind)), []

@@ -54,6 +54,7 @@ def mask(shape, seed=3):
 IMAGES = {"smooth": image(64, 64), "rough": image(64, 96, 0.9), "odd": image(27, 50), "bricks": bricks()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", IMAGES)
 def test_bounds_of_images_hold(name):
     """Triangles of both kinds and all sizes, at random and where a search finds the image furthest from them."""
@@ -155,6 +156,7 @@ def grounds(shape):
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("number", "shape"), [*enumerate([(33, 33), (27, 40), (9, 65)])])
 def test_no_error_is_above_its_bound(number, shape):
     rng, parts = np.random.default_rng(shape[1]), []

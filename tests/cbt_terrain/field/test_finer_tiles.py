@@ -58,6 +58,7 @@ def test_heights_are_those_of_a_dense_grid(field, dense):
     assert np.degrees(np.arccos(np.clip((ground.normals * expected.normals).sum(axis=1), -1, 1)))[inner].max() < 0.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_bounds_hold_in_random_views(field, dense, meshlet):
     rng = np.random.default_rng(5 + meshlet)
@@ -167,6 +168,7 @@ def test_ring_has_the_heights_of_the_raster(field):
             assert not inner.size or np.abs(inner).max() < 1e-5
 
 
+@pytest.mark.thorough
 def test_the_size_of_measured_squares_changes_no_byte():
     one, other = (finer_field(36, 41, 4, ((2, 2), (1, 2), (0, 1)), block=block).raster.finer for block in (3, 5))
     for name in ("heights", "errors", "ranges", "limits"):

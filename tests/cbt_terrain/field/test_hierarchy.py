@@ -269,6 +269,7 @@ def expand(errors, lattice, meshlet, threads=1):
     return rounded.astype(np.float64), codes.decode(lattice, found, table).astype(np.float64)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [1, 2])
 @pytest.mark.parametrize("kind", ["random", "spike", "hill"])
 def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):

@@ -121,6 +121,7 @@ def large_store(tmp_path_factory):
     return path
 
 
+@pytest.mark.thorough
 def test_hills_behind_2_to_the_32_samples_meet_their_bound(large_store):
     """Heights of the mesh are compared with all samples of the hills by matplotlib's interpolation."""
     field = store.open_store(large_store)
@@ -150,6 +151,7 @@ def test_large_meshes_do_not_depend_on_threads_or_history(large_store):
     assert first.bound_px <= 1.0 and first.surface.level.max() > 30
 
 
+@pytest.mark.thorough
 def test_a_strip_of_70_000_samples_is_built_and_refined():
     y, x = np.mgrid[0:40, 0:70_000]
     heights = (20.0 * np.sin(x / 50.0) * np.cos(y / 11.0) + 2.0 * np.sin(x / 3.1 + y)).astype(np.float32)

@@ -74,6 +74,7 @@ def look(field, away, z, target_away, target_z):
     return View.look((*eye, z), (*target, target_z), resolution=(960, 540), clip=(0.1, 1e10))
 
 
+@pytest.mark.thorough
 def test_finest_cells_at_the_far_corner_are_reached(field):
     lattice = field.lattice
     assert lattice.span[0] << BITS == 1 << 30 and lattice.side_bits + lattice.levels + BITS == 30
@@ -114,6 +115,7 @@ def test_finest_vertices_are_those_of_the_hills(field):
     assert np.array_equal(found, expected_at(field, update.surface.positions[near, :2]).astype(np.float32))
 
 
+@pytest.mark.thorough
 def test_bound_in_metres_holds_at_the_far_corner(field):
     """Without a view all is refined, but nothing is steep far from the anchor."""
     update = Terrain(field, 2).update(Criterion(error_px=0.0, error_m=0.25))
@@ -123,6 +125,7 @@ def test_bound_in_metres_holds_at_the_far_corner(field):
     assert 0.1 < off.max() <= update.bound_m <= 0.25 * (1 + 1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [0, 1])
 def test_without_an_anchor_leaves_end_where_float32_does(plain, meshlet):
     """Positions are whole multiples of 32 or 64 m there: the mesh has no triangle without area, and says its error."""

@@ -180,6 +180,7 @@ def test_flats_state_the_rounding_and_what_leaves_miss():
         assert 0.5 + missed <= update.bound_m <= (0.5 + missed) * 1.002 and update.limited == "source"
 
 
+@pytest.mark.thorough
 def test_bounds_limited_by_rounding_hold_in_random_views():
     rng, tight = np.random.default_rng(4), 0
     for seed in range(25):

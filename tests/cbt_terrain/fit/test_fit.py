@@ -202,6 +202,7 @@ def test_rounding_at_the_border_cut_is_part_of_the_bound():
         assert 0.9 * fitted.bound_m < measured_m <= fitted.bound_m
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
 def test_the_bound_is_not_below_the_measured_error(kind):
     """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""

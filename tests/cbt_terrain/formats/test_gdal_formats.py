@@ -53,6 +53,7 @@ def test_samples_position_and_no_data_are_those_written(tmp_path, name):
         assert (place.step_x, place.step_y) == pytest.approx((step, step), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_every_format_is_read_in_the_sandbox(tmp_path):
     """Each format is read where the network, programs and all writing are given up, with its own driver alone."""
     files = [write(tmp_path / name, heights(), *place) for name, (write, place, _) in WRITERS.items()]

@@ -59,6 +59,7 @@ def test_grid_float(tmp_path):
     assert report["warnings"] == []
 
 
+@pytest.mark.thorough
 def test_the_child_process_reads_them_and_reprojects(tmp_path):
     source = write_header_file(tmp_path / "a.bil", hills().astype(np.int16))
     assert import_source(ImportSettings(str(source)), tmp_path / "s")["crs"] == "EPSG:4326"

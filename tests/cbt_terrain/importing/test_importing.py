@@ -175,6 +175,7 @@ def running(pid):
         return False
 
 
+@pytest.mark.thorough
 def test_two_imports_into_one_store_do_not_corrupt_it(tmp_path):
     jobs = [ImportJob(ImportSettings(source="island", size=513, seed=seed), tmp_path / "store") for seed in (1, 2)]
     while not all([job.poll().done for job in jobs]):
@@ -194,6 +195,7 @@ def test_errors_of_the_child_come_through_as_one_sentence(previous):
     assert snapshot(previous) == before
 
 
+@pytest.mark.thorough
 def test_the_calling_process_never_loads_the_file_libraries(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills(33, 33))
     script = (

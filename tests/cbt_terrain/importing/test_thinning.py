@@ -146,11 +146,13 @@ def write_vrt(folder, side):
     return str(folder / f"{side}.vrt")
 
 
+@pytest.mark.thorough
 def test_a_large_vrt_is_thinned(tmp_path):
     report = import_source(ImportSettings(write_vrt(tmp_path, 40_000), quick=2_000), tmp_path / "store")
     assert report["extent_m"] == pytest.approx([399.99, 399.99]) and report["lowest_m"] == report["highest_m"] == 7
 
 
+@pytest.mark.thorough
 def test_a_store_cannot_hold_more_than_2_to_the_30_a_side(tmp_path):
     source = write_vrt(tmp_path, 1_200_000_000)
     for quick in (0, 2_000):
@@ -179,6 +181,7 @@ def test_an_incomplete_store_says_so(tmp_path, source):
         assert loaded_text(wrong) == ""
 
 
+@pytest.mark.thorough
 def test_a_complete_import_replaces_a_quick_one(tmp_path, source):
     quick, store = quick_of(source), tmp_path / "store"
     first = import_source(quick, store)

@@ -131,6 +131,7 @@ def test_a_coast_is_on_its_level_to_a_few_steps_of_float32():
     assert new.sum() > 50 and (result.positions[new, 2] == np.float32(level)).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(4))
 def test_cuts_of_the_finest_triangles_leave_none_flat_or_flipped(seed):
     """Their edges have few steps of float32, so a cut point may be rounded onto a vertex."""

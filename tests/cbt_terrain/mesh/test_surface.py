@@ -120,6 +120,7 @@ def flown(field, meshlet=0, threads=2):
     return terrain, asked, views[3:]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("meshlet", [0, 1, 3])
 def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, eager_threads):

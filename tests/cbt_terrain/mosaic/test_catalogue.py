@@ -63,6 +63,7 @@ def shapefile(path, names):
     path.write_bytes(bytes(100))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["gti.gpkg", "shp", "gti"])
 def test_tile_indexes_give_paths_only(tmp_path, kind):
     files = tiles(tmp_path / "tiles")

@@ -50,6 +50,7 @@ def test_any_window_has_the_bits_of_the_whole(three, project):
     assert 0.0 < np.isnan(heights).mean() < 0.2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("project", ["", "EPSG:3035"])
 def test_heights_are_those_of_an_exact_sampler(three, project):
     files, sheets = three
@@ -113,6 +114,7 @@ def test_tiles_on_the_grid_are_copied_exactly(tmp_path):
     assert report["source_step_m"] == 0.5 and report["filled"] == 0
 
 
+@pytest.mark.thorough
 def test_a_store_does_not_depend_on_the_windows_that_are_read(three, tmp_path, monkeypatch):
     files, _ = three
     digests = set()

@@ -85,6 +85,7 @@ def mutate(value, random):
     return ODD[random.integers(len(ODD))]
 
 
+@pytest.mark.thorough
 def test_a_damaged_catalogue_is_a_raster_or_one_error(tiles):
     """Catalogues with a valid checksum and odd values never crash; a file that they place elsewhere is an error."""
     folder, store = tiles
@@ -106,6 +107,7 @@ def test_a_damaged_catalogue_is_a_raster_or_one_error(tiles):
     assert ends.count("read") > ROUNDS / 5 and ends.count("error") > ROUNDS / 20, ends
 
 
+@pytest.mark.thorough
 def test_damaged_headers_of_tiles_are_a_raster_or_one_error(tiles):
     folder, store = tiles
     file = folder / "t0.tif"

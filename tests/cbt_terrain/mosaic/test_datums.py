@@ -156,6 +156,7 @@ def test_a_quick_import_converts_heights(tmp_path, grids, monkeypatch, has_overv
     assert report["source_step_m"] >= 0.9 * open_store(tmp_path / "full").source_max > 0.0
 
 
+@pytest.mark.thorough
 def test_without_a_grid_heights_stay_and_a_warning_tells(files, tmp_path, monkeypatch):
     monkeypatch.setenv("PROJ_DATA", str(tmp_path / "grids"))
     write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008)

@@ -56,6 +56,7 @@ def points_of(field, corner, size, count, seed):
     return np.stack([(x - c) / a, (y - f) / e], 1)
 
 
+@pytest.mark.thorough
 def test_a_quick_import_with_few_finer_tiles_is_complete(country, tmp_path, monkeypatch):
     """The finest grid has 120 million samples here; the raster and the tiles are imported in the time of eight."""
     _, _, store, report = country

@@ -141,6 +141,7 @@ run_mosaic_import(ImportSettings(sys.argv[1]), Path(sys.argv[2]))
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("done", [3, 11])
 def test_an_import_that_was_killed_goes_on(settings, whole, tmp_path, monkeypatch, done):
     store = tmp_path / "store"
@@ -173,6 +174,7 @@ def stopped(almost_whole, tmp_path):
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["finer_heights", "finer_errors"])
 @pytest.mark.parametrize("damage", ["cut off", "altered", "header", "gone"])
 def test_damaged_leftovers_are_made_again(settings, whole, stopped, tmp_path, monkeypatch, name, damage):
@@ -215,6 +217,7 @@ def test_an_altered_raster_is_noticed(settings, whole, stopped, tmp_path, monkey
     assert counts[finer_heights.LIMITED] == whole[1][finer_heights.LIMITED]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "change", [{"sums": 7, "limits": [["a", 1.0]]}, {"figures": {}, "limits": [[1.0]]}, {"inputs": None}]
 )

@@ -85,6 +85,7 @@ def positions(field, every=1):
     return np.meshgrid(x[::every], y[::every])
 
 
+@pytest.mark.thorough
 def test_heights_agree_with_an_independent_sampler(mosaic):
     field, report, _, sheets, tiles = mosaic
     assert len(tiles) == report["files"] == 40 and field.lattice.step_x == 1.0

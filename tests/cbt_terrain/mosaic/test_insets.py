@@ -85,6 +85,7 @@ def inset(tmp_path_factory):
     return list(map(str, files)), coarse, fine
 
 
+@pytest.mark.thorough
 def test_blended_heights_are_those_by_brute_force(inset):
     files, coarse, fine = inset
     composite, heights, bound = read(files)

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Random scenarios for hypothesis: fields, views of all kinds, criteria, placements."""
 
+import math
+import os
+
 from hypothesis import strategies as st
 from scenarios import KINDS, VIEW_KINDS
 
+# Pixels along a view's longer side at most. All are looked at, which takes most of the time.
+MAX_PIXELS = 4000 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else 1000
 SHAPES = [(2, 2), (3, 3), (5, 9), (9, 9), (17, 17), (17, 33), (33, 17), (9, 25), (33, 33)]
 
 
@@ -32,7 +37,7 @@ def views(kinds=VIEW_KINDS):
     """Return one view of a scenario from a random place in and around the terrain."""
     share = st.floats(-2, 2).map(lambda value: round(value, 6))
     # What measures errors looks at each pixel: one side is spread over the decades, and errors come as near to bounds.
-    sides = st.tuples(st.integers(1, 4000), magnitudes(0, 3.602).map(int))
+    sides = st.tuples(st.integers(1, MAX_PIXELS), magnitudes(0, math.log10(MAX_PIXELS)).map(int))
     return st.fixed_dictionaries(
         {
             "kind": st.sampled_from(kinds),

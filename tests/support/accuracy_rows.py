@@ -23,17 +23,5 @@ def known_rows() -> list[Row]:
         on_screen = errors if setting.unit == "px" else None
         measured = Measurement(errors, error, 0.0, errors, errors, on_screen, on_screen, None)
         bound = max(setting.error, error)
-        rows.append(
-            Row(
-                setting,
-                bound,
-                (),
-                triangles,
-                triangles,
-                1.0,
-                2.0,
-                measured,
-                ms={"total": ms},
-            )
-        )
+        rows.append(Row(setting, bound, (), triangles, triangles, 1.0, 2.0, measured, ms={"total": ms}))
     return rows

@@ -106,11 +106,7 @@ def corners_of(square: int, heap_id: int, columns: int, exponent: int) -> Triang
 
 
 def forced_split_leaves(
-    columns: int,
-    rows: int,
-    max_depth: int,
-    wants_split: Callable[[int, int, int], bool],
-    exponent: int | None = None,
+    columns: int, rows: int, max_depth: int, wants_split: Callable[[int, int, int], bool], exponent: int | None = None
 ) -> set[tuple[int, int]]:
     """Return the leaves of the conforming refinement with forced splits (ROAM) as a set of (square, in-square id).
 

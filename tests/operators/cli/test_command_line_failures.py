@@ -29,10 +29,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells, pipes 
         ([*EXPORT, "--frames", "1", "--pixel-error", "-1"], "-1 is not a finite number, 0 or more"),
         ([*EXPORT, "--frames", "1", "--pixel-error", "nan"], "nan is not a finite number, 0 or more"),
         ([*EXPORT, "--frames", "1", "--metres", "inf"], "inf is not a finite number, 0 or more"),
-        (
-            [*EXPORT, "--frames", "1", "--budget", "99999999999"],
-            " is not a whole number from 0 to 2,147,483,647",
-        ),
+        ([*EXPORT, "--frames", "1", "--budget", "99999999999"], " is not a whole number from 0 to 2,147,483,647"),
         ([*EXPORT, "--frames", "1", "--meshlet", "5"], "5 is not a whole number from 0 to 4"),
         ([*EXPORT, "--frames", "1", "--resolution", "65537x1"], "'65537x1' has a number above 65536"),
         ([*EXPORT, "--frames", "1", "--resolution", "0x10"], "'0x10' is not two numbers above 0"),

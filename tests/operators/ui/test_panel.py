@@ -144,14 +144,7 @@ def test_the_panel_tells_that_stores_were_moved(scene, add_terrain, monkeypatch)
 def test_import_says_what_it_did():
     from adaptive_terrain.operators.importing.import_terrain import summary
 
-    report = {
-        "raster": [5, 4],
-        "lowest_m": -1.5,
-        "highest_m": 80.0,
-        "filled": 3,
-        "cut_out": 0,
-        "source_step_m": 0.5,
-    }
+    report = {"raster": [5, 4], "lowest_m": -1.5, "highest_m": 80.0, "filled": 3, "cut_out": 0, "source_step_m": 0.5}
     assert summary(report) == (
         "5 x 4 samples, -1.5 to 80 m, 3 without data filled, rounded by the source itself to ±0.5 m"
     )

@@ -94,10 +94,7 @@ assert ops.render_map(filepath=out + "/map.png", tiles=(2, 1)) == {{"FINISHED"}}
     program.run("-b", prepared, "--python-exit-code", "1", "--python-expr", script)
     coding = json.loads((tmp_path / "h_png.json").read_text())["heights"]
     for tile in ("x0_y0", "x1_y1"):
-        with (
-            rasterio.open(tmp_path / f"h_png_{tile}.png") as png,
-            rasterio.open(tmp_path / f"h_tif_{tile}.tif") as tif,
-        ):
+        with rasterio.open(tmp_path / f"h_png_{tile}.png") as png, rasterio.open(tmp_path / f"h_tif_{tile}.tif") as tif:
             decoded = coding["offset"] + coding["scale"] * png.read(1)
             assert abs(decoded - tif.read(1)).max() <= coding["max_error"] + 1e-4 and np.ptp(decoded) > 10
     _, tiles = read_tileset(tmp_path / "land.json")

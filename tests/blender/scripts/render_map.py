@@ -21,7 +21,7 @@ def steps():
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0 and not jobs.running)
     run(bpy.ops.adaptive_terrain.map_camera, use_metres=True, metres=10.0)
     scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 64, False
-    run(operator, "EXEC_DEFAULT", filepath=str(folder / "script.png"), tiles=(2, 1))
+    run(operator, "EXEC_DEFAULT", filepath=str(folder / "script.png"), tiles=(2, 1), geotiff=False)
     yield 0.1
     run(operator, "INVOKE_DEFAULT", tiles=(2, 1))
     yield from until(lambda: len(bpy.context.window_manager.windows) > 1)

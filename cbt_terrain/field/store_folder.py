@@ -22,6 +22,7 @@ DATA_PREFIX = "data-"
 WORK_NAME = "work.json"  # in a folder of arrays that is made by tile, and can be completed later (tiling/tile_work.py)
 WORK_SECONDS = 7 * 86_400.0  # since anything was written in such a folder; then it is abandoned
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
+AHEAD = "ahead"  # the folder of tiles that were read ahead of an import (importing/read_ahead.py)
 FIRST = "first"  # in the folder of arrays of loaded tiles: the store of the first picture (importing/refining.py)
 # All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
@@ -33,6 +34,7 @@ _ARRAY_FILE = re.compile(
     rf"|{partial_files.LOCK}"
 )
 _TILE = re.compile(r"[0-9a-f]{32}\.npy")
+_AHEAD = re.compile(r"[0-9]{1,9}\.tile|wanted\.json")
 
 
 def check_target(path: str | os.PathLike) -> None:
@@ -115,6 +117,11 @@ def is_array_name(name: str, is_folder: bool) -> bool:
 def is_tile_name(name: str) -> bool:
     """Return whether a file in the folder of tiles has the name of one."""
     return _TILE.fullmatch(name) is not None
+
+
+def is_ahead_name(name: str) -> bool:
+    """Return whether a file in the folder AHEAD has the name of a tile, or of the list of wanted ones."""
+    return _AHEAD.fullmatch(name) is not None
 
 
 def remove_arrays(folder: Path) -> None:

@@ -30,6 +30,7 @@ from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .import_report import report_of
 from .plausibility import ValueCheck
+from .read_ahead import remove_ahead
 from .refining import coarse_land, first_picture, refined
 from .thinning import LOADED, REFINED, loaded_steps, thinned
 from .tile_import import (
@@ -41,6 +42,7 @@ from .tile_import import (
     do_part,
     is_tiled,
     open_work,
+    read_ahead,
 )
 from .tile_tasks import TileSource
 
@@ -116,6 +118,8 @@ def import_raster(
             raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
         settings = fitted
         source, doubt = TileSource(raster, settings, place, land), DOUBT.format(settings.name)
+        if part is not None and land is not None:
+            return read_ahead(part, path, source, lattice, digest, on_progress)
         if part is not None:
             check_tiled(raster, lattice, settings.name)
             return do_part(part, path, folder, source, lattice, digest, doubt)
@@ -149,6 +153,8 @@ def import_raster(
             if land is not None:
                 _first_picture(given, raster, path)  # a complete import has ended meanwhile if it is gone
             draft.publish(field, digest, report)
+        if land is not None:
+            remove_ahead(path)
         return report
     finally:
         raster.close()
@@ -209,7 +215,11 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
     """Return the land of the first picture in the store at `path`. Raises TerrainError if it is of another source."""
     before, picture = dataclasses.replace(settings, loaded_tiles=()), first_picture(path)
     if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
-        raise TerrainError(f"The store {path} has no first picture of {settings.name}", fix="import quickly first")
+        raise TerrainError(
+            f"The store {path} has no first picture of {settings.name}",
+            expected="one of the same files, with the same paths and times, and of the same options",
+            fix="import quickly first",
+        )
     return coarse_land(settings, picture)
 
 

@@ -6,7 +6,7 @@ tiles get true samples of the source, as the first picture has; all others keep 
 store keeps the first picture inside, so that further tiles can be loaded; tiles that it has are not made again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -122,29 +122,49 @@ def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
     return seen_tiles(open_store(first_picture(store)), seen, loaded_tiles(read_json(store)["provenance"]))
 
 
+def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]:
+    """Return all tiles that any of several lands needs and an incomplete store lacks, in ascending order.
+
+    Repeated calls of `missing_tiles` for each land find the same. Raises TerrainError.
+    """
+    field, wanted = open_store(first_picture(store)), set[int]()
+    if is_large(field):
+        lands = list(lands)
+        for needs, seen in zip(_needs(field, _picture_side(field), lands), lands, strict=True):
+            wanted.update(map(int, np.flatnonzero(needs > seen.error_px)))
+    return tuple(sorted(wanted - loaded_tiles(read_json(store)["provenance"])))
+
+
 def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
     """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
 
     They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels,
-    because samples in between are about as far from the surface. There are none if the source has fewer than FEWEST
-    samples, so that its complete import is soon done, or if the field is no first picture.
+    because samples in between are about as far from the surface. There are none unless the field `is_large`.
     """
-    full = _full_raster(field)
-    if full is None or full[0] * full[1] < FEWEST:
+    if not is_large(field):
         return ()
-    needs = _needs(field, 1 << BITS - _bits(field, full), seen).ravel()
+    [needs] = (found.ravel() for found in _needs(field, _picture_side(field), [seen]))
     needs[[tile for tile in loaded if tile < len(needs)]] = 0.0
     order = np.argsort(-needs, kind="stable")[:MAX_TILES]
     return tuple(sorted(int(tile) for tile in order if needs[tile] > seen.error_px))
 
 
-def is_fine_enough(store: Path, seen: SeenLand) -> bool:
-    """Return whether views need no more detail than a store with loaded tiles has; False for one without such tiles.
+def is_large(field: HeightField) -> bool:
+    """Return whether a field is a first picture of FEWEST samples or more; otherwise all are soon imported."""
+    full = _full_raster(field)
+    return full is not None and full[0] * full[1] >= FEWEST
 
-    It is judged as in `seen_tiles`. Raises TerrainError.
+
+def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
+    """Return whether several lands need no more detail than an incomplete store has, judged as in `seen_tiles`.
+
+    False for a first picture that is not `is_large`. Raises TerrainError.
     """
     field = open_store(store)
-    return bool(loaded_tiles(field.provenance)) and _needs(field, 1 << BITS, seen).max() <= seen.error_px
+    if not loaded_tiles(field.provenance):
+        return is_large(field) and not all_missing_tiles(store, lands)
+    needs = _needs(field, 1 << BITS, lands)
+    return all(found.max() <= seen.error_px for found, seen in zip(needs, lands, strict=True))
 
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
@@ -168,24 +188,39 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
     return tiles[0] if row * grid.columns + column in loaded_tiles(field.provenance) else steps[0]
 
 
-def _needs(field: HeightField, side: int, seen: SeenLand) -> np.ndarray:
-    """Return the largest errors of the finest vertices, pixels, in squares of side x side cells: [rows, columns].
+def _needs(field: HeightField, side: int, lands: Iterable[SeenLand]) -> Iterator[np.ndarray]:
+    """Yield for each land the largest errors of the finest vertices, pixels, in squares of side x side cells.
 
-    Parts of a square are looked at, each by its own distance. Those out of every view have 0, one around an eye has
-    infinity.
+    Arrays have [rows, columns]. Parts of a square are looked at, each by its own distance. Those out of every view have
+    0, one around an eye has infinity.
     """
     lattice, part = field.lattice, max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
     tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, 0.0)
-    boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
-    pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True).reshape(rows, columns)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        needs = _finest_errors(field, part) * abs(seen.vertical_scale) / pixels
-    needs = np.nan_to_num(needs, posinf=np.inf)
-    for axis in (0, 1):
-        needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
-    return needs
+    errors = _finest_errors(field, part)
+    for seen in lands:
+        boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
+        pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True).reshape(rows, columns)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            needs = errors * abs(seen.vertical_scale) / pixels
+        needs = np.nan_to_num(needs, posinf=np.inf)
+        for axis in (0, 1):
+            needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
+        yield needs
+
+
+def picture_tiles(picture: HeightField) -> int:
+    """Return the number of tiles of a first picture that can be loaded."""
+    side = _picture_side(picture)
+    return -(-picture.lattice.cells_x // side) * -(-picture.lattice.cells_y // side)
+
+
+def _picture_side(picture: HeightField) -> int:
+    """Return the cells of a first picture along a side of a tile."""
+    full = _full_raster(picture)
+    assert full is not None, "it is a first picture"
+    return 1 << BITS - _bits(picture, full)
 
 
 def _full_raster(field: HeightField) -> tuple[int, int] | None:

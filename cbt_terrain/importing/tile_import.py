@@ -31,7 +31,8 @@ from ..tiling.tile_work import StoredHeights, TileWork, work_in
 from . import refining
 from .drafts import open_draft
 from .height_reader import HeightReader, scaling_of
-from .tile_tasks import TileSource, TileTask, in_file, perform, unit_count
+from .read_ahead import find_ahead
+from .tile_tasks import TileSource, TileTask, in_file, is_loaded, perform, read_tile_ahead, unit_count
 
 TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
 MEASURING = "Measuring errors"
@@ -175,6 +176,34 @@ def do_part(
     else:
         _measure_tiles(work, source, tile_steps.limits_of(work), crew, lambda _share: None, numbers)
     return {"tiles": len(work.grid), "done": sum(int(number < len(work.grid)) for number in numbers)}
+
+
+def read_ahead(
+    part: ImportPart,
+    path: Path,
+    source: TileSource,
+    lattice: Lattice,
+    digest: str,
+    on_progress: Callable[[float, str], None],
+) -> dict:
+    """Read tiles of coarse land ahead of the import that loads them, and return a report. Raises TerrainError.
+
+    Tiles that were read before are not read again, so a killed process loses one. Without any tile the sources are
+    only checked, and the store keeps the catalogue of a mosaic for those that read. The report has the number of the
+    import's "tiles" and how many of the requested ones are "done". path: the store.
+    """
+    if part.step != READ_TILES:
+        raise TerrainError(f"No part {part.step!r} of tiles in view can be done", expected=repr(READ_TILES))
+    work, folder = _work_of(path, source, lattice, digest), store_folder.named_folder(path)
+    numbers = [number for number in _chosen(len(work.grid), part.numbers) if is_loaded(source, number)]
+    if not numbers and folder is not None:
+        source.raster.finish(folder)
+    for done, number in enumerate(numbers):
+        on_progress(done / len(numbers), READING)
+        inputs = _inputs(work, source, number)
+        if find_ahead(path, work.grid, number, inputs) is None:
+            read_tile_ahead(work.grid, source, number, inputs, path)
+    return {"tiles": len(work.grid), "done": len(numbers)}
 
 
 def _not_begun(path: Path) -> TerrainError:

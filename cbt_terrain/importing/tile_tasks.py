@@ -2,6 +2,7 @@
 """Tasks of an import by tile: a unit of the source to read, or a tile to measure."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..tiling.tile_grid import TileBox, TileGrid
 from ..tiling.tile_records import MEASURED, READ
 from ..tiling.tile_work import NotNumberedError, TileWork
 from .height_reader import HeightReader
+from .read_ahead import find_ahead, write_ahead
 
 MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
 STRIP_ROWS = 512  # of a tile that are read together, to save memory
@@ -60,6 +62,14 @@ def perform(
         tile_steps.measure(work, task.number, terrain, threads, task.before, coarse=coarse)
         return True
     assert source is not None, "only the measuring of a tile needs none"
+    if is_loaded(source, task.number):
+        ahead = find_ahead(work.folder.parent, work.grid, task.number, task.inputs)
+        if ahead is not None:
+            box = work.grid.owned(work.grid.box(task.number))
+            work.write_heights(box.x0, box.y0, ahead.heights)
+            values = {name: ahead.record[name] for name in ("inputs", "missing", "limits", "figures")}
+            work.note(READ, task.number, **values)
+            return True
     source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this unit alone
     reader = HeightReader(source.raster, source.settings)
     limits: list[float] = []
@@ -73,6 +83,23 @@ def perform(
     return True
 
 
+def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str, store: Path) -> None:
+    """Write the heights of a loaded tile into a file of the store, for a later import. Raises TerrainError."""
+    source.raster.moved = source.raster.shifted = 0.0
+    reader, whole = HeightReader(source.raster, source.settings), grid.owned(grid.box(number))
+    found = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
+    for box, heights in _read_heights(grid, source, number, reader):
+        found[box.y0 - whole.y0 : box.y1 - whole.y0 + 1, box.x0 - whole.x0 : box.x1 - whole.x0 + 1] = heights
+    limits = None if reader.missing == found.size else [float(np.nanmin(found)), float(np.nanmax(found))]
+    record = {"inputs": inputs, "missing": reader.missing, "limits": limits, "figures": reader.figures()}
+    write_ahead(store, grid, number, record, found)
+
+
+def is_loaded(source: TileSource, number: int) -> bool:
+    """Return whether a tile is one of those that are loaded around coarse land."""
+    return source.coarse is not None and number in source.coarse.loaded
+
+
 def _read_heights(
     grid: TileGrid, source: TileSource, number: int, reader: HeightReader
 ) -> Iterator[tuple[TileBox, np.ndarray]]:
@@ -80,7 +107,7 @@ def _read_heights(
 
     A unit that is not loaded has the heights of the coarse land.
     """
-    if source.coarse is not None and number not in source.coarse.loaded:
+    if source.coarse is not None and not is_loaded(source, number):
         box = grid.owned(grid.box(number))
         heights = source.coarse.heights(box)
         reader.missing += int(np.count_nonzero(np.isnan(heights)))

@@ -102,7 +102,7 @@ class TileLoader:
                 seen = _seen_by(obj, depsgraph, request.RENDER)
                 tiles = missing_tiles(self._store, seen)
                 if not tiles:
-                    return is_fine_enough(self._store, seen)
+                    return is_fine_enough(self._store, [seen])
                 child = self._load(tiles)
             except TerrainError:
                 return False  # the update reports it
@@ -140,11 +140,15 @@ def suffice(obj, depsgraph) -> bool:
 
 
 def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
+    """Return the `seen_land` of a terrain in a mode of terrain/request.py, VIEWPORT or RENDER. Raises TerrainError."""
+    return seen_land(request.gather(obj, depsgraph, mode, about_middle=True))
+
+
+def seen_land(found: request.Request) -> SeenLand:
     """Return the views of a terrain, and what else determines the tiles that they need: 1 pixel if no error is set.
 
-    mode: VIEWPORT or RENDER of terrain/request.py. Raises TerrainError.
+    found: the request of an update, about the raster's middle.
     """
-    found = request.gather(obj, depsgraph, mode, about_middle=True)
     scale = found.vertical_scale, found.vertical_offset
     return SeenLand(found.views, found.placement, found.criterion.error_px or 1.0, *scale)
 

@@ -112,7 +112,7 @@ class Project:
         if choice % 3 == 1 and kind == "loaded":
             seen = refining.SeenLand([VIEW], np.eye(4))
             refining.missing_tiles(store, seen)
-            refining.is_fine_enough(store, seen)
+            refining.is_fine_enough(store, [seen])
             refining.loaded_at(open_store(store), 10.0, 20.0)
             return None
         report = run_import(replace(self.raster, loaded_tiles=FURTHER), store)

@@ -269,17 +269,22 @@ def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):
     assert refining.loaded_at(open_store(store), *middle) is None
 
 
-def test_views_that_tiles_satisfy_need_no_more(tmp_path, small_tiles):
+def test_views_that_tiles_satisfy_need_no_more(tmp_path, small_tiles, monkeypatch):
     settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
     west, south, _, _ = open_store(store).lattice.rectangle()
     near = refining.SeenLand([camera_at(west + 700.0, south + 2000.0, 1500.0)], np.eye(4))
     far = near._replace(error_px=1e4)
-    assert not refining.is_fine_enough(store, near) and refining.is_fine_enough(store, far)
+    assert not refining.is_fine_enough(store, [near]) and refining.is_fine_enough(store, [far])
+    assert not refining.is_fine_enough(store, [far, near]), "one of them needs more"
     assert not refining.missing_tiles(store, far), "none is missing there"
     wanted = refining.missing_tiles(store, near)
     assert wanted and 0 not in wanted
+    assert refining.all_missing_tiles(store, [far, near]) == wanted
     run_import(settings, tmp_path / "first")
-    assert not refining.is_fine_enough(tmp_path / "first", far), "it has no tiles"
+    assert refining.is_fine_enough(tmp_path / "first", [far]), "a large source is not imported for a distant view"
+    assert not refining.is_fine_enough(tmp_path / "first", [far, near])
+    monkeypatch.setattr(refining, "FEWEST", 1 << 29)
+    assert not refining.is_fine_enough(tmp_path / "first", [far]), "all of a smaller one are soon there"
 
 
 def test_further_tiles_are_loaded_without_the_others(tmp_path, small_tiles, monkeypatch):

@@ -65,6 +65,15 @@ def count_from_one(text: str) -> int:
     return value
 
 
+def share(text: str) -> tuple[int, int]:
+    """Parse a share as K/N, the K-th of N, for argparse."""
+    number, _, parts = text.partition("/")
+    found = count_from_one(number), count_from_one(parts)
+    if found[0] > found[1]:
+        raise argparse.ArgumentTypeError(f"{text} is not one of {found[1]} shares")
+    return found
+
+
 def path(text: str) -> Path:
     """Parse a path; an empty text would be the current folder."""
     return Path(path_text(text))

@@ -5,22 +5,28 @@ import sys
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .verbs import frame_reporter, largest_bound
+from .verbs import UsageError, frame_reporter, largest_bound
 
 
 def run_prepare(arguments) -> None:
-    """Run the verb `prepare`: import stores, shape land and bake maps that all frames need, before the farm's tasks."""
+    """Run the verb `prepare`: import stores, shape land and bake maps that all frames need, before the farm's tasks.
+
+    Raises UsageError.
+    """
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
     from ..export.blend_files import open_scene
-    from ..export.preparing import PARTS, prepare
+    from ..export.preparing import ALL, prepare
     from ..session.shot import frames_of
 
+    if arguments.share and arguments.only != "tiles":
+        raise UsageError("--share belongs to --only tiles")
     scene, objects = open_scene(arguments.scene)
-    parts = [arguments.only] if arguments.only else list(PARTS)
+    parts = [arguments.only] if arguments.only else ALL
+    where = {"stores": arguments.job_stores, "share": arguments.share or (1, 1)}
     with Progress(len(parts) * len(objects), "prepare", arguments.progress) as bar:
-        prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to)
+        prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to, **where)
 
 
 def run_render(arguments) -> None:
@@ -32,7 +38,7 @@ def run_render(arguments) -> None:
     from ..export.frame_sources import SceneFrames
     from ..export.rendering import render_frames
 
-    source = SceneFrames(arguments.scene, None, None)
+    source = SceneFrames(arguments.scene, None, None, stores=arguments.job_stores)
     for folder in folders_outside(source.scene, Path(arguments.scene).parent, arguments.out):
         print_line(f"note: a File Output node writes outside the scene's folder, to {folder}", file=sys.stderr)
     with frame_reporter(arguments, "render") as on_frame:

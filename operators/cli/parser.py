@@ -18,6 +18,7 @@ from .argument_types import (
     path,
     path_text,
     positive,
+    share,
 )
 
 PROGRAM = "adaptive-terrain"
@@ -42,6 +43,7 @@ DISPLACEMENT = {
     "metavar": "AMPLITUDE,WAVELENGTH",
     "help": "metres of height and length of relief below the raster's cells",
 }
+JOB_STORES = {"type": path, "metavar": "DIR", "help": "a farm job's stores, for terrains with incomplete ones"}
 CAMERA = {"metavar": "NAME", "help": "a camera of the scene, instead of its active one"}
 
 
@@ -109,6 +111,7 @@ def _add_export(subparsers) -> None:
     verb.add_argument("--anchor", action="store_true", help=about)
     verb.add_argument("--scatter", action="store_true", help="also the points of the scene's scatters, each as CSV")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+    verb.add_argument("--job-stores", **JOB_STORES)
 
 
 def _add_maps(subparsers) -> None:
@@ -224,7 +227,10 @@ def _add_farm(subparsers) -> None:
     )
     verb.add_argument("--scene", **scene)
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
-    verb.add_argument("--only", choices=("stores", "land"), help="import stores, or shape land and bake maps")
+    only = "import stores, shape land and bake maps, find the tiles in view, or read some of these ahead"
+    verb.add_argument("--only", choices=("stores", "land", "view", "tiles"), help=only)
+    verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles in view, with --only tiles (all)")
+    verb.add_argument("--job-stores", **JOB_STORES)
 
     verb = _add_verb(
         subparsers, "render", "render frames of a scene, each refined or not rendered", farm_verbs.run_render
@@ -233,6 +239,7 @@ def _add_farm(subparsers) -> None:
     verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+    verb.add_argument("--job-stores", **JOB_STORES)
 
     verb = _add_verb(subparsers, "verify", "check that frames are there, whole and of one scene", farm_verbs.run_verify)
     verb.add_argument("folder", type=path, help="where export or render has written them")

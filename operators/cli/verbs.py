@@ -103,7 +103,10 @@ def _export_source(arguments):
             effects=arguments.effects,
             ground=displacement,
         )
-        return SceneFrames(arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter)
+        of_scene = arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter
+        return SceneFrames(*of_scene, arguments.job_stores)
+    if arguments.job_stores:
+        raise UsageError("--job-stores belongs to --scene")
     if arguments.scatter:
         raise UsageError("--scatter belongs to --scene: a store has no scatters")
     if not arguments.path:

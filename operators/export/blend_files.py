@@ -11,8 +11,11 @@ from ..text.console import quiet
 MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
 
 
-def open_scene(blend: Path) -> tuple:
-    """Open a .blend file; returns its active scene and that scene's terrains, one at least. Raises TerrainError."""
+def open_scene(blend: Path, stores: Path | None = None) -> tuple:
+    """Open a .blend file; returns its active scene and that scene's terrains, one at least. Raises TerrainError.
+
+    stores: folder of the stores of a farm's job, which the terrains get; None for their own.
+    """
     bpy = import_bpy("A .blend file")
     from ..session import session
 
@@ -33,6 +36,10 @@ def open_scene(blend: Path) -> tuple:
         raise TerrainError(
             f"The scene {scene.name!r} in {blend} has no adaptive terrain", fix="add one and save the file"
         )
+    if stores is not None:
+        from ..importing.shot_tiles import use_job_stores
+
+        use_job_stores(objects, stores)
     return scene, objects
 
 

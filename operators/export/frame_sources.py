@@ -127,8 +127,8 @@ class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
     The file is opened, and its scene stays at the last frame. `camera` names another camera; `resolution`: pixels, None
-    for the scene's; `overrides` replace settings of all objects. `with_scatters`: their points are written too. Raises
-    TerrainError.
+    for the scene's; `overrides` replace settings of all objects. `with_scatters`: their points are written too.
+    `stores`: folder of the stores of a farm's job, None for the terrains' own. Raises TerrainError.
     """
 
     def __init__(
@@ -138,9 +138,10 @@ class SceneFrames:
         resolution: tuple[int, int] | None,
         overrides: Overrides = NO_OVERRIDES,
         with_scatters: bool = False,
+        stores: Path | None = None,
     ):
         content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
-        self.scene, self.objects = open_scene(blend)
+        self.scene, self.objects = open_scene(blend, stores)
 
         from ..scatter.request import scatters_of
 

@@ -3,7 +3,9 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 
@@ -16,6 +18,7 @@ from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
+from ..importing.shot_tiles import can_load_tiles, job_store, load_tiles, plan_tiles, read_tiles, use_job_stores
 from ..land.request import land_of
 from ..land.shape_land import wanted_land
 from ..maps.baking import bake_maps
@@ -27,6 +30,23 @@ from ..session.shot import visit_views
 
 Say = Callable[[str], None]
 OnProgress = Callable[[float], None]
+
+
+class Preparation(NamedTuple):
+    """What is made for the frames of a scene, and how it is reported.
+
+    Attributes:
+        say: prints a line.
+        on_progress: takes the fraction of a terrain's part that is done.
+        stores: folder of the stores of a farm's job, in which tiles in view are loaded; None for the terrains' own.
+        share: the number, from 1, and the count of processes that read the tiles in view.
+    """
+
+    frames: Sequence[int]
+    say: Say
+    on_progress: OnProgress
+    stores: Path | None = None
+    share: tuple[int, int] = (1, 1)
 
 
 def store_folder_of(obj) -> Path:
@@ -43,28 +63,47 @@ def is_missing(store: Path) -> bool:
     return False
 
 
-def import_store(obj, _frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
+def import_store(obj, task: Preparation) -> None:
     """Import a terrain's height map into the store that its settings name, unless the complete store exists.
 
-    say: prints a line. on_progress: takes the fraction done. Raises TerrainError, also for a damaged store.
+    Of an incomplete store of a large source only the tiles that the frames see are loaded, if these are fine enough.
+    Raises TerrainError, also for a damaged store.
     """
     store = store_folder_of(obj)
+    if can_load_tiles(store):
+        if text := load_tiles(obj, task.frames, task.stores, task.on_progress):
+            task.say(f"{obj.name}: {text}")
+            return
+        task.say(f"{obj.name}: the frames need more detail than tiles in view have, so all samples are imported")
     if is_missing(store):
-        report = import_source(settings_of(obj), store, on_progress=lambda fraction, _message: on_progress(fraction))
-        say(f"{obj.name}: imported, {import_summary(report)}")
+        report = import_source(settings_of(obj), store, lambda fraction, _message: task.on_progress(fraction))
+        task.say(f"{obj.name}: imported, {import_summary(report)}")
     else:
         session.open_field(str(store))
-        say(f"{obj.name}: its store is there")
+        task.say(f"{obj.name}: its store is there")
 
 
-def shape_land(obj, frames: Sequence[int], say: Say, on_progress: OnProgress) -> None:
+def find_view(obj, task: Preparation) -> None:
+    """Find the tiles that the frames see, for `read_view`, if the terrain's can be loaded. Raises TerrainError."""
+    if can_load_tiles(store_folder_of(obj)):
+        task.say(f"{obj.name}: {plan_tiles(obj, task.frames, task.stores)}")
+
+
+def read_view(obj, task: Preparation) -> None:
+    """Read this process's share of the tiles that `find_view` has found. Raises TerrainError."""
+    scene_store = store_folder_of(obj)
+    if can_load_tiles(scene_store):
+        store = scene_store if task.stores is None else job_store(obj, task.stores)
+        task.say(f"{obj.name}: {read_tiles(obj, store, task.share, task.on_progress):,} tiles read")
+
+
+def shape_land(obj, task: Preparation) -> None:
     """Shape a terrain's land, and bake the maps that its materials show; existing ones are reused.
 
-    A terrain that is hidden in renders needs none.
-
-    Depending on its settings this is done for the whole terrain, or for the ground that the camera sees in `frames`.
-    say: prints a line. on_progress: takes the fraction of the maps that is done.
+    A terrain that is hidden in renders needs none. Depending on its settings this is done for the whole terrain, or for
+    the ground that the camera sees in the frames.
     """
+    frames, say = task.frames, task.say
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     if obj.hide_render:
         return
@@ -80,20 +119,37 @@ def shape_land(obj, frames: Sequence[int], say: Say, on_progress: OnProgress) ->
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
         *_, request = visit_for_request(obj, scene, names, shot)
         field = raster_of(request.store, request.land, session.open_field, verified=True)
-        say(maps_summary(bake_maps(request, field, on_progress), obj.name))
+        say(maps_summary(bake_maps(request, field, task.on_progress), obj.name))
 
 
-PARTS = {"stores": import_store, "land": shape_land}
+PARTS = {"stores": import_store, "land": shape_land, "view": find_view, "tiles": read_view}
+ALL = "stores", "land"  # without a farm
 
 
-def prepare(objects: Sequence, frames: Sequence[int], parts: Sequence[str], say: Say, on_progress: OnProgress) -> None:
-    """Make the `parts` ("stores", "land") that frames of the open file need, for the terrains `objects`.
+def prepare(
+    objects: Sequence,
+    frames: Sequence[int],
+    parts: Sequence[str],
+    say: Say,
+    on_progress: OnProgress,
+    stores: Path | None = None,
+    share: tuple[int, int] = (1, 1),
+) -> None:
+    """Make the `parts` (of PARTS) that frames of the open file need, for the terrains `objects`.
 
-    say: prints a line. on_progress: takes the number of finished terrains, counted for each part, with fractions.
-    Raises TerrainError.
+    say, stores, share: as of `Preparation`. on_progress: takes the number of finished terrains, counted for each part,
+    with fractions. Raises TerrainError.
     """
-    work = [(PARTS[part], obj) for part in parts for obj in objects]
-    for done, (make, obj) in enumerate(work):
+    work = [(part, obj) for part in parts for obj in objects]
+    for done, (part, obj) in enumerate(work):
         on_progress(done)
-        make(obj, frames, say, lambda fraction, done=done: on_progress(done + fraction))
+        if part == "land" and stores is not None:
+            use_job_stores([obj], stores)
+        report = partial(_add_fraction, on_progress, done)
+        PARTS[part](obj, Preparation(frames, say, report, stores, share))
     on_progress(len(work))
+
+
+def _add_fraction(on_progress: OnProgress, done: int, fraction: float) -> None:
+    """Report that `done` terrains and a fraction of another one are finished."""
+    on_progress(done + fraction)

@@ -29,6 +29,12 @@ PLATFORMS = {
     "macos-arm64": ("macos", "arm64"),
 }
 NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # characters that JSON allows and YAML drops or refuses
+STORES_PARAMETER = """- name: StoresDir
+  type: PATH
+  objectType: DIRECTORY
+  dataFlow: INOUT
+  description: Stores of this job, with the tiles that its frames see."""
+MAX_SHARES, SHARE_TILES = 16, 8  # tasks that read tiles in view, and tiles of one if all are in view
 MAX_NAME, MAX_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
@@ -48,6 +54,8 @@ class FarmJob:
         output_folders: folders that a worker writes before the frames.
         platforms: platforms of the zip, by Blender's names.
         min_memory_gib: required memory of a worker, 0 for any.
+        stores: folder of the job's stores, in which tiles in view are loaded; None without any.
+        max_tiles: the largest number of tiles that may be in view of a terrain.
     """
 
     name: str
@@ -63,6 +71,8 @@ class FarmJob:
     output_folders: Sequence[Path]
     platforms: Sequence[str] = ()
     min_memory_gib: float = 0.0
+    stores: Path | None = None
+    max_tiles: int = 0
 
 
 def write_bundle(job: FarmJob, folder: Path) -> None:
@@ -95,8 +105,22 @@ def job_template(job: FarmJob, guard: str) -> str:
     """Return the template of a job as YAML. `guard`: source of guard.py, which runs before the frames."""
     steps = read_template("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8  # of the embedded file in job.yaml
-    text = read_template("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
-    return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
+    text = read_template("job.yaml") + steps
+    has_tiles = job.stores is not None
+    shares = min(MAX_SHARES, -(-job.max_tiles // SHARE_TILES))
+    view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(shares))
+    after_tiles = "  dependencies: [{dependsOn: Tiles}]\n"
+    parts = {
+        "@VIEW_STEPS@\n": view_steps if has_tiles else "",
+        "  @AFTER_TILES@\n": after_tiles if has_tiles else "",
+        "@STORES_PARAMETER@\n": f"{STORES_PARAMETER}\n" if has_tiles else "",
+        '"@JOB_STORES@", ': '--job-stores, "{{Param.StoresDir}}", ' if has_tiles else "",
+        "  @HOST_REQUIREMENTS@\n": host_requirements(job),
+        "@GUARD@": guard.strip().replace("\n", f"\n{indent}"),
+    }
+    for mark, part in parts.items():
+        text = text.replace(mark, part)
+    return text
 
 
 def host_requirements(job: FarmJob) -> str:
@@ -149,6 +173,7 @@ def _parameter_values(job: FarmJob) -> dict[str, str]:
         "Format": ",".join(job.formats),
         "OutputDir": str(job.out),
         "ExtensionZip": "" if job.zip_path is None else str(job.zip_path),
+        **({} if job.stores is None else {"StoresDir": str(job.stores)}),
     }
 
 

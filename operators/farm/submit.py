@@ -20,6 +20,7 @@ from ..export.preparing import is_missing, store_folder_of
 from ..export.scene_files import scene_files
 from ..importing.import_terrain import settings_of
 from ..importing.imported import loaded_text
+from ..importing.shot_tiles import can_load_tiles, num_tiles
 from ..maps.properties import map_folder
 from ..maps.request import maps_shown_by_materials
 from ..session.shot import frames_of
@@ -27,7 +28,7 @@ from ..terrain.properties import built_in_land
 from .bundle import FarmJob, openjd_command, write_bundle
 from .outside_files import check_outside, named_some
 
-FRAMES, INSTALLED = "frames", "installed"
+FRAMES, STORES, INSTALLED = "frames", "stores", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
 
 
@@ -64,11 +65,12 @@ def submit(
     blend, out = real_path(bpy.data.filepath), real_path(out)
     frames = frames or frames_of(scene)
     files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if path.is_file()))
-    height_maps, folders, outputs, notes = [], [], [], []
+    height_maps, folders, outputs, notes, tiles = [], [], [], [], []
     for obj in objects:
         _add_terrain(obj, height_maps, folders, outputs)
-        if text := loaded_text(obj.adaptive_terrain):
-            notes.append(f"{obj.name}: {text}; the job imports all of it first")
+        if loaded_text(obj.adaptive_terrain):
+            tiles.append(num_tiles(store_folder_of(obj)))
+            notes.append(_incomplete_note(obj, tiles[-1]))
         if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_folder_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
@@ -96,14 +98,30 @@ def submit(
         zip_path=zip_path,
         files=[*files, *height_maps, *([] if zip_path is None else [zip_path])],
         folders=folders,
-        output_folders=outputs,
+        output_folders=[*outputs, *([out / STORES] if any(tiles) else [])],
         platforms=() if zip_path is None else _platforms(zip_path),
         min_memory_gib=min_memory_gib,
+        stores=out / STORES if any(tiles) else None,
+        max_tiles=max(tiles, default=0),
     )
     write_bundle(job, out)
     lines = [f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"]
     lines.append(f"to run it on this machine: {openjd_command(out)}")
     return lines, notes
+
+
+def _incomplete_note(obj, num_tiles: int) -> str:
+    """Return the note about the import of a terrain with an incomplete store before the frames.
+
+    num_tiles: of those that may be in view, 0 if all samples are imported.
+    """
+    text = f"{obj.name}: {loaded_text(obj.adaptive_terrain)}; the job "
+    if not num_tiles:
+        return text + "imports all of it first"
+    return text + (
+        f"first imports the tiles that its frames see, at most {num_tiles:,}, or all samples if the frames need more "
+        "detail. All workers need the store and its height maps under the same paths, on a shared disk"
+    )
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:
@@ -113,7 +131,9 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
     the job write.
     """
     store = store_folder_of(obj)
-    if is_missing(store):
+    if can_load_tiles(store):  # workers share its disk
+        folders.append(store)
+    elif is_missing(store):
         outputs.append(store)
         if built_in_land(obj.adaptive_terrain) is None:
             height_maps += _height_maps(obj, store)

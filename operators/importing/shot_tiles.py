@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles that the frames of a shot see, for terrains whose store is incomplete: found, read ahead and loaded.
+
+A farm's job does so in steps, of which the second runs on several computers. They load tiles into a copy of the first
+picture in the job's folder, the job's store, so that neither the artist's work nor another job changes it meanwhile.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError, unwritable
+from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.field.store import open_store, read_json
+from ...cbt_terrain.field.store_folder import AHEAD, JSON_NAME, remove_store
+from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.importing.read_ahead import remove_ahead, share_of
+from ...cbt_terrain.importing.refining import (
+    SeenLand,
+    all_missing_tiles,
+    first_picture,
+    is_fine_enough,
+    is_large,
+    loaded_tiles,
+    picture_tiles,
+)
+from ...cbt_terrain.importing.thinning import loaded_m, loaded_text
+from ...cbt_terrain.importing.tile_import import READ_TILES, ImportPart
+from ...cbt_terrain.rasters.raster import ImportSettings
+from ...cbt_terrain.run.named_file import read_regular
+from ...cbt_terrain.run.owned_files import open_folder
+from ...cbt_terrain.run.partial_files import written_beside
+from ..bridge.scene_paths import absolute_path, store_path
+from ..session.shot import visit_requests
+from .import_terrain import settings_of
+from .view_tiles import seen_land
+
+WANTED = "wanted.json"  # in the store's folder AHEAD: the tiles to load
+MAX_WANTED = 1 << 20  # bytes
+SUFFIX = ".store"
+
+
+def can_load_tiles(store: Path) -> bool:
+    """Return whether a store is incomplete, of a source so large that only the tiles in view are loaded."""
+    with suppress(TerrainError):
+        if (store / JSON_NAME).exists() and loaded_m(read_json(store)["provenance"]) is not None:
+            return is_large(open_store(first_picture(store)))
+    return False
+
+
+def num_tiles(store: Path) -> int:
+    """Return the number of tiles of a store that may be in view; 0 for a store whose tiles cannot be loaded."""
+    return picture_tiles(open_store(first_picture(store))) if can_load_tiles(store) else 0
+
+
+def use_job_stores(objects: Sequence, stores: Path) -> None:
+    """Give terrains their stores in the job's folder `stores`, until the file is opened again.
+
+    A terrain without one there keeps its own. Raises TerrainError if that is incomplete.
+    """
+    for obj in objects:
+        scene_store, of_job = Path(absolute_path(obj.adaptive_terrain.store)), job_store(obj, stores)
+        if (of_job / JSON_NAME).exists():
+            obj.adaptive_terrain.store = str(of_job)
+        elif obj.adaptive_terrain.store and can_load_tiles(scene_store):
+            what = f"The tiles of {obj.name!r} that the frames see are not loaded in {stores}"
+            raise TerrainError(what, fix="run `prepare` with the same --job-stores first")
+
+
+def job_store(obj, stores: Path) -> Path:
+    """Return the store of a terrain in the folder of a job's stores."""
+    return stores.absolute() / f"{bpy.path.clean_name(obj.name)}{SUFFIX}"
+
+
+def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, list[SeenLand], tuple[int, ...]]:
+    """Return the store into which tiles are loaded, the SeenLand of each frame, and the tiles that they need.
+
+    Tiles that the store has are left out. stores: the folder of the job's stores, in which that store is made; None for
+    the terrain's own store. Raises TerrainError.
+    """
+    scene_store = Path(store_path(obj))
+    store = scene_store if stores is None else _copied(first_picture(scene_store), job_store(obj, stores))
+    requests = visit_requests(obj, bpy.context.scene, frames, about_middle=True)
+    lands = [seen_land(request) for request in requests if not obj.hide_render]
+    return store, lands, all_missing_tiles(store, lands)
+
+
+def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
+    """Write the tiles that frames need and the store lacks, for `read_tiles`; return a text about them.
+
+    stores: as of `find_tiles`. Raises TerrainError, also if the store is not of the terrain's sources and settings.
+    """
+    store, _lands, tiles = find_tiles(obj, frames, stores)
+    if not tiles:
+        remove_ahead(store)
+        return "no further tiles are in view"
+    report = import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
+    _write_wanted(store, tiles)
+    return f"{len(tiles):,} further tiles of {report['tiles']:,} are in view"
+
+
+def _copied(picture: Path, store: Path) -> Path:
+    """Return the job's store after making it from a first picture, unless it was made from the same before."""
+    if (store / JSON_NAME).exists() and read_json(first_picture(store))["digest"] != read_json(picture)["digest"]:
+        discard_store(store)
+    if not (store / JSON_NAME).exists():
+        copy_store(picture, store)
+    return store
+
+
+def discard_store(store: Path) -> None:
+    """Remove a job's store, with tiles that were read ahead. Raises TerrainError."""
+    try:
+        remove_ahead(store)
+        remove_store(store)
+    except OSError as reason:
+        raise unwritable(f"The store {store}", reason) from reason
+
+
+def _write_wanted(store: Path, tiles: Sequence[int]) -> None:
+    """Write the numbers of tiles into a file of the store. Raises TerrainError."""
+    file = store / AHEAD / WANTED
+    try:
+        with open_folder(file.parent, make=True):
+            pass
+        with written_beside(file) as partial:
+            partial.write_text(json.dumps(list(tiles)), encoding="utf-8")
+    except OSError as reason:
+        raise unwritable(f"The store {store}", reason) from reason
+
+
+def read_tiles(obj, store: Path, part: tuple[int, int], on_progress: Callable[[float], None]) -> int:
+    """Read a part of the tiles that `plan_tiles` has found, ahead of `load_tiles`; return their number.
+
+    part: its number from 1, and the number of parts. Several computers may read different parts at the same time.
+    Raises TerrainError.
+    """
+    try:
+        found = json.loads(read_regular(store / AHEAD / WANTED, MAX_WANTED, links=False))
+        wanted = {number for number in found if type(number) is int and number >= 0}
+    except (OSError, ValueError, TypeError):
+        return 0  # the tiles are loaded
+    mine = share_of(wanted, *part)
+    if mine:
+        settings = _settings_with(obj, store, wanted)
+        import_source(settings, store, lambda done, _text: on_progress(done), part=ImportPart(READ_TILES, mine))
+    return len(mine)
+
+
+def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Callable[[float], None]) -> str:
+    """Load the tiles that frames need; return a text about the store, or "" if the frames need all samples.
+
+    stores: as of `find_tiles`; a store of the job is removed if the frames need all samples. Raises TerrainError.
+    """
+    store, lands, tiles = find_tiles(obj, frames, stores)
+    if tiles:
+        import_source(_settings_with(obj, store, tiles), store, lambda done, _text: on_progress(done))
+    remove_ahead(store)
+    if is_fine_enough(store, lands):
+        return f"{len(tiles):,} further tiles in view are loaded, {loaded_text(read_json(store)['provenance'])}"
+    if stores is not None:
+        discard_store(store)
+    return ""
+
+
+def _settings_with(obj, store: Path, tiles: Sequence[int] | set[int]) -> ImportSettings:
+    """Return the settings of a terrain's quick import with further loaded tiles. Raises TerrainError."""
+    provenance = read_json(store)["provenance"]
+    wanted = loaded_tiles(provenance).union(tiles)
+    return replace(settings_of(obj), quick=provenance["settings"]["quick"], loaded_tiles=tuple(sorted(wanted)))

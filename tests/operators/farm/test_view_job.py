@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs of scenes with an incomplete store: openjd-cli imports the tiles that the frames see, and then makes these."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.importing import refining
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.operators.cli import parser
+from adaptive_terrain.operators.farm import bundle
+from adaptive_terrain.operators.importing import import_terrain, shot_tiles
+from mathutils import Vector
+from openjd.model import decode_job_template
+from rasterio.transform import from_origin
+from rasters import hills, write_raster
+from store_exports import run
+
+# Stands for Blender: runs verbs with small tiles, and imports in its own process. It dies after its first tile if told.
+WORKER = """
+import os, sys
+if "--command" not in sys.argv:
+    sys.exit(0)  # the guard
+from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_tasks
+from adaptive_terrain.operators.cli import command_line
+refining.FEWEST, refining.FACTOR, refining.BITS = 1, 2, 4
+write_ahead = tile_tasks.write_ahead
+
+def write_and_die(*tile):
+    write_ahead(*tile)
+    if "DIE" in os.environ:
+        os._exit(9)
+
+def import_source(settings, store, _on_progress=None, part=None):
+    return build_store.run_import(settings, store, part=part)
+
+tile_tasks.write_ahead = write_and_die
+from adaptive_terrain.operators.blender import need_bpy
+need_bpy("A worker")
+from adaptive_terrain.operators.export import preparing
+from adaptive_terrain.operators.importing import shot_tiles
+preparing.import_source = shot_tiles.import_source = import_source
+sys.exit(command_line.main(sys.argv[3:]))
+"""
+
+
+@pytest.fixture
+def shot(scene, add_terrain, tmp_path, monkeypatch):
+    """Save a scene whose terrain has a first picture; its camera looks down at another place in each of four frames."""
+    for name, value in (("FEWEST", 1), ("FACTOR", 2), ("BITS", 4)):
+        monkeypatch.setattr(refining, name, value)
+    place = from_origin(5e5, 5e6, 10, 10)
+    source = write_raster(tmp_path / "a.tif", hills(200, 150), crs="EPSG:32632", transform=place)
+    obj = add_terrain()
+    settings = obj.adaptive_terrain
+    settings.source, settings.source_path, settings.store = "FILE", str(source), str(tmp_path / "own.store")
+    run_import(replace(import_terrain.settings_of(obj), quick=600), tmp_path / "own.store")
+    settings.render.error_px = open_store(tmp_path / "own.store").max_height
+    scene.camera.rotation_euler, scene.camera.data.angle = (0.0, 0.0, 0.0), 0.5
+    for frame, (x, y) in enumerate(((-600.0, -300.0), (-200.0, 400.0), (300.0, -300.0), (700.0, 400.0)), start=1):
+        scene.camera.location = obj.matrix_world @ Vector((x, y, 900.0))
+        scene.camera.keyframe_insert("location", frame=frame)
+    scene.frame_set(1)
+    scene.frame_start, scene.frame_end = 1, 4
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    settings.store = "//own.store"
+    bpy.ops.wm.save_mainfile()
+    return tmp_path
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a function that starts openjd-cli on a step of the job in tmp_path."""
+    worker = tmp_path / "blender"
+    worker.write_text(f"#!{sys.executable}\n{WORKER}")
+    worker.chmod(0o755)
+    values = f"file://{tmp_path / 'job' / bundle.OPENJD_VALUES}"
+
+    def started(step, *arguments, **variables):
+        command = [Path(sys.executable).with_name("openjd"), "run", tmp_path / "job" / bundle.TEMPLATE, "--step", step]
+        command += [*arguments, "--job-param", values, "--job-param", f"Blender={worker}"]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        return subprocess.Popen(command, env=os.environ | variables, **pipes)
+
+    return started
+
+
+def ended(process):
+    report = process.communicate(timeout=600)[0]
+    return process.returncode, report
+
+
+def share(number):
+    return "--tasks", json.dumps([{"Share": str(number)}])
+
+
+def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, monkeypatch):
+    monkeypatch.setattr(bundle, "MAX_SHARES", 2)
+    monkeypatch.setattr(bundle, "SHARE_TILES", 1)
+    assert run("submit", "--scene", shot / "shot.blend", "--out", shot / "job", "--frames", "1-4") == 0
+    total = shot_tiles.num_tiles(shot / "own.store")
+    note = (
+        f"Terrain: Loaded to 79.6 m of 10 m; the job first imports the tiles that its frames see, at most {total}, or"
+    )
+    assert note in capsys.readouterr().out
+    code, report = ended(start("View"))
+    assert code == 0, report
+    ahead = shot / "job" / "stores" / "Terrain.store" / "ahead"
+    wanted = json.loads((ahead / "wanted.json").read_text())
+    assert 2 < len(wanted) < total
+    killed, other = start("Tiles", *share(1), DIE="1"), start("Tiles", *share(2))
+    assert ended(killed)[0] != 0 and ended(other)[0] == 0, "two workers at the same time"
+    there = {int(file.stem) for file in ahead.glob("*.tile")}
+    assert there == {wanted[0], *wanted[1::2]}, "the killed one has read one tile"
+    code, report = ended(start("Verify", "--run-dependencies"))
+    assert code == 0 and "4 frames are whole" in report, report
+    assert f"Terrain: {len(wanted)} further tiles of {total} are in view" in report
+    assert f"Terrain: {len(wanted)} further tiles in view are loaded" in report
+    job = shot / "job" / "frames"
+    assert json.loads((job / "frame_0001.json").read_text())["terrains"][0]["loaded"].startswith(
+        "to 79.6 m of 10 m, in"
+    )
+    assert not refining.loaded_tiles(read_json(shot / "own.store")["provenance"]), "the artist's store is as it was"
+
+    settings = replace(import_terrain.settings_of(bpy.data.objects["Terrain"]), quick=600, loaded_tiles=tuple(wanted))
+    run_import(settings, shot / "own.store")  # as a local render that has waited for its tiles
+    out = "--format", "npz", "--out", shot / "local"
+    assert run("export", "--scene", shot / "shot.blend", "--frames", "1,4", *out) == 0
+    for name in ("Terrain_0001.npz", "Terrain_0004.npz"):
+        with np.load(job / name) as mesh, np.load(shot / "local" / name) as expected:
+            arrays = [array for array in expected.files if array != "info"]
+            assert all(np.array_equal(mesh[array], expected[array]) for array in arrays)
+
+
+def test_only_incomplete_stores_need_these_steps(shot, capsys):
+    where = "--scene", shot / "shot.blend", "--out", shot / "job"
+    assert run("submit", *where, "--render", "--min-memory", "2") == 0
+    template = (shot / "job" / bundle.TEMPLATE).read_text()
+    import yaml
+
+    decode_job_template(template=yaml.safe_load(template), supported_extensions=["TASK_CHUNKING"])
+    steps = yaml.safe_load(template)["steps"]
+    assert [step["name"] for step in steps] == ["View", "Tiles", "Import", "MapsAndLand", "Render", "Verify"]
+    assert all("hostRequirements" in step for step in steps)
+    with_stores = [step["name"] for step in steps if "--job-stores" in step["script"]["actions"]["onRun"]["args"]]
+    assert with_stores == ["View", "Tiles", "Import", "MapsAndLand", "Render"]
+    assets = json.loads((shot / "job" / bundle.ASSETS).read_text())["assetReferences"]
+    assert str(shot / "own.store") in assets["inputs"]["directories"]
+    assert str(shot / "a.tif") not in assets["inputs"]["filenames"], "workers share its disk"
+    assert str(shot / "job" / "stores") in assets["outputs"]["directories"]
+    capsys.readouterr()
+    run_import(import_terrain.settings_of(bpy.data.objects["Terrain"]), shot / "own.store")
+    assert run("submit", *where, "--render") == 0 and "first imports" not in capsys.readouterr().out
+    template = (shot / "job" / bundle.TEMPLATE).read_text()
+    steps = yaml.safe_load(template)["steps"]
+    assert [step["name"] for step in steps] == ["Import", "MapsAndLand", "Render", "Verify"]
+    assert (
+        "StoresDir" not in (shot / "job" / bundle.OPENJD_VALUES).read_text() and "@" not in template.split("steps:")[1]
+    )
+
+
+def test_a_share_is_one_of_several(capsys):
+    parse = parser.build_parser().parse_args
+    options = ["prepare", "--scene", "a.blend", "--only", "tiles", "--share"]
+    assert parse([*options, "3/16"]).share == (3, 16)
+    for text in ("0/4", "5/4", "3", "a/b", "/"):
+        with pytest.raises(SystemExit):
+            parse([*options, text])
+    assert run("prepare", "--scene", "a.blend", "--share", "1/2") == 2
+    assert "--share belongs to --only tiles" in capsys.readouterr().err
+    assert run("export", "--store", "a", "--job-stores", "b", "--frames", "1", "--format", "npz", "--out", "c") == 2

@@ -188,6 +188,7 @@ BUSY = """
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 @pytest.mark.parametrize("script", [POOL, BUSY], ids=["after", "during"])
 def test_forked_processes_go_on_after_an_update(script):

@@ -87,6 +87,7 @@ def result(terrain: Terrain, criterion: Criterion, view: View, scale: float, off
     return update.leaves, bounds, parts, terrain.tree.cells().tobytes(), arrays(update.surface)
 
 
+@pytest.mark.thorough
 def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(eager_threads):
     """30 random flights: mesh, tree, bounds and what they are made of, to the bit, from one thread and from two."""
     leaves = from_last = 0
@@ -164,6 +165,7 @@ def spans_kernel():
     return load("refine.spans_of_boxes", Path(__file__).with_name("spans_of_boxes.py"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("frustum_class", [CLEAR, FADED])
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])
 @pytest.mark.parametrize("measures_edges", [0, 1])

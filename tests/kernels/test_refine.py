@@ -109,6 +109,7 @@ def same_as_plain(scenes, measures_all, monkeypatch) -> list[bool]:
     return [stopped for _, stopped, _, _ in fast]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["flat", "smooth", "noise", "cliffs", "plane"])
 def test_the_walk_decides_as_measuring_every_diamond_does(kind, measures_all, monkeypatch):
     stopped = same_as_plain(scenes(kind), measures_all, monkeypatch)

@@ -61,6 +61,7 @@ def digest_on(cores: str, cache) -> str:
     return run.stdout.split()[-1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cores", CORES)
 def test_other_processors_make_the_same_bytes(cores, tmp_path):
     assert digest_on(cores, tmp_path) == digest()

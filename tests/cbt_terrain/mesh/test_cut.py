@@ -132,7 +132,7 @@ def test_a_coast_is_on_its_level_to_a_few_steps_of_float32():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_cuts_of_the_finest_triangles_leave_none_flat_or_flipped(seed):
     """Their edges have few steps of float32, so a cut point may be rounded onto a vertex."""
     field = rough(65, 129, seed)

@@ -101,6 +101,7 @@ def walked(terrain: Terrain, request: RefinementRequest, step: int) -> int:
     return int(slices.counts[0, 0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_step_is_the_finest_that_fits(eager_threads, threads, called):
     """By the walk: 60 scenes, their counts at the step, at the one before it, and far from both."""

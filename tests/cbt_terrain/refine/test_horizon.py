@@ -79,6 +79,7 @@ def test_ground_seen_through_gaps_of_displacement_is_not_hidden():
     assert fewer > 0
 
 
+@pytest.mark.thorough
 def test_what_one_of_several_views_sees_is_not_hidden():
     """Case 71, with two and three views."""
     counts = [check_what_is_seen(scene) for views in (2, 3) for scene in scenes(views, 15, views)]

@@ -42,6 +42,7 @@ def run(script: str, cwd: Path, **variables: str | None) -> str:
     return done.stdout.splitlines()[-1]
 
 
+@pytest.mark.thorough
 def test_a_damaged_object_is_compiled_anew(tmp_path):
     file = Path(run(LOAD, tmp_path, WARP_CACHE_PATH=str(tmp_path)))
     good = file.read_bytes()

@@ -94,6 +94,7 @@ def prepared(tmp_path_factory):
     return first, second, prepare()
 
 
+@pytest.mark.thorough
 def test_children_compile_under_the_name_of_their_parent(prepared):
     first, _, _ = prepared
     assert first["compiled_here"] == [] and first["missing"] == []

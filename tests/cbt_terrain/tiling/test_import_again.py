@@ -47,6 +47,7 @@ class CountingCrew(tile_import.Crew):
         return True
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "count"), [("file", 3), ("mosaic", 2)])
 def test_processes_give_the_bytes_of_one_piece(tmp_path, tiled, kind, count):  # noqa: F811
     run = run_import if kind == "file" else run_mosaic_import
@@ -243,6 +244,7 @@ def test_a_replaced_file_is_read_and_measured_alone(tmp_path, tiled):  # noqa: F
     assert len(crew.measured) == 20 and margin > 32, "the windows of all tiles of this size meet it"
 
 
+@pytest.mark.thorough
 def test_a_file_in_a_gap_and_a_lower_peak(tmp_path, tiled):  # noqa: F811
     write_tiles(tmp_path / "tiles", gap=(1, 1))
     patch(tmp_path, "z.tif", column=20, row=20, side=4, shift=5000.0)
@@ -280,11 +282,13 @@ def test_damaged_parts_of_a_store_are_not_used_again(tmp_path, tiled, name):  # 
     assert len(crew.read) == len(crew.measured) == 9
 
 
+@pytest.mark.thorough
 def test_holes_that_a_file_closes(tmp_path, tiled):  # noqa: F811
     write_tiles(tmp_path / "tiles", gap=(1, 1))
     import_twice(tmp_path, tiled, lambda: patch(tmp_path, "v.tif", column=45, row=45, side=20), holes=True)
 
 
+@pytest.mark.thorough
 def test_a_replaced_inset_is_read_as_far_as_its_ring_reaches(tmp_path, tiled):  # noqa: F811
     sheet(UTM32, EAST, NORTH, 10.0, 10.0, 420, 60).write(tmp_path / "tiles" / "a.tif")
 

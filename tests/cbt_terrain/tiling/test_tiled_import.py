@@ -65,6 +65,7 @@ def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name): 
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("holes", [False, True])
 def test_few_rows_at_a_time_give_the_same_bytes(tmp_path, tiled, monkeypatch, holes):  # noqa: F811
     np.save(tmp_path / "a.npy", with_gaps(MOUNTAINS))
@@ -94,6 +95,7 @@ ORIENTATIONS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ORIENTATIONS)
 def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, name):  # noqa: F811
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 2000)
@@ -112,6 +114,7 @@ def test_a_reprojected_raster_is_read_in_one_unit(tmp_path, tiled):  # noqa: F81
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("more", [{}, {"holes": True}, {"step": 7.0}])
 def test_a_mosaic_by_tile_has_the_bytes_of_one_piece(tmp_path, tiled, more):  # noqa: F811
     write_tiles(tmp_path / "tiles")

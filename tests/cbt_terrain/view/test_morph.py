@@ -77,6 +77,7 @@ def test_a_point_is_at_the_mean_of_the_meshes(ground, field, criterion, views, p
     assert rise > 0.02 and few.max() < 0.3 * rise and many.max() < 0.1 * rise and many.mean() < 0.5 * few.mean()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["PERSPECTIVE", ORTHOGRAPHIC, PANORAMIC])
 def test_a_point_rises_and_turns_by_its_own_ratio(kind):
     """Compare every vertex with a recursion over all triangles of a small field: heights to a tenth of a millimetre,

@@ -26,6 +26,7 @@ from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_work import work_in
 from .earlier_import import finished_before, finished_import, source_digest
 from .finer_import import add_finer_tiles
+from .finer_squares import finer_provenance
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .import_report import report_of
@@ -142,7 +143,7 @@ def import_raster(
                 origin=np.array([*place.middle, 0.0]),
                 crs=place.crs,
                 place=place.place,
-                provenance=_provenance(given, raster, place, land),
+                provenance=_provenance(given, raster, place, land, lattice),
             )
             if raster.finer is not None:
                 field = _add_finer_tiles(field, HeightReader(raster, settings), draft, on_progress)
@@ -213,7 +214,7 @@ def _build(
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
     """Return the land of the first picture in the store at `path`. Raises TerrainError if it is of another source."""
-    before, picture = dataclasses.replace(settings, loaded_tiles=()), first_picture(path)
+    before, picture = dataclasses.replace(settings, loaded_tiles=(), loaded_finer=()), first_picture(path)
     if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
         raise TerrainError(
             f"The store {path} has no first picture of {settings.name}",
@@ -223,7 +224,9 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
     return coarse_land(settings, picture)
 
 
-def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None) -> dict:
+def _provenance(
+    settings: ImportSettings, raster: Raster, place: Georeference, land: CoarseLand | None, lattice: Lattice
+) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated.
 
     land: the coarse land around loaded tiles, of which LOADED has the step; None if all tiles are loaded.
@@ -234,6 +237,7 @@ def _provenance(settings: ImportSettings, raster: Raster, place: Georeference, l
     if land is not None:
         step, full = loaded[LOADED]
         loaded = {LOADED: [step * 2.0**land.bits, full], REFINED: [step, len(land.loaded)]}
+        loaded |= finer_provenance(raster, lattice, full)
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 

@@ -17,7 +17,10 @@ from .source_list import file_stat, files_of, names_several
 
 METHOD = 2  # increased when the same source gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "blend", "encoding", "cell", "quick", "loaded_tiles")
+ADDED_SETTINGS = (
+    *("more_sources", "priority", "step", "blend"),
+    *("encoding", "cell", "quick", "loaded_tiles", "loaded_finer"),
+)
 
 
 def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
@@ -25,7 +28,7 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
 
     None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
     """
-    complete = dataclasses.replace(settings, quick=0, loaded_tiles=())
+    complete = dataclasses.replace(settings, quick=0, loaded_tiles=(), loaded_finer=())
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
         report = finished_before(path, source_digest(wanted, files, method))

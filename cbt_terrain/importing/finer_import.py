@@ -20,6 +20,7 @@ from ..field.store import Draft
 from ..rasters.raster import FinerSource
 from ..tiling.tile_records import FIGURES, FINER
 from ..tiling.tile_work import TileWork
+from .finer_squares import is_in_squares
 from .height_reader import HeightReader
 
 MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
@@ -42,6 +43,7 @@ def add_finer_tiles(
     last = lattice.cells_x << bits, lattice.cells_y << bits
     margin = min(MARGIN << bits, SIDE // 2)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
+    known = {tile for tile in known if is_in_squares(tile, source, lattice)}
     windows, records = _Windows(source, reader, last), _WorkRecords(work, reader)
 
     def read(box: FinerBox) -> np.ndarray:

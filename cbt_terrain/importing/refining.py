@@ -24,12 +24,14 @@ from ..rasters.raster import ImportSettings, Raster
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TileGrid, rows_of
 from ..view.view import View
+from .finer_squares import finer_source, finer_squares, square_bits
 from .thinning import REFINED, loaded_m, positions, refined_m, stride_of
 
 FACTOR = 8
 BITS = 10  # of the tiles
 MAX_TILES = 64  # that are loaded at once: 0.3 s each, and as long for its neighbours
 SQUARES = 8  # along a side of a tile, of which each is looked at
+MAX_SQUARES = 16  # with the finest files that are loaded at once for a viewport: 2 s each
 MAX_READ = 1 << 22  # samples of the source that are read at once
 FEWEST = 1 << 29  # samples of a raster whose complete import takes much longer than this step
 
@@ -96,7 +98,10 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         inputs=None,
         georeference=place.with_steps_times(*(along[::-1] if place.transposed else along)),
         full_size=(raster.width, raster.height),
+        squares=finer_source(raster, counts, settings.loaded_finer),
     )
+    if fine.squares is not None and fine.squares.squares:
+        fine.finer = fine.squares
     return fine
 
 
@@ -130,7 +135,7 @@ def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]
     field, wanted = open_store(first_picture(store)), set[int]()
     if is_large(field):
         lands = list(lands)
-        for needs, seen in zip(_needs(field, _picture_side(field), lands), lands, strict=True):
+        for needs, seen in zip(errors_in_view(field, _picture_side(field), lands), lands, strict=True):
             wanted.update(map(int, np.flatnonzero(needs > seen.error_px)))
     return tuple(sorted(wanted - loaded_tiles(read_json(store)["provenance"])))
 
@@ -143,7 +148,7 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
     """
     if not is_large(field):
         return ()
-    [needs] = (found.ravel() for found in _needs(field, _picture_side(field), [seen]))
+    [needs] = (found.ravel() for found in errors_in_view(field, _picture_side(field), [seen]))
     needs[[tile for tile in loaded if tile < len(needs)]] = 0.0
     order = np.argsort(-needs, kind="stable")[:MAX_TILES]
     return tuple(sorted(int(tile) for tile in order if needs[tile] > seen.error_px))
@@ -163,8 +168,29 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     field = open_store(store)
     if not loaded_tiles(field.provenance):
         return is_large(field) and not all_missing_tiles(store, lands)
-    needs = _needs(field, 1 << BITS, lands)
+    squares = finer_squares(field)
+    if squares is not None and squares.is_coarse:
+        return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
+    needs = errors_in_view(field, 1 << BITS, lands)
     return all(found.max() <= seen.error_px for found, seen in zip(needs, lands, strict=True))
+
+
+def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | None = None) -> tuple[int, ...]:
+    """Return the squares with finer files that views need and a store with loaded tiles lacks, in ascending order.
+
+    A square is needed where the finest stored errors of the raster are larger than the error of a land. max_count:
+    return the most needed ones at most; None for all. Raises TerrainError.
+    """
+    field = open_store(store)
+    squares = finer_squares(field)
+    if squares is None:
+        return ()
+    wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
+    ratios = np.zeros(len(wanted))
+    for needs, seen in zip(errors_in_view(field, side, lands, side), lands, strict=True):
+        np.maximum(ratios, needs.ravel()[wanted] / seen.error_px, out=ratios)
+    order = np.argsort(-ratios, kind="stable")[:max_count]
+    return tuple(sorted(wanted[place] for place in order if ratios[place] > 1.0))
 
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
@@ -173,28 +199,45 @@ def loaded_tiles(provenance: dict) -> frozenset[int]:
     return frozenset(number for number in found or () if type(number) is int and number >= 0)
 
 
+def with_loaded(
+    settings: ImportSettings, store: Path, tiles: Iterable[int] = (), squares: Iterable[int] = ()
+) -> ImportSettings:
+    """Return settings that load further tiles and squares beside those that a store has. Raises TerrainError."""
+    field = open_store(store)
+    before = finer_squares(field)
+    numbers = loaded_tiles(field.provenance).union(tiles), (before.loaded if before else frozenset()).union(squares)
+    return replace(settings, loaded_tiles=tuple(sorted(numbers[0])), loaded_finer=tuple(sorted(numbers[1])))
+
+
 def loaded_at(field: HeightField, x: float, y: float) -> float | None:
     """Return the step to which a store is loaded at a point, metres; None for a complete store.
 
     x, y: metres from the raster's middle; beyond its border the nearest tile counts.
     """
-    steps, tiles = loaded_m(field.provenance), refined_m(field.provenance)
+    steps, tiles, squares = loaded_m(field.provenance), refined_m(field.provenance), finer_squares(field)
     if steps is None or tiles is None:
         return steps and steps[0]
     (west, south, _, _), lattice = field.lattice.rectangle(), field.lattice
     grid = TileGrid(lattice, BITS)
     at = ((x - west) / lattice.step_x, lattice.cells_x), ((y - south) / lattice.step_y, lattice.cells_y)
-    column, row = (int(min(max(cell, 0), cells - 1)) >> BITS for cell, cells in at)
+    cell_x, cell_y = (int(min(max(cell, 0), cells - 1)) for cell, cells in at)
+    if squares is not None:
+        shift = square_bits(squares.bits)
+        if (cell_y >> shift) * TileGrid(lattice, shift).columns + (cell_x >> shift) in squares.loaded:
+            return squares.finest_m
+    column, row = cell_x >> BITS, cell_y >> BITS
     return tiles[0] if row * grid.columns + column in loaded_tiles(field.provenance) else steps[0]
 
 
-def _needs(field: HeightField, side: int, lands: Iterable[SeenLand]) -> Iterator[np.ndarray]:
+def errors_in_view(
+    field: HeightField, side: int, lands: Iterable[SeenLand], part: int | None = None
+) -> Iterator[np.ndarray]:
     """Yield for each land the largest errors of the finest vertices, pixels, in squares of side x side cells.
 
-    Arrays have [rows, columns]. Parts of a square are looked at, each by its own distance. Those out of every view have
-    0, one around an eye has infinity.
+    Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance.
+    Those out of every view have 0, one around an eye has infinity.
     """
-    lattice, part = field.lattice, max(side // SQUARES, 2)
+    lattice, part = field.lattice, part or max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
     tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, 0.0)

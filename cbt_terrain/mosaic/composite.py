@@ -85,6 +85,7 @@ class Composite:
         steps: float64 [tiles], samples of the grid between two of a tile.
         levels: int64 [tiles], 0 for the coarsest tiles; finer ones on top of them have higher numbers.
         finer: the plan and the composite of finer tiles, None for one step everywhere.
+        finest: the plan of finer tiles that a composite with one step leaves out, None without one.
         reads_overviews: whether overviews of files were read for a quick import.
     """
 
@@ -102,6 +103,7 @@ class Composite:
         self.on_piece: Callable[[], None] = lambda: None
         self.reads_overviews = False
         self.finer: tuple[FinerPlan, Composite] | None = None
+        self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)

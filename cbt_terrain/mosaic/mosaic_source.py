@@ -48,6 +48,7 @@ def open_composite(
     whole = Composite(tiles, grid, found, settings, unpacked)
     plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes) if settings.step is None else None
     if plan is None or (settings.quick and plan.work > WORTHWHILE * settings.quick):
+        whole.finest = plan
         return whole
     coarse = Composite(tiles, plan.grid, found, settings, unpacked)
     coarse.finer = plan, whole
@@ -124,6 +125,8 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         return values
 
     raster.window, raster.pick, raster.finish = window, pick, finish
+    if composite.finest is not None:
+        raster.finest = FinerSource(composite.finest.bits, composite.finest.boxes, window)
     if composite.finer is not None:
         plan, whole = composite.finer
 

@@ -39,6 +39,7 @@ class ImportSettings:
         step: metres between samples of a terrain of several files; None for those of the finest file.
         quick: number of samples at most to which a large raster is thinned (thinning.py); 0 imports all.
         loaded_tiles: numbers of tiles that a quick import loads in more detail (importing/refining.py).
+        loaded_finer: numbers of squares in which it then loads the finest files (importing/finer_view.py).
         blend: whether finer files blend to coarser ones below them within a ring at their borders.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
@@ -87,6 +88,7 @@ class ImportSettings:
     quick: int = 0
     blend: bool = True
     loaded_tiles: tuple[int, ...] = ()
+    loaded_finer: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Convert numbers to plain ones and sequences to tuples.
@@ -96,6 +98,7 @@ class ImportSettings:
         keep_plain_numbers(self, "The import's")
         object.__setattr__(self, "more_sources", tuple(self.more_sources))
         object.__setattr__(self, "loaded_tiles", tuple(self.loaded_tiles))
+        object.__setattr__(self, "loaded_finer", tuple(self.loaded_finer))
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -176,11 +179,13 @@ class FinerSource:
         bits: a cell of the raster has 2^bits finer cells a side.
         boxes: int64 [files, 4], first column and row and last ones of each file, in finer samples.
         window: window(first, count, column, columns) returns finer samples, NaN where missing.
+        squares: numbers of the squares to load (importing/finer_view.py), None for all.
     """
 
     bits: int
     boxes: np.ndarray
     window: Callable[[int, int, int, int], np.ndarray]
+    squares: frozenset[int] | None = None
 
 
 @dataclass
@@ -220,6 +225,9 @@ class Raster:
         inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
             None if that is the whole raster.
         finer: finer files on some parts of the raster; None without any.
+        finest: the finer files of a raster with their step, and how many times coarser the others are; None unless they
+            cover little of it.
+        squares: the finer files on a raster of fewer samples, of which squares can be loaded; None without any.
         finish: writes further files into the store's new folder; raises TerrainError if a source has changed.
         close: closes the files.
     """
@@ -251,6 +259,8 @@ class Raster:
     details: dict = field(default_factory=dict)
     inputs: Callable[[int, int, int, int], str] | None = None
     finer: FinerSource | None = None
+    finest: FinerSource | None = None
+    squares: FinerSource | None = None
     finish: Callable[[Path], None] = lambda _folder: None
     close: Callable[[], None] = lambda: None
 

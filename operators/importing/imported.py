@@ -147,7 +147,7 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
     defaults = {item.name: item.default for item in dataclasses.fields(settings)}
     changed = []
     for name, value in dataclasses.asdict(settings).items():
-        if name in ("quick", "loaded_tiles"):  # they differ between the steps of one import
+        if name in ("quick", "loaded_tiles", "loaded_finer"):  # they differ between the steps of one import
             continue
         before = imported.settings.get(name, defaults[name])
         if name == "source":

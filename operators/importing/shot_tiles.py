@@ -25,8 +25,9 @@ from ...cbt_terrain.importing.refining import (
     first_picture,
     is_fine_enough,
     is_large,
-    loaded_tiles,
+    missing_squares,
     picture_tiles,
+    with_loaded,
 )
 from ...cbt_terrain.importing.thinning import loaded_m, loaded_text
 from ...cbt_terrain.importing.tile_import import READ_TILES, ImportPart
@@ -160,15 +161,18 @@ def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Cal
     if tiles:
         import_source(_settings_with(obj, store, tiles), store, lambda done, _text: on_progress(done))
     remove_ahead(store)
+    if squares := missing_squares(store, lands):
+        import_source(_settings_with(obj, store, (), squares), store, lambda done, _text: on_progress(done))
     if is_fine_enough(store, lands):
-        return f"{len(tiles):,} further tiles in view are loaded, {loaded_text(read_json(store)['provenance'])}"
+        finest = f" and {len(squares):,} squares with finer files" if squares else ""
+        text = loaded_text(read_json(store)["provenance"])
+        return f"{len(tiles):,} further tiles in view{finest} are loaded, {text}"
     if stores is not None:
         discard_store(store)
     return ""
 
 
-def _settings_with(obj, store: Path, tiles: Sequence[int] | set[int]) -> ImportSettings:
-    """Return the settings of a terrain's quick import with further loaded tiles. Raises TerrainError."""
-    provenance = read_json(store)["provenance"]
-    wanted = loaded_tiles(provenance).union(tiles)
-    return replace(settings_of(obj), quick=provenance["settings"]["quick"], loaded_tiles=tuple(sorted(wanted)))
+def _settings_with(obj, store: Path, tiles: Sequence[int] | set[int], squares: Sequence[int] = ()) -> ImportSettings:
+    """Return the settings of a terrain's quick import with further loaded tiles and squares. Raises TerrainError."""
+    quick = read_json(store)["provenance"]["settings"]["quick"]
+    return with_loaded(replace(settings_of(obj), quick=quick), store, tiles, squares)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tiles in view: during a large import those that views need are loaded, and renders wait for those that they see."""
 
-import dataclasses
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,9 +10,16 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.store import read_json
 from ...cbt_terrain.importing.import_process import ImportJob
-from ...cbt_terrain.importing.refining import SeenLand, is_fine_enough, loaded_at, loaded_tiles, missing_tiles
+from ...cbt_terrain.importing.refining import (
+    MAX_SQUARES,
+    SeenLand,
+    is_fine_enough,
+    loaded_at,
+    missing_squares,
+    missing_tiles,
+    with_loaded,
+)
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.view.linear import inverse, product
 from .. import jobs
@@ -55,16 +61,21 @@ class TileLoader:
         cannot start.
         """
         tiles: set[int] = set()
+        lands = []
         for mode in modes:
             with suppress(TerrainError):  # as without a camera: then no view needs any
-                tiles.update(missing_tiles(self._store, _seen_by(obj, depsgraph, mode)))
-        self.child = self._load(tiles) if tiles else None
+                lands.append(_seen_by(obj, depsgraph, mode))
+                tiles.update(missing_tiles(self._store, lands[-1]))
+        squares = () if tiles else missing_squares(self._store, lands, MAX_SQUARES)
+        self.child = self._load(tiles, squares) if tiles or squares else None
         return self.child
 
-    def _load(self, tiles: Iterable[int]) -> ImportJob:
-        """Start a child that loads further tiles, by their numbers, and those that were loaded. Raises TerrainError."""
-        wanted = loaded_tiles(read_json(self._store)["provenance"]).union(tiles)
-        return ImportJob(dataclasses.replace(self._settings, loaded_tiles=tuple(sorted(wanted))), self._store)
+    def _load(self, tiles: Iterable[int], squares: Iterable[int]) -> ImportJob:
+        """Start a child that loads further tiles and squares, by their numbers, and those that were loaded.
+
+        Raises TerrainError.
+        """
+        return ImportJob(with_loaded(self._settings, self._store, tiles, squares), self._store)
 
     def turn(self, obj) -> bool:
         """Load tiles for a view that rests; return whether a child has just added some.
@@ -77,6 +88,7 @@ class TileLoader:
             if not progress.done:
                 return False
             self.child, self._has_failed = None, progress.error is not None  # the import reports the cause
+            self._served = self  # after tiles come squares with finer files
             return not self._has_failed
         if obj is None or self._has_failed or jobs.is_rendering():
             return False
@@ -101,9 +113,10 @@ class TileLoader:
             try:
                 seen = _seen_by(obj, depsgraph, request.RENDER)
                 tiles = missing_tiles(self._store, seen)
-                if not tiles:
+                squares = () if tiles else missing_squares(self._store, [seen])
+                if not tiles and not squares:
                     return is_fine_enough(self._store, [seen])
-                child = self._load(tiles)
+                child = self._load(tiles, squares)
             except TerrainError:
                 return False  # the update reports it
             try:

@@ -142,7 +142,7 @@ def test_an_older_stores_digest_stays_the_same(tmp_path):
     """Settings that older versions lack change the digest of a source only if they are given."""
     source = write_image(tmp_path / "a.png", np.zeros((3, 4, 4), np.uint8))
     stat, values = source.stat(), dataclasses.asdict(ImportSettings(str(source)))
-    added = "encoding", "cell", "more_sources", "priority", "step", "blend", "quick", "loaded_tiles"
+    added = "encoding", "cell", "more_sources", "priority", "step", "blend", "quick", "loaded_tiles", "loaded_finer"
     older = {name: value for name, value in values.items() if name not in added}
     parts = [2, 6, older, (str(source.resolve()), stat.st_size, stat.st_mtime_ns)]
     wanted = hashlib.sha256(json.dumps(parts).encode()).hexdigest()

@@ -11,11 +11,16 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
+from adaptive_terrain.cbt_terrain.importing.source_list import names_several
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.export.blend_files import open_scene
 from adaptive_terrain.operators.importing import import_terrain, shot_tiles, view_tiles
 from adaptive_terrain.operators.importing.imported import imported_of
 from mathutils import Vector
+from mosaic_files import EAST, NORTH, UTM32, sheet
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 from tiled_stores import content
@@ -27,20 +32,27 @@ class FinishedImport:
     """An import in this process, in place of a child, which would not know the sizes of these tests."""
 
     def __init__(self, settings, store):
-        run_import(settings, store)
+        import_source(settings, Path(store))
+
+
+def import_source(settings, store, _on_progress=None, part=None):
+    """Import in this process."""
+    run = run_mosaic_import if names_several(settings) else run_import
+    return run(settings, store, part=part)
 
 
 @pytest.fixture
-def shot(scene, add_terrain, tmp_path, monkeypatch):
-    """Save a scene whose terrain has a first picture; its camera looks down at two places in two frames."""
+def small_tiles(monkeypatch):
+    """Make small tiles, as if each source was large, and import in this process."""
     for name, value in (("FEWEST", 1), ("FACTOR", 2), ("BITS", 4)):
         monkeypatch.setattr(refining, name, value)
-
-    def import_source(settings, store, _on_progress=None, part=None):
-        return run_import(settings, store, part=part)
-
     for module in (shot_tiles, preparing):
         monkeypatch.setattr(module, "import_source", import_source)
+
+
+@pytest.fixture
+def shot(scene, add_terrain, tmp_path, small_tiles):
+    """Save a scene whose terrain has a first picture; its camera looks down at two places in two frames."""
     place = from_origin(5e5, 5e6, 10, 10)
     source = write_raster(tmp_path / "a.tif", hills(200, 150), crs="EPSG:32632", transform=place)
     obj = add_terrain()
@@ -77,14 +89,14 @@ def assert_same(store, other):
     assert text == wanted_text and all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
 
 
-def wait_locally(frames, monkeypatch):
+def wait_locally(frames, monkeypatch, quick=600):
     """Render frames as with a running import: each waits for its tiles in the terrain's own store."""
     monkeypatch.setattr(view_tiles, "ImportJob", FinishedImport)
     monkeypatch.setattr(view_tiles.render_wait, "wait_for_import", lambda _child: None)
     monkeypatch.setattr(FinishedImport, "cancel", lambda _child: None, raising=False)
     monkeypatch.setattr(FinishedImport, "poll", lambda _child: view_tiles.jobs.BackgroundJob, raising=False)
     monkeypatch.setattr(view_tiles.jobs.BackgroundJob, "error", None, raising=False)
-    settings = replace(import_terrain.settings_of(terrain()), quick=600)
+    settings = replace(import_terrain.settings_of(terrain()), quick=quick)
     loader = view_tiles.TileLoader(settings, terrain().adaptive_terrain.store)
     for frame in frames:
         bpy.context.scene.frame_set(frame)
@@ -166,3 +178,25 @@ def test_another_first_picture_replaces_the_job_store(shot):
     low = [open_store(store).min_height for store in (shot / "own.store", shot / "job" / "Terrain.store")]
     assert low[0] == low[1]
     assert not refining.loaded_tiles(read_json(shot / "job" / "Terrain.store")["provenance"])
+
+
+def test_frames_that_see_a_city_get_its_finest_files(scene, add_terrain, tmp_path, small_tiles, monkeypatch):
+    monkeypatch.setattr(finer_plan, "FEWEST", 1 << 20)
+    monkeypatch.setattr(refining, "FACTOR", 4)
+    sheet(UTM32, EAST, NORTH, 32.0, 32.0, 400, 300).write(tmp_path / "files" / "a_country.tif")
+    sheet(UTM32, EAST + 4000.0, NORTH - 3000.0, 1.0, 1.0, 900, 700, shift=3.0).write(tmp_path / "files" / "b_city.tif")
+    obj = add_terrain()
+    settings = obj.adaptive_terrain
+    settings.source, settings.source_path, settings.store = "FILE", str(tmp_path / "files"), str(tmp_path / "own.store")
+    run_mosaic_import(replace(import_terrain.settings_of(obj), quick=8000), tmp_path / "own.store")
+    field = open_store(tmp_path / "own.store")
+    a, _, c, _, e, f = field.raster.place
+    scene.camera.location = (EAST + 4450.0 - c) / a, (NORTH - 3350.0 - f) / e, field.max_height + 300.0
+    scene.camera.rotation_euler, scene.camera.data.angle, settings.render.error_px = (0.0, 0.0, 0.0), 0.8, 4.0
+    bpy.context.view_layer.update()
+    said = prepared(tmp_path, "stores", [scene.frame_current])
+    assert "in view and 2 squares with finer files are loaded, to 128 m of 1 m, in 4 tiles to 31.9 m" in said
+    job = open_store(tmp_path / "job" / "Terrain.store")
+    assert len(finer_squares(job).loaded) == 2 and job.raster.finer is not None
+    wait_locally([scene.frame_current], monkeypatch, quick=8000)
+    assert_same(tmp_path / "job" / "Terrain.store", tmp_path / "own.store")

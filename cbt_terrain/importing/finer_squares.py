@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Squares of a raster in which a quick import loads the finest files of a mosaic, as of a city in a large country.
+
+It is the third step of a quick import. The second (refining.py) loads tiles of a raster with one step; where finer
+files cover little of the mosaic, their samples become finer tiles (field/finer_tiles.py) on that raster, in squares of
+32 x 32 cells or more. A square has finer tiles only where a finer file meets it.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..field.finer_tiles import MAX_BITS, SIDE, TILE_BITS
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+from ..rasters.raster import FinerSource, Raster
+from ..tiling.tile_grid import TileGrid
+
+SQUARE_BITS = 5  # log2 of the raster's cells along a square, at least
+FINER = "finer_m"  # entry of a store's provenance (finer_provenance)
+
+
+def square_bits(bits: int) -> int:
+    """Return log2 of the raster's cells along a square, which is at least as large as a tile. bits: of the tiles."""
+    return max(SQUARE_BITS, TILE_BITS - bits)
+
+
+def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -> FinerSource | None:
+    """Return the finer files of a raster with the finest step, on a raster of fewer cells; None without any.
+
+    They are also left out if a cell of that raster is larger than a finer tile. Samples are the nearest ones.
+
+    Args:
+        counts: columns and rows of cells of that raster.
+        loaded: numbers of the squares to load.
+    """
+    sizes = raster.width - 1, raster.height - 1
+    bits = max(int(np.ceil(np.log2(size / count))) for size, count in zip(sizes, counts, strict=True))
+    if raster.finest is None or raster.window is None or not 1 <= bits <= MAX_BITS:
+        return None
+    cells = [count << bits for count in counts]
+    scale = np.array([cell / size for cell, size in zip(cells, sizes, strict=True)])
+    low, high = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
+    boxes = np.concatenate([np.floor(low), np.ceil(high)], axis=1).astype(np.int64)
+
+    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
+        """Return samples of the finer grid, those of the raster that are nearest to its positions."""
+        assert raster.window is not None
+        v, u = (
+            (2 * np.arange(start, start + number) * size + cell) // (2 * cell)
+            for start, number, size, cell in ((first, count, sizes[1], cells[1]), (column, columns, sizes[0], cells[0]))
+        )
+        values = raster.window(int(v[0]), int(v[-1] - v[0]) + 1, int(u[0]), int(u[-1] - u[0]) + 1)
+        return values[np.ix_(v - v[0], u - u[0])]
+
+    return FinerSource(bits, boxes, window, squares=frozenset(loaded))
+
+
+def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:
+    """Return the numbers of the squares of a raster that finer files meet, row by row from the south-west."""
+    grid, shift = TileGrid(lattice, square_bits(source.bits)), source.bits + square_bits(source.bits)
+    there, rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
+    for west, north, east, south in source.boxes:
+        first, end = max(rows - int(south), 0) >> shift, max(rows - int(north), 0) >> shift
+        there[first : end + 1, max(int(west), 0) >> shift : (max(int(east), 0) >> shift) + 1] = True
+    return set(map(int, np.flatnonzero(there)))
+
+
+def is_in_squares(tile: tuple[int, int], source: FinerSource, lattice: Lattice) -> bool:
+    """Return whether a finer tile (column, row) is in a square to be loaded; all are if the source names no squares."""
+    shift = source.bits + square_bits(source.bits)
+    column, row = (place * SIDE >> shift for place in tile)
+    squares = source.squares
+    return squares is None or row * TileGrid(lattice, square_bits(source.bits)).columns + column in squares
+
+
+def finer_provenance(raster: Raster, lattice: Lattice, finest_m: float) -> dict:
+    """Return the entry of a store's provenance about squares with finer files; {} for a raster without any.
+
+    It has the finest step, metres, the bits of the finer tiles, whether the raster has the step of the coarser files,
+    and the numbers of the squares as runs [first, count]. finest_m: that step.
+    """
+    source = raster.squares
+    if source is None or raster.finest is None:
+        return {}
+    numbers = np.array(sorted(squares_of(source, lattice)), np.int64)
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if len(numbers) else []
+    is_coarse = source.bits <= raster.finest.bits
+    return {FINER: [finest_m, source.bits, is_coarse, [[int(run[0]), len(run)] for run in runs]]}
+
+
+class FinerSquares(NamedTuple):
+    """Squares of a store.
+
+    Attributes:
+        finest_m: the finest step, metres.
+        bits: log2 of the finer samples along a cell of the raster.
+        is_coarse: whether the raster has the step of the coarser files, so that only finer files have more detail.
+        there: numbers of the squares with finer files.
+        loaded: numbers of those that are loaded.
+    """
+
+    finest_m: float
+    bits: int
+    is_coarse: bool
+    there: frozenset[int]
+    loaded: frozenset[int]
+
+
+def finer_squares(field: HeightField) -> FinerSquares | None:
+    """Return the squares of a store; None for a store without any, and for damaged entries."""
+    try:
+        finest_m, bits, is_coarse, runs = field.provenance[FINER]
+        is_valid = (type(finest_m), type(bits), type(is_coarse)) == (float, int, bool) and finest_m > 0.0
+        if not is_valid or not 1 <= bits <= MAX_BITS:
+            return None
+        ends = [(int(first), int(first) + int(count)) for first, count in runs]
+        loaded = frozenset(map(int, field.provenance["settings"].get("loaded_finer", ())))
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError):
+        return None
+    total = len(TileGrid(field.lattice, square_bits(bits)))
+    marks = [0, *(mark for run in ends for mark in run), total]
+    if marks != sorted(marks):
+        return None
+    there = frozenset(number for first, end in ends for number in range(first, end))
+    return FinerSquares(finest_m, bits, is_coarse, there, loaded & there)

@@ -26,6 +26,7 @@ from .finer_heights import (
     raster_heights,
     window_of,
 )
+from .finer_reuse import inputs_of_tiles, is_measured, limits_before
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
 from .heightfield import HeightField
 from .lattice import PAGE, Lattice
@@ -54,7 +55,8 @@ def with_finer_tiles(
         read: read(box) returns heights of finer samples, float32 [rows, columns] metres, row 0 south; NaN where only
             the raster is known. Samples that two tiles share must be equal.
         allocate: allocate(name, shape, dtype) returns a zeroed array, or one that an earlier attempt has left.
-        records: of the earlier attempt. What has no record, or differs from its checksum, is made again.
+        records: of the earlier attempt, and of an earlier store. What has no record, or differs from its checksum, is
+            made again.
 
     Raises TerrainError for a bicubic surface, a detail or other finer tiles, for `bits` out of range, for tiles outside
     of the raster, and for heights of another shape from `read`.
@@ -186,35 +188,41 @@ def _measured(
     lattice, part = plain.lattice, 1.0 / (1 << bits)
     steps = lattice.step_x * part, lattice.step_y * part
     limits = np.zeros((*numbers.shape, 2), np.float32)
-    corners, inputs = list(_corners_of_squares(numbers)), []
-    for number, corner in enumerate(corners):
-        used = _part_of(numbers, corner)
-        inputs.append(digest_of(heights[used[used >= 0]], plain.raster.digest, repr(used.tolist())))
-        tiles = list(_tiles_of(corner, numbers))
-        record = records.find(LIMITED, number)
-        if record is None or record["inputs"] != inputs[-1] or len(record["limits"]) != len(tiles):
+    corners, inputs = list(_corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
+    for corner in corners:
+        missing = []
+        for row, column, _tile, where in _tiles_of(corner, numbers):
+            found = limits_before(records, (column, row), inputs[row, column])
+            if found is None:
+                missing.append((row, column, where))
+            else:
+                limits[row, column] = found
+        if missing:
             square = _square_at(plain, bits, numbers, heights, corner)
-            found = [_limits(square.change[where], steps) for _row, _column, _tile, where in tiles]
-            record = {"limits": [[float(value) for value in pair] for pair in found]}
-            records.note(LIMITED, number, inputs=inputs[-1], **record)
-        for (row, column, _tile, _where), pair in zip(tiles, record["limits"], strict=True):
-            limits[row, column] = pair
+        for row, column, where in missing:
+            limits[row, column] = pair = _limits(square.change[where], steps)
+            values = {"inputs": inputs[row, column], "limits": [float(value) for value in pair]}
+            records.note(LIMITED, (column, row), **values)
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
-    for number, corner in enumerate(corners):
+    wanted = {place: f"{digest} {exponent} {scale}" for place, digest in inputs.items()}
+    for corner in corners:
         on_progress((corner[1] + 1) / len(numbers))
-        tiles = list(_tiles_of(corner, numbers))
-        arrays = [array[tile] for _row, _column, tile, _where in tiles for array in (errors, ranges)]
-        wanted = f"{inputs[number]} {exponent} {scale}"
-        record = records.find(MEASURED, number)
-        if record is None or record["inputs"] != wanted or record["sums"] != digest_of(arrays):
+        tiles = [
+            each
+            for each in _tiles_of(corner, numbers)
+            if not is_measured(records, each[1::-1], wanted[each[:2]], errors[each[2]], ranges[each[2]])
+        ]
+        if tiles:
             square = _square_at(plain, bits, numbers, heights, corner)
             _fill_square(square, tiles, steps, scale, table, errors, ranges, threads)
-            records.note(MEASURED, number, inputs=wanted, sums=digest_of(arrays))
+        for row, column, tile, _where in tiles:
+            sums = digest_of([errors[tile], ranges[tile]])
+            records.note(MEASURED, (column, row), inputs=wanted[row, column], sums=sums)
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)

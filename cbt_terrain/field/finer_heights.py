@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights of finer tiles (finer_tiles.py): those of the raster, and where they are known those of finer files.
 
-They are read by window, and each finished window is recorded, so that a killed computation loses one at most.
+They are read by window, and each finished window is recorded with a digest of all that determines it. So a killed
+computation loses one at most, and windows that have not changed are taken from an earlier store.
 """
 
 import hashlib
@@ -16,10 +17,12 @@ from .finer_tiles import SIDE, STRIDE
 from .heightfield import HeightField, HeightRaster
 
 WINDOW = 4  # tiles along a side of the windows that are read together
-# Kinds of records: the heights of a window, the limits of the changes of a square, and its errors and ranges.
+LOOKED = 0.3  # of the progress, when it is known which windows are read
+# Kinds of records: the heights of a window, the limits of the change of a tile, and its errors and ranges.
 FILLED, LIMITED, MEASURED = "finer_filled", "finer_limited", "finer_measured"
 
 Tile = tuple[int, int]  # column and row
+Arrays = Callable[[str, Tile], np.ndarray | None]  # array of a tile by the name of its file; None without the tile
 
 
 class FinerBox(NamedTuple):
@@ -32,14 +35,24 @@ class FinerBox(NamedTuple):
 
 
 class FinerRecords:
-    """Records of finished windows and squares, so that a killed computation can go on; here there are none."""
+    """Records of finished windows and tiles, so that a killed computation can go on; here there are none."""
 
-    def find(self, kind: str, number: int) -> dict[str, Any] | None:
-        """Return the values of a record, None for none. kind: FILLED, LIMITED or MEASURED."""
-        return None
+    def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
+        """Yield the records of a place: of this computation with None, then of an earlier store with its arrays.
 
-    def note(self, kind: str, number: int, **values: Any) -> None:
+        kind: FILLED, LIMITED or MEASURED. place: column and row of a tile, or of a window.
+        """
+        return iter(())
+
+    def note(self, kind: str, place: Tile, **values: Any) -> None:
         """Write a record."""
+
+    def use(self, kind: str, place: Tile, record: dict[str, Any], is_earlier: bool) -> None:
+        """Learn that the result of a record is used. is_earlier: it is of an earlier store."""
+
+    def inputs_of(self, box: FinerBox) -> str:
+        """Return a digest of all that determines the heights that are read in a box, apart from the raster."""
+        return ""
 
 
 def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -53,11 +66,20 @@ def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, 
         cell = np.minimum(inside >> bits, cells - 1)
         sides.append((cell, (inside - (cell << bits)) / (1 << bits)))
     (j, t), (i, s) = sides
-    nodes = plain.heights(slice(int(j[0]), int(j[-1]) + 2), slice(int(i[0]), int(i[-1]) + 2)).astype(np.float64)
+    nodes = raster_nodes(plain, bits, (int(x[0]), int(x[-1])), (int(y[0]), int(y[-1]))).astype(np.float64)
     j, i, t = j - j[0], i - i[0], t[:, None]
     south = nodes[np.ix_(j, i)] * (1.0 - s) + nodes[np.ix_(j, i + 1)] * s
     north = nodes[np.ix_(j + 1, i)] * (1.0 - s) + nodes[np.ix_(j + 1, i + 1)] * s
     return south * (1.0 - t) + north * t
+
+
+def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
+    """Return the raster's samples around the first to the last finer column and row, float32 metres."""
+    lattice, index = plain.lattice, []
+    for ends, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
+        first, last = (min(min(max(at, 0), cells << bits) >> bits, cells - 1) for at in ends)
+        index.append(slice(first, last + 2))
+    return plain.heights(*index)
 
 
 def window_of(tile: Tile) -> tuple[int, int]:
@@ -87,9 +109,11 @@ def fill_heights(
         return heights[numbers[tile[1], tile[0]], 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
 
     reused: set[Tile] = set()
+    wanted, known_tiles = [], set(known)
     for number, tiles in enumerate(windows):
-        record = records.find(FILLED, number)
-        if record is not None and record["sums"] == digest_of(map(inner_heights, tiles)):
+        yield LOOKED * number / len(windows)
+        wanted.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
+        if _is_filled(tiles, wanted[-1], numbers, heights, inner_heights, records):
             reused.update(tiles)
     for row, column in np.argwhere(numbers >= 0).tolist():
         inner = inner_heights((column, row)).copy() if (column, row) in reused else None
@@ -98,7 +122,7 @@ def fill_heights(
         if inner is not None:
             inner_heights((column, row))[:] = inner
     for number, tiles in enumerate(windows):
-        yield number / len(windows)
+        yield LOOKED + (1.0 - LOOKED) * number / len(windows)
         for tile in tiles:
             box = _box_of(tile, last)
             if box.x0 <= box.x1 and box.y0 <= box.y1:
@@ -107,9 +131,47 @@ def fill_heights(
                     if 0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]:
                         _lay(found, box, heights[numbers[row, column]], column, row)
         if tiles[0] not in reused:
-            records.note(FILLED, number, sums=digest_of(map(inner_heights, tiles)))
+            sums = digest_of(map(inner_heights, tiles))
+            records.note(FILLED, window_of(tiles[0])[::-1], inputs=wanted[number], sums=sums)
     for row, column in np.argwhere(numbers >= 0):
         _extend(heights[numbers[row, column]], column, row, last)
+
+
+def _inputs_of_window(plain: HeightField, bits: int, tiles: list[Tile], known: set[Tile], records: FinerRecords) -> str:
+    """Return a digest of all that determines the heights of the known tiles of a window."""
+    (down, across), lattice = window_of(tiles[0]), plain.lattice
+    last = lattice.cells_x << bits, lattice.cells_y << bits
+    x0, y0 = WINDOW * SIDE * across, WINDOW * SIDE * down
+    box = FinerBox(x0, y0, min(x0 + WINDOW * SIDE, last[0]), min(y0 + WINDOW * SIDE, last[1]))
+    columns, rows = (range(WINDOW * at - 1, WINDOW * (at + 1) + 1) for at in (across, down))
+    around = [(column, row) for row in rows for column in columns if (column, row) in known]
+    nodes = raster_nodes(plain, bits, (box.x0, box.x1), (box.y0, box.y1))
+    return digest_of([nodes], repr((bits, box, last, WINDOW, around)), records.inputs_of(box))
+
+
+def _is_filled(
+    tiles: list[Tile],
+    inputs: str,
+    numbers: np.ndarray,
+    heights: np.ndarray,
+    inner_heights: Callable[[Tile], np.ndarray],
+    records: FinerRecords,
+) -> bool:
+    """Return whether a window has its heights, of this computation or copied from an earlier store."""
+    place = window_of(tiles[0])[::-1]
+    for record, arrays in records.find(FILLED, place):
+        if record["inputs"] != inputs:
+            continue
+        if arrays is not None:
+            found = [arrays("heights", tile) for tile in tiles]
+            if any(array is None for array in found):
+                continue
+            for tile, array in zip(tiles, found, strict=True):
+                heights[numbers[tile[1], tile[0]]] = array
+        if record["sums"] == digest_of(map(inner_heights, tiles)):
+            records.use(FILLED, place, record, arrays is not None)
+            return True
+    return False
 
 
 def _box_of(tile: Tile, last: tuple[int, int]) -> FinerBox:

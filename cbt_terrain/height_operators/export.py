@@ -88,9 +88,7 @@ def _strips(rows: ExportedRows, number: int, count: int, on_progress: OnProgress
         on_progress((number + done / height) / count)
 
 
-def _write_exrs(
-    field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress, step: float
-) -> None:
+def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path], on_progress: OnProgress, step: float) -> None:
     """Write heights and layers as OpenEXR files. files: the file of each, by HEIGHTS or a layer's name."""
     for number, (name, path) in enumerate(files.items()):
         rows = ExportedRows(field, name, step)

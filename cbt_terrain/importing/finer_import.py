@@ -1,27 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Import of the finer tiles of a mosaic, after its coarser raster is there (mosaic/finer_plan.py).
 
-They are made in the work of that raster (tiling/tile_work.py): a window of tiles that was read, or a square that was
-measured, in a killed import is not made again.
+They are made in the work of that raster (tiling/tile_work.py): a window of tiles that was read, or a tile that was
+measured, in a killed import is not made again. Neither is one that the store at the same path has, if all that determines
+it is the same. Files are read only where they have changed, also for the rings inside their borders.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..errors import TerrainError
+from ..field import store_folder
 from ..field.finer_build import with_finer_tiles
-from ..field.finer_heights import FILLED, WINDOW, FinerBox, FinerRecords, Tile, raster_heights
-from ..field.finer_tiles import SIDE, tile_shape
+from ..field.finer_heights import FILLED, WINDOW, Arrays, FinerBox, FinerRecords, Tile, raster_heights
+from ..field.finer_tiles import SIDE, FinerTiles, tile_shape
 from ..field.heightfield import HeightField
-from ..field.store import Draft
+from ..field.lattice import Lattice
+from ..field.store import Draft, open_store
 from ..rasters.raster import FinerSource
-from ..tiling.tile_records import FIGURES, FINER
-from ..tiling.tile_work import TileWork
+from ..tiling.tile_records import FIGURES, FINER, SEAMS
+from ..tiling.tile_work import TileWork, work_in
 from .finer_squares import is_in_squares
-from .height_reader import HeightReader
+from .height_reader import HeightReader, scaling_of
 
 MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
 
@@ -44,7 +50,11 @@ def add_finer_tiles(
     margin = min(MARGIN << bits, SIDE // 2)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
-    windows, records = _Windows(source, reader, last), _WorkRecords(work, reader)
+    windows = _Windows(source, reader, last)
+    earlier = _EarlierTiles(draft.path, lattice, bits) if source.inputs is not None else None
+    records = _WorkRecords(work, windows, earlier)
+    if source.keep_seams is not None:
+        source.keep_seams(records.find_seams, records.note_seams)
 
     def read(box: FinerBox) -> np.ndarray:
         """Return the finer heights of a tile, near the border of all tiles mixed with those of the raster."""
@@ -65,29 +75,102 @@ def add_finer_tiles(
     field = with_finer_tiles(plain, bits, known, read, allocate=allocate, on_progress=on_progress, records=records)
     work.remove("missing")
     work.keep_records()
+    records.close()
     return field
 
 
+class _EarlierTiles:
+    """The finer tiles of the store at a path, before it is replaced, and the records of their import."""
+
+    def __init__(self, path: Path, lattice: Lattice, bits: int):
+        """Open the store if it has finer tiles on the same raster; a damaged one counts as none."""
+        self._tiles: FinerTiles | None = None
+        self.work: TileWork | None = None
+        with suppress(TerrainError, OSError):
+            folder = store_folder.named_folder(path)
+            raster = open_store(path).raster if folder is not None else None
+            if folder is not None and raster is not None and raster.finer is not None:
+                if raster.finer.bits == bits and _same_grid(raster.lattice, lattice):
+                    self._tiles, self.work = raster.finer, work_in(folder)
+
+    def array(self, name: str, tile: Tile) -> np.ndarray | None:
+        """Return the array of a tile by the name of its file, None without the tile."""
+        if self._tiles is None:
+            return None
+        number = int(self._tiles.numbers[tile[1], tile[0]])
+        return getattr(self._tiles, name)[number] if number >= 0 else None
+
+    def close(self) -> None:
+        """Let go of the arrays, whose files are about to be removed."""
+        self._tiles = self.work = None
+
+
+def _same_grid(one: Lattice, other: Lattice) -> bool:
+    """Return whether two lattices have the same samples."""
+    return all(getattr(one, name) == getattr(other, name) for name in ("width", "height", "step_x", "step_y"))
+
+
 class _WorkRecords(FinerRecords):
-    """The records of a work. Those of windows also have the figures of the reader."""
+    """The records of a work, and of the store that it replaces. Those of windows have the figures of the reader, too."""
 
-    def __init__(self, work: TileWork, reader: HeightReader):
-        self._work, self._reader = work, reader
-        self._found = {kind: work.records(kind) for kind in FINER}
+    def __init__(self, work: TileWork, windows: "_Windows", earlier: _EarlierTiles | None):
+        self._work, self._windows, self._earlier = work, windows, earlier
+        self._found = {kind: work.records(kind) for kind in (*FINER, SEAMS)}
+        before = earlier.work if earlier is not None else None
+        self._before = {kind: before.records(kind) if before is not None else {} for kind in (*FINER, SEAMS)}
 
-    def find(self, kind: str, number: int) -> dict[str, Any] | None:
-        """Return the values of a record, None for none; the reader gets the figures of a window."""
-        found = self._found[kind].get(number)
-        if found is not None and kind == FILLED:
-            self._reader.add(found["figures"] | {"marks": [], "values": [math.inf, -math.inf]}, 0)
-        return found
+    def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
+        """Yield the records of a place in the work, and then in the earlier store, with its arrays."""
+        earlier = self._earlier.array if self._earlier is not None else None
+        for records, arrays in ((self._found, None), (self._before, earlier)):
+            record = records[kind].get(_number_of(place))
+            if record is not None:
+                yield record, arrays
 
-    def note(self, kind: str, number: int, **values: Any) -> None:
-        """Write a record."""
+    def note(self, kind: str, place: Tile, **values: Any) -> None:
+        """Write a record; that of a window has the figures of its reading."""
         if kind == FILLED:
-            figures = self._reader.figures()
-            values["figures"] = {name: figures[name] for name in FIGURES}
+            values["figures"] = self._windows.figures
+        self._work.note(kind, _number_of(place), **values)
+
+    def use(self, kind: str, place: Tile, record: dict[str, Any], is_earlier: bool) -> None:
+        """Give the reader the figures of a window, and write the record of an earlier store into the work."""
+        if kind == FILLED:
+            self._windows.add(record["figures"])
+        if is_earlier:
+            self._write_again(kind, _number_of(place), record)
+
+    def inputs_of(self, box: FinerBox) -> str:
+        """Return a digest of the sources and the scaling of a window."""
+        return self._windows.inputs_of(box)
+
+    def find_seams(self, row: int, column: int) -> dict[str, Any] | None:
+        """Return the record of a block's seams, None for none; that of an earlier store is written into the work."""
+        number = _number_of((column, row))
+        record = self._found[SEAMS].get(number)
+        if record is None and number in self._before[SEAMS]:
+            record = self._before[SEAMS][number]
+            self._write_again(SEAMS, number, record)
+        return record
+
+    def note_seams(self, row: int, column: int, **values: Any) -> None:
+        """Write the record of a block's seams."""
+        self._work.note(SEAMS, _number_of((column, row)), **values)
+
+    def _write_again(self, kind: str, number: int, record: dict[str, Any]) -> None:
+        """Write the values of an earlier store's record into the work."""
+        values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
         self._work.note(kind, number, **values)
+
+    def close(self) -> None:
+        """Let go of the earlier store."""
+        if self._earlier is not None:
+            self._earlier.close()
+
+
+def _number_of(place: Tile) -> int:
+    """Return the number of a record by column and row: it does not change when the raster gets wider."""
+    return (place[1] << 31) + place[0]
 
 
 def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tuple[int, int]) -> set[Tile]:
@@ -122,12 +205,17 @@ def border_weights(tile: Tile, known: set[Tile], margin: int, last: tuple[int, i
 
 
 class _Windows:
-    """Heights of the finer samples; windows of some tiles are read together, and the last one is kept."""
+    """Heights of the finer samples; windows of some tiles are read together, and the last one is kept.
+
+    Attributes:
+        figures: those of the window that was read last (tile_records.FIGURES).
+    """
 
     def __init__(self, source: FinerSource, reader: HeightReader, last: tuple[int, int]):
         """Prepare the reading. last: finer cells of the raster along x and y."""
         self._source, self._reader, self._last = source, reader, last
         self._kept: dict[tuple[int, int], np.ndarray] = {}
+        self.figures: dict[str, float] = {}
 
     def heights(self, box: FinerBox) -> np.ndarray:
         """Return the heights of a tile's samples, float32 metres, row 0 south; NaN where no file has any."""
@@ -139,10 +227,31 @@ class _Windows:
         x, y = box.x0 - key[0] * wide, box.y0 - key[1] * wide
         return self._kept[key][y : y + box.y1 - box.y0 + 1, x : x + box.x1 - box.x0 + 1]
 
+    def inputs_of(self, box: FinerBox) -> str:
+        """Return a digest of all that determines the heights of a window."""
+        inputs = self._source.inputs
+        sources = inputs(*self._in_file(*box)) if inputs is not None else ""
+        return f"{sources} {scaling_of(self._reader.raster, self._reader.settings)}"
+
+    def add(self, figures: dict[str, float]) -> None:
+        """Give the reader the figures of a window."""
+        self._reader.add(figures | {"marks": [], "values": [math.inf, -math.inf]}, 0)
+
+    def _in_file(self, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
+        """Return first row, rows, first column and columns of finer samples, whose rows are counted from the north."""
+        return self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1
+
     def _read(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
         """Read the finer samples x0 .. x1 and y0 .. y1, as the heights of `heights`."""
-        rows = self._source.window(self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1)
-        return self._reader.heights(rows)[::-1]
+        raster = self._reader.raster
+        before = raster.moved, raster.shifted
+        raster.moved = raster.shifted = 0.0  # the figures are of this window alone
+        own = HeightReader(raster, self._reader.settings)
+        heights = own.heights(self._source.window(*self._in_file(x0, y0, x1, y1)))[::-1]
+        self.figures = {name: own.figures()[name] for name in FIGURES}
+        raster.moved, raster.shifted = before
+        self.add(self.figures)
+        return heights
 
 
 def finer_entries(field: HeightField) -> dict:

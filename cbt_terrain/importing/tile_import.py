@@ -321,7 +321,7 @@ def _inputs(work: TileWork, source: TileSource, number: int) -> str:
     if source.raster.inputs is None:
         return work.digest
     window = in_file(work.grid.lattice, source.place, work.grid.owned(work.grid.box(number)))
-    return source.raster.inputs(*window)
+    return f"{source.raster.inputs(*window)} {scaling_of(source.raster, source.settings)}"
 
 
 def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -> None:

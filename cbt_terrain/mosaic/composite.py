@@ -28,6 +28,7 @@ from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
 from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
+from .kept_seams import KeptSeams
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
 from .target_grid import Footprints, TargetGrid
@@ -148,10 +149,39 @@ class Composite:
     def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
         """Return a hex digest of everything that determines the values of a window of the grid.
 
-        row, rows, column, columns: first row and column of the window, and numbers of them.
+        row, rows, column, columns: first row and column of the window, and numbers of them. No file is read, so the
+        digest changes with every file that is near enough to change a ring of an inset.
         """
-        column, row = self.grid.column + column, self.grid.row + row
         reach = self.insets.reach if self.insets is not None else 0
+        return self._inputs(GridPiece(self.grid.column + column, self.grid.row + row, columns, rows), reach)
+
+    def inputs_by_seams(self, row: int, rows: int, column: int, columns: int) -> str:
+        """Return a digest as `inputs_of`, for which the seams of insets are read or known from an earlier import.
+
+        It changes only with files in the window, and with seams that are near enough to change a ring there.
+        """
+        piece = GridPiece(self.grid.column + column, self.grid.row + row, columns, rows)
+        seams = self.insets.digest_around(piece) if self.insets is not None else ""
+        return f"{self._inputs(piece, 0)} {seams}"
+
+    def keep_seams(self, find: Callable[[int, int], dict | None], note: Callable[..., None]) -> None:
+        """Take the seams of blocks from records, and write records of others.
+
+        find(row, column): returns the values of the record of a block of the grid, None for none. note(row, column,
+        **values): writes one. Rows and columns of blocks are counted from the grid's first.
+        """
+        if self.insets is None:
+            return
+
+        def inputs_at(row: int, column: int) -> str:
+            """Return a digest of all that determines the seams of a block."""
+            return self._inputs(GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK), 0)
+
+        self.insets.kept = KeptSeams(find, note, inputs_at)
+
+    def _inputs(self, piece: GridPiece, reach: int) -> str:
+        """Return a digest of all that determines the values of a piece, if files up to `reach` samples away count."""
+        column, row, columns, rows = piece.column, piece.row, piece.columns, piece.rows
         meets = self._meets(GridPiece(column - reach, row - reach, columns + 2 * reach, rows + 2 * reach))
         # grid[:5]: its system, origin and steps. Its extent does not change a sample's value.
         parts: list = [METHOD, self.grid[:5], column, row, columns, rows, self.stored, self.scale, self.offset]

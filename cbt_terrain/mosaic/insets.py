@@ -6,13 +6,16 @@ sample that it lacks and that is known below. Distances to seams are measured be
 fixed places of the grid, so a blended height depends on its place and the tiles alone.
 """
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from .kept_seams import KeptSeams
 from .lattices import TileLattice
 from .positions import BLOCK
 from .target_grid import TargetGrid
@@ -102,6 +105,7 @@ class InsetBlend:
     Attributes:
         levels: level of each tile.
         rings: ring of insets on each level.
+        kept: records of the marks of blocks, None for none.
     """
 
     def __init__(self, levels: np.ndarray, steps: np.ndarray, grid: TargetGrid, scan: Scan) -> None:
@@ -121,6 +125,8 @@ class InsetBlend:
         self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
         self._bytes = 0
+        self._digests: dict[tuple[int, int], bytes] = {}
+        self.kept: KeptSeams | None = None
 
     @property
     def reach(self) -> int:
@@ -204,19 +210,50 @@ class InsetBlend:
         """
         key = row, column
         if key not in self._cells:
-            found: dict[int, np.ndarray] = {}
-            for piece, level, below, top in self._scan(row, column):
-                marks = found.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
-                y, x = piece.row % BLOCK, piece.column % BLOCK
-                marks[y : y + piece.rows, x : x + piece.columns] = self._marks(below.ranks, top.ranks)
-            cells = {level: min(ring.cell for ring in self.rings[:level]) for level in found}
-            pooled = {level: _pool(marks, cells[level]) for level, marks in found.items()}
-            self._cells[key] = {level: marks for level, marks in pooled.items() if marks.any()}
+            place = row - self._blocks[0][0], column - self._blocks[1][0]
+            kept = self.kept.find(place, key, self._kind, self._side_of) if self.kept is not None else None
+            self._cells[key] = self._scanned(row, column) if kept is None else kept
+            if kept is None and self.kept is not None:
+                self.kept.note(place, key, self._cells[key])
             self._bytes += sum(marks.nbytes for marks in self._cells[key].values())
             while self._bytes > MAX_CELL_BYTES and len(self._cells) > 1:
                 self._bytes -= sum(marks.nbytes for marks in self._cells.popitem(last=False)[1].values())
         self._cells.move_to_end(key)
         return self._cells[key]
+
+    def _side_of(self, level: int) -> int:
+        """Return the number of cells along a block for the marks of a level."""
+        return BLOCK // min(ring.cell for ring in self.rings[:level])
+
+    def _scanned(self, row: int, column: int) -> dict[int, np.ndarray]:
+        """Read a block's files; return its marks as `_marks_of_block`."""
+        found: dict[int, np.ndarray] = {}
+        for piece, level, below, top in self._scan(row, column):
+            marks = found.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
+            y, x = piece.row % BLOCK, piece.column % BLOCK
+            marks[y : y + piece.rows, x : x + piece.columns] = self._marks(below.ranks, top.ranks)
+        pooled = {level: _pool(marks, BLOCK // self._side_of(level)) for level, marks in found.items()}
+        return {level: marks for level, marks in pooled.items() if marks.any()}
+
+    def digest_around(self, piece: GridPiece) -> str:
+        """Return a hex digest of all marks that may change the blend in a piece; blocks are read if need be."""
+        reach = self.reach + 2 * WIDER * max(ring.cell for ring in self.rings)  # cells are whole
+        content = hashlib.blake2b(digest_size=16)
+        ranges = [
+            range(max((first - reach) // BLOCK, low), min((first + count - 1 + reach) // BLOCK, high) + 1)
+            for (first, count), (low, high) in zip(
+                ((piece.row, piece.rows), (piece.column, piece.columns)), self._blocks, strict=True
+            )
+        ]
+        for key in product(*ranges):
+            if key not in self._digests:
+                marks = self._marks_of_block(*key)
+                block = hashlib.blake2b(repr(sorted(marks)).encode(), digest_size=16)
+                for level in sorted(marks):
+                    block.update(marks[level].tobytes())
+                self._digests[key] = block.digest()
+            content.update(self._digests[key])
+        return content.hexdigest()
 
     def _marks(self, below: np.ndarray, top: np.ndarray) -> np.ndarray:
         """Return marks of samples: bit n where this level has no value and level n shows, else 0 or the last bit.

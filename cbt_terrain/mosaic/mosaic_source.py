@@ -137,7 +137,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
             raster.shifted = max(raster.shifted, whole.shift_error(first, count, column, columns))
             return values
 
-        raster.finer = FinerSource(plan.bits, plan.boxes, finer_window)
+        raster.finer = FinerSource(plan.bits, plan.boxes, finer_window, whole.inputs_by_seams, whole.keep_seams)
     return raster
 
 

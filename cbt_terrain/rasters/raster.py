@@ -39,7 +39,7 @@ class ImportSettings:
         step: metres between samples of a terrain of several files; None for those of the finest file.
         quick: number of samples at most to which a large raster is thinned (thinning.py); 0 imports all.
         loaded_tiles: numbers of tiles that a quick import loads in more detail (importing/refining.py).
-        loaded_finer: numbers of squares in which it then loads the finest files (importing/finer_view.py).
+        loaded_finer: numbers of squares in which it then loads the finest files (importing/finer_squares.py).
         blend: whether finer files blend to coarser ones below them within a ring at their borders.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
@@ -179,12 +179,18 @@ class FinerSource:
         bits: a cell of the raster has 2^bits finer cells a side.
         boxes: int64 [files, 4], first column and row and last ones of each file, in finer samples.
         window: window(first, count, column, columns) returns finer samples, NaN where missing.
-        squares: numbers of the squares to load (importing/finer_view.py), None for all.
+        inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
+            None if the tiles of an earlier import are not used again.
+        keep_seams: keep_seams(find, note) lets find(row, column) return the values of a record of what was found about
+            borders of files in a part of the finest grid, None without one, and note(row, column, **values) write it.
+        squares: numbers of the squares to load (importing/finer_squares.py), None for all.
     """
 
     bits: int
     boxes: np.ndarray
     window: Callable[[int, int, int, int], np.ndarray]
+    inputs: Callable[[int, int, int, int], str] | None = None
+    keep_seams: Callable[[Callable, Callable], None] | None = None
     squares: frozenset[int] | None = None
 
 

@@ -19,6 +19,7 @@ from .tile_grid import LatticeVertices, TileGrid, exist
 
 READ, MEASURED = "read", "measured"  # kinds of records
 FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED  # ... of finer tiles
+SEAMS = "finer_seams"  # ... and of the borders of their files
 FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, metres
 STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"  # of a measured tile
 
@@ -51,7 +52,7 @@ def _is_record(record: Any, grid: TileGrid) -> bool:
         return False
     if record["kind"] == READ:
         return _is_read(record, grid)
-    if record["kind"] in FINER:
+    if record["kind"] in (*FINER, SEAMS):
         return _is_finer(record)
     is_tile = record["kind"] == MEASURED and record["number"] < len(grid)
     return is_tile and (not record.keys() & set(STATE) or _is_measured(record, grid))
@@ -73,13 +74,18 @@ def _is_read(record: dict, grid: TileGrid) -> bool:
 
 
 def _is_finer(record: dict) -> bool:
-    """Return whether the record of a window or a square of finer tiles has valid entries."""
-    if record["kind"] == finer_heights.FILLED:
-        return isinstance(record["sums"], str) and _are_metres([record["figures"][name] for name in FIGURES], 0.0)
+    """Return whether the record of a window or a tile of finer tiles, or of seams, has valid entries."""
+    if not isinstance(record["inputs"], str):
+        return False
+    if record["kind"] == SEAMS:
+        marks = record["marks"]
+        return isinstance(marks, dict) and all(isinstance(text, str) for item in marks.items() for text in item)
     if record["kind"] == finer_heights.LIMITED:
-        numbers = [number for change, slope in record["limits"] for number in (change, slope)]
-        return isinstance(record["inputs"], str) and _are_metres(numbers, 0.0)
-    return isinstance(record["inputs"], str) and isinstance(record["sums"], str)
+        change, slope = record["limits"]
+        return _are_metres([change, slope], 0.0)
+    if record["kind"] == finer_heights.FILLED and not _are_metres([record["figures"][name] for name in FIGURES], 0.0):
+        return False
+    return isinstance(record["sums"], str)
 
 
 def _is_measured(record: dict, grid: TileGrid) -> bool:

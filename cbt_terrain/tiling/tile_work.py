@@ -37,7 +37,7 @@ from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular, read_regular, read_start
 from .tile_grid import TILE_BITS, TileBox, TileGrid
-from .tile_records import MEASURED, READ, line_of, record_of
+from .tile_records import FINER, MEASURED, READ, SEAMS, line_of, record_of
 
 VERSION = 3
 STORED = ("samples", "error", "ranges", "borders")
@@ -243,7 +243,7 @@ class TileWork:
             file.write(line)
 
     def records(self, kind: str) -> dict[int, dict]:
-        """Return the last record of each part by its number. kind: READ for units, MEASURED for tiles."""
+        """Return the last record of each part by its number. kind: READ for units, MEASURED for tiles, and others."""
         found: dict[int, dict] = {}
         for record in sorted(self._all_records(), key=lambda record: record["at"]):
             if record["kind"] == kind:
@@ -258,7 +258,7 @@ class TileWork:
                 if record is not None:
                     yield record
 
-    def keep_records(self, kinds: Sequence[str] = (READ, MEASURED)) -> None:
+    def keep_records(self, kinds: Sequence[str] = (READ, MEASURED, *FINER, SEAMS)) -> None:
         """Replace all files of records by one, with the records of some kinds."""
         files = [*self.folder.glob(f"{PREFIX}*.jsonl")]
         lines = _lines([record for kind in kinds for record in self.records(kind).values()])

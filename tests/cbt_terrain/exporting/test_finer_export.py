@@ -114,7 +114,9 @@ def test_the_extent_of_the_finest_raster_is_that_of_the_coarse_one(land, finest)
     with rasterio.open(finest) as found, rasterio.open(land / "files" / "c.tif") as town:
         assert found.shape == ((lattice.cells_y << BITS) + 1, (lattice.cells_x << BITS) + 1)
         column, row = ~found.transform * (town.transform * (0.5, 0.5))
-        assert found.transform.a == pytest.approx(1.0, rel=1e-12) and found.transform.e == pytest.approx(-1.0, rel=1e-12)
+        assert found.transform.a == pytest.approx(1.0, rel=1e-12) and found.transform.e == pytest.approx(
+            -1.0, rel=1e-12
+        )
         assert (column % 1, row % 1) == pytest.approx((0.5, 0.5), abs=1e-4)
 
 
@@ -152,7 +154,9 @@ def test_a_step_between_is_interpolated_by_other_code(land, finest, tmp_path):
         heights = whole.read(1).astype(np.float64)
     rows, columns = (np.arange(count) * 28.0 for count in found.shape)
     assert len(rows) == (len(heights) - 1) // 28 + 1
-    assert np.array_equal(found, heights[np.ix_(rows.astype(int), columns.astype(int))].astype(np.float32), equal_nan=True)
+    assert np.array_equal(
+        found, heights[np.ix_(rows.astype(int), columns.astype(int))].astype(np.float32), equal_nan=True
+    )
     [file] = export_raster(land / "store", tmp_path / "odd.exr", step=17.3 * FOOT)
     found = OpenEXR.File(str(file), separate_channels=True).parts[0].channels["Y"].pixels
     v, u = (np.arange(count) * 17.3 for count in found.shape)
@@ -205,12 +209,19 @@ def test_one_tile_without_a_step_has_the_raster_samples(land, finest, tmp_path):
 def test_masks_have_the_finer_slope(land, tmp_path):
     """The town has steps of up to 3 feet between its pixels of 1 foot."""
     west, north = TOWN
-    bounds, medians, request = (west + 140, north - 340, west + 380, north - 140), [], [AttributeRequest("slope", ("t",))]
+    bounds, medians, request = (
+        (west + 140, north - 340, west + 380, north - 140),
+        [],
+        [AttributeRequest("slope", ("t",))],
+    )
     for name, step in (("coarse", 0.0), ("fine", FOOT)):
         settings = HeightTiles("tif", name=name, step=step)
         index = export_height_tiles(open_store(land / "store"), tmp_path, settings, request)
         tile, mask = index["tiles"][0], next(mask for mask in index["masks"] if mask["name"] == "slope")
-        with rasterio.open(tmp_path / tile["file"]) as heights, rasterio.open(tmp_path / tile["masks"]["slope"]) as file:
+        with (
+            rasterio.open(tmp_path / tile["file"]) as heights,
+            rasterio.open(tmp_path / tile["masks"]["slope"]) as file,
+        ):
             window = from_bounds(*bounds, heights.transform).round_offsets().round_lengths()
             medians.append(np.median(file.read(1, window=window)) * mask["scale"])
     assert medians[0] < 0.1 and 0.45 < medians[1] < 1.0

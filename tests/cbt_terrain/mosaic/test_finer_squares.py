@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.store import open_store, read_json, verify
+from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import FINER, finer_squares, square_bits
 from adaptive_terrain.cbt_terrain.importing.refining import SeenLand, is_fine_enough, missing_squares, with_loaded

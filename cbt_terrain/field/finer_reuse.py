@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measured finer tiles of an earlier attempt or store, which are used again where nothing has changed."""
+
+from itertools import product
+
+import numpy as np
+
+from .finer_heights import LIMITED, MEASURED, FinerRecords, Tile, digest_of, raster_nodes
+from .finer_tiles import SIDE
+from .heightfield import HeightField
+
+
+def inputs_of_tiles(
+    plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray
+) -> dict[tuple[int, int], str]:
+    """Return by row and column of each tile a digest of all that determines its change: its square's part around it."""
+    lattice, own = plain.lattice, {}
+    for row, column in np.argwhere(numbers >= 0).tolist():
+        nodes = raster_nodes(plain, bits, *((SIDE * at, SIDE * (at + 1)) for at in (column, row)))
+        own[row, column] = digest_of([heights[numbers[row, column]], nodes])
+    found, steps = {}, (lattice.step_x, lattice.step_y)
+    for row, column in own:
+        around = [own.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
+        ends = (lattice.cells_x << bits) - SIDE * column, (lattice.cells_y << bits) - SIDE * row
+        place = [min(column, 1), min(row, 1), *(min(end, 3 * SIDE) for end in ends)]
+        found[row, column] = digest_of([], repr((bits, steps, place, around)))
+    return found
+
+
+def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float] | None:
+    """Return the limits of a tile's change that an earlier attempt or store has; None without any."""
+    for record, arrays in records.find(LIMITED, tile):
+        if record["inputs"] == inputs:
+            records.use(LIMITED, tile, record, arrays is not None)
+            return record["limits"]
+    return None
+
+
+def is_measured(records: FinerRecords, tile: Tile, inputs: str, errors: np.ndarray, ranges: np.ndarray) -> bool:
+    """Return whether a tile has its errors and ranges, of this computation or copied from an earlier store."""
+    for record, arrays in records.find(MEASURED, tile):
+        if record["inputs"] != inputs:
+            continue
+        if arrays is not None:
+            found = arrays("errors", tile), arrays("ranges", tile)
+            if found[0] is None or found[1] is None:
+                continue
+            errors[...], ranges[...] = found
+        if record["sums"] == digest_of([errors, ranges]):
+            records.use(MEASURED, tile, record, arrays is not None)
+            return True
+    return False

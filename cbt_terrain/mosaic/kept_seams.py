@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Marks of seams (insets.py) of an earlier import: to find them, all files around have to be read."""
+
+import zlib
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+Block = tuple[int, int]  # row and column
+
+
+class KeptSeams(NamedTuple):
+    """Records of the marks of blocks of a grid.
+
+    Attributes:
+        find_record: find_record(row, column) returns the values of a block's record, None without one; rows and columns
+            are counted from the first.
+        note_record: note_record(row, column, **values) writes one.
+        inputs_at: inputs_at(row, column) returns a digest of all that determines the marks of a block of the grid.
+    """
+
+    find_record: Callable[[int, int], dict | None]
+    note_record: Callable[..., None]
+    inputs_at: Callable[[int, int], str]
+
+    def find(self, place: Block, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
+        """Return a block's marks by level, None if they are unknown.
+
+        place: the block, counted from the first. kind: type of the marks. side(level): cells along a side.
+        """
+        record = self.find_record(*place)
+        if record is None or record["inputs"] != self.inputs_at(*block):
+            return None
+        marks = {}
+        try:
+            for level, text in record["marks"].items():
+                count = side(int(level))
+                decoder = zlib.decompressobj()
+                data = decoder.decompress(bytes.fromhex(text), count * count * kind.itemsize)
+                marks[int(level)] = np.frombuffer(data, kind).reshape(count, count)
+        except (ValueError, zlib.error):  # the record is damaged
+            return None
+        return marks
+
+    def note(self, place: Block, block: Block, marks: dict[int, np.ndarray]) -> None:
+        """Write the record of a block. place: the block, counted from the first."""
+        texts = {str(level): zlib.compress(found.tobytes()).hex() for level, found in marks.items()}
+        self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)

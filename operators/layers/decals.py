@@ -12,7 +12,9 @@ from ..bridge.evaluated import evaluated_or_still
 from .images import cached_value
 
 # IEC 61966-2-1, of each byte.
-LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (k / 255 for k in range(256))])
+LINEAR = np.array(
+    [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (k / 255 for k in range(256))], np.float32
+)
 
 
 def decal_parameters(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:

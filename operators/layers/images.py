@@ -118,21 +118,26 @@ def forget_changed(_scene, depsgraph) -> None:
 def _changed_images(depsgraph) -> set[str]:
     """Return the full names of the images that may have changed by an update of a dependency graph.
 
-    The graph does not have the images of empties. Painting one reports no more than that some image has changed, so all
-    of them are in the result. Reloading one by a script updates its empty, without a transform.
+    The graph does not have the images of empties. Reloading one updates its empty, without a transform. Painting one
+    reports no more than that some image has changed, so all of them with unsaved changes are in the result, and those
+    of hidden empties, which the graph does not update.
     """
-    changed, some = set(), depsgraph.id_type_updated("IMAGE")
+    changed = set()
     for update in depsgraph.updates:
         if isinstance(update.id, bpy.types.Image):
             changed.add(update.id.name_full)
-        elif isinstance(update.id, bpy.types.Object) and not update.is_updated_transform:
-            changed |= _image_of_empty(update.id)
-    return changed.union(*map(_image_of_empty, bpy.data.objects)) if some else changed
+        elif isinstance(update.id, bpy.types.Object) and not update.is_updated_transform and _has_image(update.id):
+            changed.add(update.id.data.name_full)
+    if depsgraph.id_type_updated("IMAGE"):
+        for obj in filter(_has_image, bpy.data.objects):
+            if obj.data.is_dirty or not obj.evaluated_get(depsgraph).is_evaluated:
+                changed.add(obj.data.name_full)
+    return changed
 
 
-def _image_of_empty(obj) -> set[str]:
-    """Return the full name of the image of an empty in a set, which is empty for any other object."""
-    return {obj.data.name_full} if obj.type == "EMPTY" and obj.data is not None else set()
+def _has_image(obj) -> bool:
+    """Return whether an object is an empty with an image."""
+    return obj.type == "EMPTY" and obj.data is not None
 
 
 @persistent

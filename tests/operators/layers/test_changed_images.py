@@ -82,12 +82,14 @@ def test_a_changed_image_is_shown_by_the_live_update(use, change, terrain, image
     assert marks and key() != before
 
 
-def test_a_moved_decal_keeps_its_picture(terrain, image, monkeypatch):  # noqa: F811
+def test_a_decal_is_read_once_unless_it_changes(terrain, image, monkeypatch):  # noqa: F811
     use_as_decal(terrain, image)
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
     gather(terrain, graph, overrides=Overrides(effects=("color",)))
     monkeypatch.setattr("adaptive_terrain.operators.layers.decals._to_picture", None)
+    paint(bpy.data.images.new("Other", 8, 4))
+    bpy.context.view_layer.update()
     bpy.data.objects["Decal"].location.x = 3.0
     bpy.context.view_layer.update()
     gather(terrain, bpy.context.evaluated_depsgraph_get(), overrides=Overrides(effects=("color",)))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Height rasters and masks in tiles for game engines, and one JSON file with their scale and position.
 
-Samples are points of the terrain's surface without displacement, also in finer tiles. Integer formats share one scale and one offset:
-height = offset + scale * number. The largest difference to the surface is counted while the tiles are written.
+Samples are points of the terrain's surface without displacement, also in finer tiles. Integer formats share one scale
+and one offset: height = offset + scale * number. The largest difference to the surface is counted while the tiles are
+written.
 """
 
 import itertools
@@ -25,7 +26,8 @@ from ..attributes.splat import NAMES as SPLATS
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
 from ..field.store_folder import check_no_description
-from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
+from ..height_operators.export import FORMATS, MASK_FORMAT, RasterFormat, RasterShape
+from ..height_operators.exported_rows import LINES
 from ..importing.placing import Placing, placing_or_middle
 from ..query.grid import heights_on_grid
 from ..run import launch, stopping

@@ -99,7 +99,7 @@ def axes_of(
 def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     """Return the tiles along an axis with the samples of a grid.
 
-    `count`: tiles that end at the border exactly, with a grid of their own; 0 to keep the grid. `size`: samples of a
+    `count`: tiles that end at the border exactly, with another grid; 0 to keep the grid. `size`: samples of a
     tile, 0 for a single tile.
     """
     if not size:

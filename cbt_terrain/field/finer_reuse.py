@@ -14,13 +14,13 @@ def inputs_of_tiles(
     plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray
 ) -> dict[tuple[int, int], str]:
     """Return by row and column of each tile a digest of all that determines its change: its square's part around it."""
-    lattice, own = plain.lattice, {}
+    lattice, digests = plain.lattice, {}
     for row, column in np.argwhere(numbers >= 0).tolist():
         nodes = raster_nodes(plain, bits, *((SIDE * at, SIDE * (at + 1)) for at in (column, row)))
-        own[row, column] = digest_of([heights[numbers[row, column]], nodes])
+        digests[row, column] = digest_of([heights[numbers[row, column]], nodes])
     found, steps = {}, (lattice.step_x, lattice.step_y)
-    for row, column in own:
-        around = [own.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
+    for row, column in digests:
+        around = [digests.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
         ends = (lattice.cells_x << bits) - SIDE * column, (lattice.cells_y << bits) - SIDE * row
         place = [min(column, 1), min(row, 1), *(min(end, 3 * SIDE) for end in ends)]
         found[row, column] = digest_of([], repr((bits, steps, place, around)))

@@ -121,8 +121,8 @@ def _write_tiffs(
 
     files: the file of each, by HEIGHTS or its name. Raises TerrainError.
     """
-    request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
-    request |= {"step": step}
+    paths = {name: str(path) for name, path in files.items()}
+    request = {"store": str(store.absolute()), "files": paths, "step": step}
     try:
         ask(MODULE, request, f"the store {store}", lambda fraction, _message: on_progress(fraction))
     except BaseException:  # a killed child leaves its partial file
@@ -301,8 +301,8 @@ def _write_tiff(path: Path, strips: Iterable[np.ndarray], shape: RasterShape) ->
 def _georeference(field: HeightField, store: str, axes: tuple[GridAxis, GridAxis]) -> tuple:
     """Return the transform from pixels to coordinates and the coordinate system, "" if it has no name.
 
-    axes: positions of columns and rows. For a terrain without a system, rotated against it, or with an extent set by the user, coordinates are metres from
-    the centre.
+    axes: positions of columns and rows. For a terrain without a system, rotated against it, or with an extent set by
+    the user, coordinates are metres from the centre.
     """
     from rasterio.transform import Affine
 

@@ -2,8 +2,8 @@
 """Import of the finer tiles of a mosaic, after its coarser raster is there (mosaic/finer_plan.py).
 
 They are made in the work of that raster (tiling/tile_work.py): a window of tiles that was read, or a tile that was
-measured, in a killed import is not made again. Neither is one that the store at the same path has, if all that determines
-it is the same. Files are read only where they have changed, also for the rings inside their borders.
+measured, in a killed import is not made again. Neither is one of the store at the same path, if all that determines it
+is the same. Files are read only where they have changed, also for the rings inside their borders.
 """
 
 import math
@@ -111,7 +111,7 @@ def _same_grid(one: Lattice, other: Lattice) -> bool:
 
 
 class _WorkRecords(FinerRecords):
-    """The records of a work, and of the store that it replaces. Those of windows have the figures of the reader, too."""
+    """The records of a work, and of the store that it replaces; those of windows have the reader's figures, too."""
 
     def __init__(self, work: TileWork, windows: "_Windows", earlier: _EarlierTiles | None):
         self._work, self._windows, self._earlier = work, windows, earlier
@@ -246,9 +246,9 @@ class _Windows:
         raster = self._reader.raster
         before = raster.moved, raster.shifted
         raster.moved = raster.shifted = 0.0  # the figures are of this window alone
-        own = HeightReader(raster, self._reader.settings)
-        heights = own.heights(self._source.window(*self._in_file(x0, y0, x1, y1)))[::-1]
-        self.figures = {name: own.figures()[name] for name in FIGURES}
+        reader = HeightReader(raster, self._reader.settings)
+        heights = reader.heights(self._source.window(*self._in_file(x0, y0, x1, y1)))[::-1]
+        self.figures = {name: reader.figures()[name] for name in FIGURES}
         raster.moved, raster.shifted = before
         self.add(self.figures)
         return heights

@@ -28,9 +28,9 @@ from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
 from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
-from .kept_seams import KeptSeams
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
+from .seam_records import SeamRecords
 from .target_grid import Footprints, TargetGrid
 from .windows import (
     NO_DATA,
@@ -177,7 +177,7 @@ class Composite:
             """Return a digest of all that determines the seams of a block."""
             return self._inputs(GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK), 0)
 
-        self.insets.kept = KeptSeams(find, note, inputs_at)
+        self.insets.records = SeamRecords(find, note, inputs_at)
 
     def _inputs(self, piece: GridPiece, reach: int) -> str:
         """Return a digest of all that determines the values of a piece, if files up to `reach` samples away count."""

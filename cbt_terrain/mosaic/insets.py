@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .kept_seams import KeptSeams
 from .lattices import TileLattice
 from .positions import BLOCK
+from .seam_records import SeamRecords
 from .target_grid import TargetGrid
 from .windows import GridPiece, PieceValues
 
@@ -105,7 +105,7 @@ class InsetBlend:
     Attributes:
         levels: level of each tile.
         rings: ring of insets on each level.
-        kept: records of the marks of blocks, None for none.
+        records: those of the marks of blocks, None for none.
     """
 
     def __init__(self, levels: np.ndarray, steps: np.ndarray, grid: TargetGrid, scan: Scan) -> None:
@@ -126,7 +126,7 @@ class InsetBlend:
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
         self._bytes = 0
         self._digests: dict[tuple[int, int], bytes] = {}
-        self.kept: KeptSeams | None = None
+        self.records: SeamRecords | None = None
 
     @property
     def reach(self) -> int:
@@ -211,10 +211,12 @@ class InsetBlend:
         key = row, column
         if key not in self._cells:
             place = row - self._blocks[0][0], column - self._blocks[1][0]
-            kept = self.kept.find(place, key, self._kind, self._side_of) if self.kept is not None else None
-            self._cells[key] = self._scanned(row, column) if kept is None else kept
-            if kept is None and self.kept is not None:
-                self.kept.note(place, key, self._cells[key])
+            known = None
+            if self.records is not None:
+                known = self.records.find(place, key, self._kind, self._side_of)
+            self._cells[key] = self._scanned(row, column) if known is None else known
+            if known is None and self.records is not None:
+                self.records.note(place, key, self._cells[key])
             self._bytes += sum(marks.nbytes for marks in self._cells[key].values())
             while self._bytes > MAX_CELL_BYTES and len(self._cells) > 1:
                 self._bytes -= sum(marks.nbytes for marks in self._cells.popitem(last=False)[1].values())
@@ -245,9 +247,10 @@ class InsetBlend:
                 ((piece.row, piece.rows), (piece.column, piece.columns)), self._blocks, strict=True
             )
         ]
-        for key in product(*ranges):
+        for row, column in product(ranges[0], ranges[1]):
+            key = row, column
             if key not in self._digests:
-                marks = self._marks_of_block(*key)
+                marks = self._marks_of_block(row, column)
                 block = hashlib.blake2b(repr(sorted(marks)).encode(), digest_size=16)
                 for level in sorted(marks):
                     block.update(marks[level].tobytes())

@@ -181,8 +181,8 @@ class FinerSource:
         window: window(first, count, column, columns) returns finer samples, NaN where missing.
         inputs: inputs(first, count, column, columns) returns a digest of all that determines the samples of a window;
             None if the tiles of an earlier import are not used again.
-        keep_seams: keep_seams(find, note) lets find(row, column) return the values of a record of what was found about
-            borders of files in a part of the finest grid, None without one, and note(row, column, **values) write it.
+        keep_seams: keep_seams(find, note) uses records of the borders of files: find(row, column) returns the values of
+            the record of a block of the finest grid, None without one, and note(row, column, **values) writes one.
         squares: numbers of the squares to load (importing/finer_squares.py), None for all.
     """
 

@@ -109,7 +109,7 @@ def test_pixels_of_the_other_files_are_between_their_samples(land, finest):
     assert np.abs(mean - smooth).max() < 2e-4
 
 
-def test_the_extent_of_the_finest_raster_is_that_of_the_coarse_one(land, finest):
+def test_the_finest_raster_has_the_extent_of_the_coarse_one(land, finest):
     lattice = open_store(land / "store").lattice
     with rasterio.open(finest) as found, rasterio.open(land / "files" / "c.tif") as town:
         assert found.shape == ((lattice.cells_y << BITS) + 1, (lattice.cells_x << BITS) + 1)

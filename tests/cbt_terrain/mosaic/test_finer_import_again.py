@@ -176,7 +176,7 @@ def test_an_altered_raster_is_noticed(settings, whole, stopped, tmp_path, monkey
     samples.flush()
     counts = count_records(monkeypatch)
     run_mosaic_import(settings, tmp_path / "store")
-    # A tile has 16 cells: rows 100 to 104 are in its row 6, and what is measured depends on the tiles around.
+    # A tile has 16 cells: rows 100 to 104 are in its row 6, and measures depend on the tiles around.
     tiles = np.load(store_folder.named_folder(whole[0]) / "finer_numbers.npy")[5:8] >= 0
     assert counts[finer_heights.LIMITED] == tiles.sum() < whole[1][finer_heights.LIMITED]
 

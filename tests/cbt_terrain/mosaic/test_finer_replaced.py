@@ -70,7 +70,7 @@ def count_reads(patch):
 
     def scanning(self, row, column):
         marks = scanned(self, row, column)
-        if self.kept is not None:  # of the finest grid
+        if self.records is not None:  # of the finest grid
             found[1].append((row, column))
         return marks
 

@@ -10,7 +10,7 @@ import numpy as np
 Block = tuple[int, int]  # row and column
 
 
-class KeptSeams(NamedTuple):
+class SeamRecords(NamedTuple):
     """Records of the marks of blocks of a grid.
 
     Attributes:

@@ -4,6 +4,7 @@
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from .build import Allocate, in_memory
 from .finer_heights import (
     LIMITED,
     MEASURED,
+    RANGED,
     FinerBox,
     FinerRecords,
     Tile,
@@ -209,20 +211,25 @@ def _measured(
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
-    wanted = {place: f"{digest} {exponent} {scale}" for place, digest in inputs.items()}
+    outputs = (
+        (MEASURED, errors, str(exponent), partial(_fill_errors, steps=steps, table=table)),
+        (RANGED, ranges, str(scale), partial(_fill_ranges, steps=steps, scale=scale)),
+    )
     for corner in corners:
         on_progress((corner[1] + 1) / len(numbers))
-        tiles = [
-            each
-            for each in _tiles_of(corner, numbers)
-            if not is_measured(records, each[1::-1], wanted[each[:2]], errors[each[2]], ranges[each[2]])
-        ]
-        if tiles:
-            square = _square_at(plain, bits, numbers, heights, corner)
-            _fill_square(square, tiles, steps, scale, table, errors, ranges, threads)
-        for row, column, tile, _where in tiles:
-            sums = digest_of([errors[tile], ranges[tile]])
-            records.note(MEASURED, (column, row), inputs=wanted[row, column], sums=sums)
+        square = None
+        for kind, array, coding, fill in outputs:
+            tiles = []
+            for each in _tiles_of(corner, numbers):
+                row, column, tile, _where = each
+                if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[tile]):
+                    tiles.append(each)
+            if tiles:
+                square = square or _square_at(plain, bits, numbers, heights, corner)
+                fill(square, tiles, array, threads)
+            for row, column, tile, _where in tiles:
+                values = {"inputs": f"{inputs[row, column]} {coding}", "sums": digest_of([array[tile]])}
+                records.note(kind, (column, row), **values)
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)
@@ -233,31 +240,48 @@ def _measured(
     return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
 
 
-def _fill_square(
+Part = tuple[int, int, int, tuple[slice, slice]]  # row, column and number of a tile, and its samples in a square
+
+
+def _fill_errors(
     square: _Square,
-    tiles: list[tuple[int, int, int, tuple[slice, slice]]],
-    steps: tuple[float, float],
-    scale: tuple[float, float],
-    table: np.ndarray,
+    tiles: list[Part],
     errors: np.ndarray,
-    ranges: np.ndarray,
     threads: int,
+    *,
+    steps: tuple[float, float],
+    table: np.ndarray,
 ) -> None:
-    """Fill the errors and ranges of the tiles of a square. tiles: of `_tiles_of`. steps: of finer samples, metres."""
+    """Fill the errors of some tiles of a square. steps: of finer samples, metres. table: metres of the codes."""
     small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
     metres = np.zeros(small.node_count, np.float32)
     hierarchy.build_errors(square.change, small, metres, threads)
-    found = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(square.heights, small, *scale, found, threads)
-    images, half = list(_images(small.layout(), metres * UP)), list(_images(small.range_layout(), found, False))
+    images = list(_images(small.layout(), metres * UP))
     for _row, _column, tile, where in tiles:
         stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
         errors[tile] = 0  # an earlier attempt may have left others, and zeros are not written
         codes.encode_part(stored, table, errors[tile], threads)
-        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in half])
 
 
-def _tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[tuple[int, int, int, tuple[slice, slice]]]:
+def _fill_ranges(
+    square: _Square,
+    tiles: list[Part],
+    ranges: np.ndarray,
+    threads: int,
+    *,
+    steps: tuple[float, float],
+    scale: tuple[float, float],
+) -> None:
+    """Fill the ranges of heights of some tiles of a square. steps: as of `_fill_errors`. scale: metres of the codes."""
+    small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
+    found = np.zeros((small.range_count, 2), np.uint16)
+    hierarchy.build_ranges(square.heights, small, *scale, found, threads)
+    images = list(_images(small.range_layout(), found, False))
+    for _row, _column, tile, where in tiles:
+        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in images])
+
+
+def _tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[Part]:
     """Yield row, column and number of each tile inside a square's margin, and its samples in the square."""
     for down, across in product(range(1, BLOCK + 1), range(1, BLOCK + 1)):
         row, column = corner[1] + down, corner[0] + across

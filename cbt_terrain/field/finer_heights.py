@@ -18,8 +18,8 @@ from .heightfield import HeightField, HeightRaster
 
 WINDOW = 4  # tiles along a side of the windows that are read together
 LOOKED = 0.3  # of the progress, when it is known which windows are read
-# Kinds of records: the heights of a window, the limits of the change of a tile, and its errors and ranges.
-FILLED, LIMITED, MEASURED = "finer_filled", "finer_limited", "finer_measured"
+# Kinds of records: the heights of a window, the limits of the change of a tile, its errors, and its ranges.
+FILLED, LIMITED, MEASURED, RANGED = "finer_filled", "finer_limited", "finer_measured", "finer_ranged"
 
 Tile = tuple[int, int]  # column and row
 Arrays = Callable[[str, Tile], np.ndarray | None]  # array of a tile by the name of its file; None without the tile
@@ -40,7 +40,7 @@ class FinerRecords:
     def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the records of a place: of this computation with None, then of an earlier store with its arrays.
 
-        kind: FILLED, LIMITED or MEASURED. place: column and row of a tile, or of a window.
+        kind: FILLED, LIMITED, MEASURED or RANGED. place: column and row of a tile, or of a window.
         """
         return iter(())
 

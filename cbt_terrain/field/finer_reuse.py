@@ -5,9 +5,11 @@ from itertools import product
 
 import numpy as np
 
-from .finer_heights import LIMITED, MEASURED, FinerRecords, Tile, digest_of, raster_nodes
+from .finer_heights import LIMITED, MEASURED, RANGED, FinerRecords, Tile, digest_of, raster_nodes
 from .finer_tiles import SIDE
 from .heightfield import HeightField
+
+NAMES = {MEASURED: "errors", RANGED: "ranges"}  # of arrays, by the kind of their records
 
 
 def inputs_of_tiles(
@@ -36,17 +38,20 @@ def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float]
     return None
 
 
-def is_measured(records: FinerRecords, tile: Tile, inputs: str, errors: np.ndarray, ranges: np.ndarray) -> bool:
-    """Return whether a tile has its errors and ranges, of this computation or copied from an earlier store."""
-    for record, arrays in records.find(MEASURED, tile):
+def is_measured(records: FinerRecords, kind: str, tile: Tile, inputs: str, array: np.ndarray) -> bool:
+    """Return whether a tile has its errors or ranges (`array`), of this computation or copied from an earlier store.
+
+    kind: MEASURED or RANGED.
+    """
+    for record, arrays in records.find(kind, tile):
         if record["inputs"] != inputs:
             continue
         if arrays is not None:
-            found = arrays("errors", tile), arrays("ranges", tile)
-            if found[0] is None or found[1] is None:
+            found = arrays(NAMES[kind], tile)
+            if found is None:
                 continue
-            errors[...], ranges[...] = found
-        if record["sums"] == digest_of([errors, ranges]):
-            records.use(MEASURED, tile, record, arrays is not None)
+            array[...] = found
+        if record["sums"] == digest_of([array]):
+            records.use(kind, tile, record, arrays is not None)
             return True
     return False

@@ -18,7 +18,7 @@ from ..field.codes import MAX_EXPONENT, MIN_EXPONENT
 from .tile_grid import LatticeVertices, TileGrid, exist
 
 READ, MEASURED = "read", "measured"  # kinds of records
-FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED  # ... of finer tiles
+FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED, finer_heights.RANGED  # ... of finer tiles
 SEAMS = "finer_seams"  # ... and of the borders of their files
 FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, metres
 STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"  # of a measured tile

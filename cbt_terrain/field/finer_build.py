@@ -200,9 +200,9 @@ def _measured(
             else:
                 limits[row, column] = found
         if missing:
-            square = _square_at(plain, bits, numbers, heights, corner)
+            change = _square_at(plain, bits, numbers, heights, corner).change
         for row, column, where in missing:
-            limits[row, column] = pair = _limits(square.change[where], steps)
+            limits[row, column] = pair = _limits(change[where], steps)
             values = {"inputs": inputs[row, column], "limits": [float(value) for value in pair]}
             records.note(LIMITED, (column, row), **values)
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])

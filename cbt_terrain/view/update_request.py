@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything that a terrain's mesh depends on beside its height field."""
+"""The arguments of an update: besides its height field, a terrain's mesh depends on nothing else."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

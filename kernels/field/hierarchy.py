@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the error hierarchy of a raster; cbt_terrain/field describes the method.
 
-The largest distance of a surface from a triangle is found by branch and bound: a block of samples is read only if it
-may be farther away than what is known, from the diamond's children or other blocks.
+Branch and bound finds the largest distance of a surface from a triangle: a block of samples is read only if it may be
+farther away than the diamond's children and the blocks that were read before.
 
 Heights are read as floats, row 0 south. Errors are one array in the order of `cbt_terrain/field/lattice.py`; a kernel
 processes one depth of it. All arithmetic on heights is float64, so planes through float32 samples at power-of-two

@@ -55,7 +55,7 @@ def middle_of(field, east, north):
 
 
 def above(field, height, **more):
-    """Return what a camera some metres above the middle of the city sees, as it looks down."""
+    """Return the land that a camera sees `height` metres above the middle of the city, looking down."""
     x, y = middle_of(field, CITY[0] + 450.0, CITY[1] - 350.0)
     ground = float(ground_at(field, np.array([[x, y]])).heights[0])
     view = View.look((x, y - 1.0, ground + height), (x, y, ground))

@@ -15,7 +15,8 @@ from adaptive_terrain.cbt_terrain.field.domain import box_of
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill_horizons, place_rings
-from adaptive_terrain.cbt_terrain.refine.request import pack
+from adaptive_terrain.cbt_terrain.refine.request import pack, refinable_domain
+from adaptive_terrain.cbt_terrain.refine.terms import rounding
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -116,7 +117,7 @@ def horizon_map(field, eye: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndar
     """
     view = View.look(eye, eye + [1.0, 1.0, -0.3], resolution=(960, 540))
     criterion, placed, buffers = Criterion(error_px=1.0, hidden_factor=8.0), (-1.0, 300.0), Buffers()
-    domain = Terrain(field, 1)._placed_domain(0, depth, *placed)
+    domain = refinable_domain(field, 0, *placed, rounding(field, depth, *placed))
     spans = spans_of(
         criterion, [view], np.eye(4), PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, 0.0)
     )

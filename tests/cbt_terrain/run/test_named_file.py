@@ -25,7 +25,7 @@ OWN = {
     ("cbt_terrain/exporting/globe.py", "np.load(path)"),
     ("cbt_terrain/exporting/globe.py", "np.load(request['path'])"),
     ("cbt_terrain/exporting/height_tiles.py", "layer.form.open(partial, shape, layer.form.dtype, pool)"),
-    ("cbt_terrain/height_operators/export.py", "np.fromfile(raw['path'], '<f4')"),
+    ("cbt_terrain/height_operators/export.py", "np.fromfile(path, '<f4', count, offset=4 * first * shape.width)"),
     ("operators/farm/bundle.py", "(HERE / name).read_text(encoding='utf-8')"),
     ("operators/export/blender_exporters.py", "np.fromfile(file, face, faces)"),
     ("operators/text/machine.py", "open('/proc/cpuinfo', encoding='utf-8')"),

@@ -47,7 +47,7 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Dep
     return largest
 
 
-BLOCK = wp.constant(8)  # cells of a block's side
+BLOCK = wp.constant(8)  # cells of a block's side; a snippet of C and a factor below depend on it
 
 
 @wp.struct

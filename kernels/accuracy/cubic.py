@@ -26,9 +26,9 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 @wp.func
 def height_along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
-    """Return the height of the Hermite cubic along row j of the samples, `s` cells (0 .. 1) east of column i.
+    """Return the height, metres before scaling, of the Hermite cubic along row j, `s` cells (0 .. 1) east of column i.
 
-    Metres before vertical scaling. Samples beyond the border are extrapolated linearly.
+    Samples beyond the border are extrapolated linearly.
     """
     at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
     p1 = wp.float64(sample_at(samples, at))

@@ -43,9 +43,9 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 @wp.func
 def octaves_height(layer: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height, metres, of all octaves of a layer's noise, (x, y) metres from the raster's middle.
+    """Return the height, metres, of all octaves of a layer's noise at (x, y) metres from the raster's middle.
 
-    Each octave rotates the domain of the one before and doubles its frequency.
+    Each octave rotates the domain of the one before by the angle of the triangle (3, 4, 5) and doubles its frequency.
     """
     total = wp.float64(0.0)
     u = x * layer.frequency

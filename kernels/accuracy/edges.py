@@ -101,7 +101,10 @@ def meets_line(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> 
 
 @wp.func
 def next_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
-    """Return the stretch of edge k of triangle f after stretch `s`, up to the next grid line or the end of the edge."""
+    """Return the stretch of edge k of triangle f after stretch `s`, up to the next grid line or the end of the edge.
+
+    On a bilinear reference it also receives the position `turn` at which mesh minus reference has its extremum.
+    """
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
     dy = f.y[n] - f.y[k]
@@ -136,7 +139,7 @@ def num_points(ground: Reference) -> wp.int32:
 def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
     """Return point q (1 .. `num_points`, the last at the end) of a stretch of edge k, as cells east and north.
 
-    On a bilinear reference there are two: where the difference turns, and the end.
+    On a bilinear reference there are two points: where mesh minus reference turns, and the end.
     """
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
@@ -147,10 +150,10 @@ def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretc
 
 @wp.func
 def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
-    """Return the height, metres, by which float32 rounding has moved corner k of triangle f off the reference surface.
+    """Bound the height, metres, by which float32 rounding has moved corner k of triangle f off the reference surface.
 
-    It is a bound with two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z.
-    position: the corner as delivered, metres.
+    It has two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z. position: the
+    corner as delivered, metres.
     """
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])

@@ -16,10 +16,10 @@ PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of 
 def grid_extremes(
     first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, worst: wp.array(dtype=wp.float64)
 ):
-    """Raise worst[t] of triangles first .. end - 1 to the largest difference on a grid of points inside.
+    """Raise worst[t] of triangles first .. end - 1 to the largest |mesh - reference|, metres, on a grid of points.
 
-    In metres. A cell, or the box of a smaller triangle, has about 2^PLACES_BITS points along each side. They are
-    computed in lattice units, 2^ground.bits a cell; `covers` gives a point on a shared edge to one triangle.
+    A cell, or the box of a smaller triangle, has about 2^PLACES_BITS points along each side. They are computed in
+    lattice units, 2^ground.bits a cell; `covers` gives a point on a shared edge to one triangle.
     """
     one = wp.int64(1)
     bits = wp.int64(ground.bits)

@@ -27,10 +27,10 @@ def vector_from(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.float64:
-    """Return s where the line origin + s * along passes through triangle t; infinite if it does not.
+    """Return s where the line origin + s * along passes through triangle t of the mesh; infinite if it does not.
 
-    s is negative behind the origin. Both triangles at an edge compute the same number for it but for the sign, so no
-    line passes between them (Woop, Benthin and Wald 2013).
+    s is negative behind the origin. Both triangles at an edge compute the same number for that edge except for the
+    sign, so no line passes between them (Woop, Benthin and Wald 2013).
     """
     a = vector_from(mesh.positions[mesh.corners[3 * t]], origin)
     b = vector_from(mesh.positions[mesh.corners[3 * t + 1]], origin)

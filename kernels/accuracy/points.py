@@ -78,7 +78,7 @@ def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
 def measure_square(
     ground: Reference, f: MeasuredFacet, t: wp.int32, points: MeasuredPoints, corner: wp.int64, side_bits: wp.int64
 ):
-    """Write difference and owner of every point in a square of the Morton curve that triangle t owns.
+    """Write the difference (mesh minus reference, metres) and owner of the points in a square that triangle t owns.
 
     corner: Morton key of the square's first point. side_bits: its side is 2^side_bits units.
     """
@@ -105,7 +105,7 @@ def measure_square(
 
 @wp.kernel
 def locate(first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, points: MeasuredPoints):
-    """Write difference and owner of every point that triangles first .. end - 1 own.
+    """Write the difference (mesh minus reference, metres) and owner of every point that triangles first .. end - 1 own.
 
     The points of a triangle are found by squares of the Morton curve that cover its bounding box.
     """

@@ -73,7 +73,7 @@ def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
 def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
     """Return the smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t.
 
-    Without such a t the result is 0 or meaningless: the caller looks first.
+    If it is negative nowhere, the result is 0 or meaningless: the caller checks that before.
     """
     root = wp.sqrt(wp.max(b * b - wp.float64(4.0) * a * c, wp.float64(0.0)))
     t = wp.float64(0.0)
@@ -178,8 +178,8 @@ def in_one_patch(
 
     There is no closed form: PLACES + 1 points of the ray between t = first and last are compared with the surface, and
     a change of sides is bisected. t is NOWHERE without a crossing; the side is then that at the cell's end, too. side:
-    1 above, -1 below, 0 on the surface so far; the argument is that at `first`. In a cell whose heights the ray clears
-    the result is its side there, and a crossing at `first` if that is another one.
+    1 above, -1 below, 0 on the surface so far; the argument is that at `first`. If the ray clears all heights of the
+    cell, its side is known without points, and a change from `side` is a crossing at `first`.
     """
     hit = NOWHERE
     a, b = height_bounds(ground.samples, i, j)

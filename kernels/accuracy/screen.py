@@ -90,9 +90,9 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
 
 @wp.func
 def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
-    """Return `point`, moved towards `truth` to the depth `eye.near` if it is nearer than that.
+    """Return `point` or, if it is nearer to the eye than `eye.near`, that point moved towards `truth` to this depth.
 
-    Points of camera space, metres. Nearer than that depth no error is bounded, so it must not be measured.
+    Both are points of camera space, metres. Nearer than that depth no error is bounded, so none is measured there.
     """
     moved = point
     if eye.kind == PERSPECTIVE and -point[2] < eye.near and -truth[2] > eye.near:

@@ -35,7 +35,7 @@ wp.set_module_options(INLINED)
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
-    """Return a parent cell whose north-eastern quadrant is root square `square`, where the count of a square starts."""
+    """Return a cell whose north-eastern quadrant is root square `square`: there the count of a square starts."""
     cell = Cell()
     row = square / domain.columns
     cell.x = (square - row * domain.columns) << domain.unit_bits
@@ -164,9 +164,10 @@ def fetch_quadrants(domain: Domain, p: CellDiamond):
 def count(domain: Domain, criterion: CriterionArrays, w: Count):
     """Count the triangles of the slice by the last step at which they are split, into `w.last_steps`.
 
-    Whenever more than `max_splits` triangles are split at the finest step, the next step becomes the finest. That step
-    at the end goes to `w.from_step`; behind `w.coarsest` the count ends early. `w.marks` and `w.measured` receive the
-    cells and the number of measured diamonds, by which the next count is divided among threads.
+    A step is a value of the relaxation, finest first. Whenever more than `max_splits` triangles are split at the finest
+    step, the next step becomes the finest. The finest step at the end is written to `w.from_step`; if it passes
+    `w.coarsest`, the count ends early. `w.marks` and `w.measured` receive the cells and the number of measured
+    diamonds, by which the next count is divided among threads.
     """
     none = wp.float64(0.0)
     criterion.limit = w.limit_factors[w.coarsest]

@@ -32,9 +32,9 @@ class FinerHeights:
 def tile_jet(
     finer: FinerHeights, column: wp.int32, row: wp.int32, level: wp.int32, x: wp.float64, y: wp.float64
 ) -> Jet:
-    """Return the jet of one level of the tile in a column and row of the table, at x, y finer cells of the raster.
+    """Return the jet (z, zx, zy, zxx, zxy, zyy) of one level of the tile in a column and row of the table of tiles.
 
-    Metres before vertical scaling, derivatives per metre.
+    x, y: position in finer cells of the raster. z: metres before vertical scaling; the derivatives are per metre.
     """
     scale = inverse_power(level)
     side = SIDE >> level
@@ -54,10 +54,10 @@ def tile_jet(
 
 @wp.func
 def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
-    """Return the jet at x, y metres in the terrain's space and a level below 0, of displaced heights.
+    """Return the jet (z, zx, zy, zxx, zxy, zyy) of displaced heights at x, y metres and a level below 0.
 
-    ground: the raster's pyramid, whose level 0 counts where no heights are finer. Points outside the raster are clamped
-    to its border.
+    A level below 0 is finer than the raster's samples. ground: the raster's pyramid, whose level 0 counts where no
+    heights are finer. Points outside the raster are clamped to its border.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)

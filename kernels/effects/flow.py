@@ -59,8 +59,8 @@ def flow_at(
 ):
     """Write to out[offset + tid] the drainage area at a point, m2.
 
-    pyramid: of the area's natural logarithm. coarser_by: levels that its first level is coarser than the raster.
-    levels: log2 of the samples that a pixel covers at each point.
+    pyramid: the area's natural logarithm at halved resolutions. coarser_by: levels by which its first level is coarser
+    than the raster. levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
     out[v] = wp.float32(exponential(value_at(pyramid, coarser_by, positions[v], levels[v])))
@@ -74,9 +74,9 @@ def layer_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Write to out[offset + tid] a layer's value at a point.
+    """Write to out[offset + tid] the value of a layer (a raster of one value) at a point.
 
-    pyramid: of the layer's values. levels: log2 of the samples that a pixel covers at each point.
+    pyramid: the layer at halved resolutions. levels: log2 of the samples that a pixel covers at each point.
     """
     v = offset + wp.tid()
     out[v] = wp.float32(value_at(pyramid, wp.float32(0.0), positions[v], levels[v]))

@@ -109,9 +109,10 @@ def footprint_levels(
 
 @wp.func
 def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float32:
-    """Return the finest level at x, y metres: -bits in tiles with finer heights, 0 elsewhere and at their border.
+    """Return the finest level at x, y metres: -bits inside tiles with finer heights, 0 outside and at their border.
 
-    Between them it is linear in the distance to the border, the larger one along an axis. So it is continuous.
+    Within FADE finer cells of that border it is linear in the distance, the larger one along an axis, so it is
+    continuous.
     """
     cell_x = wp.clamp((x - places.west) * places.per_x, wp.float64(0.0), wp.float64(places.cells_x))
     cell_y = wp.clamp((y - places.south) * places.per_y, wp.float64(0.0), wp.float64(places.cells_y))
@@ -141,7 +142,7 @@ def limit_levels(
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
 ):
-    """Raise levels[offset + tid] to the finest level at its point, if it is below that."""
+    """Raise levels[offset + tid] to `finest_level` at its point, if it is below that."""
     v = offset + wp.tid()
     if levels[v] < 0.0:
         p = positions[v]

@@ -110,9 +110,10 @@ def from_jets(
 ):
     """Compute the requested values (height, slope, curvatures ..) at point `offset + tid` from the ground's jet there.
 
-    Slopes are radians, curvatures 1/m; the aspect is the unit vector downhill, (0, 0) on level ground. finer: the
-    heights of finer tiles, one or none. levels: log2 of the samples that a pixel covers at each point; below 0 only
-    finer tiles count. values: the output arrays, and bits for those that are requested.
+    A jet is the height with its first and second derivatives. Slopes are radians, curvatures 1/m; the aspect is the
+    unit vector downhill, (0, 0) on level ground. finer: the heights of finer tiles, one or none. levels: log2 of the
+    samples that a pixel covers at each point; below 0 only finer tiles count. values: the output arrays, and bits for
+    those that are requested.
     """
     v = offset + wp.tid()
     p = positions[v]

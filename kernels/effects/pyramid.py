@@ -173,9 +173,10 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
     return q;
 """)
 def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet:
-    """Return the jet at (u, v), 0 .. 1, of the cell of sample (x + 1, y + 1) of a level.
+    """Return the jet at (u, v), 0 .. 1, of the cell whose south-west sample is (x + 1, y + 1) of a level.
 
-    Metres before vertical scaling, derivatives per cell.
+    A jet is (z, zx, zy, zxx, zxy, zyy) of a cubic spline through 4 x 4 samples: metres before vertical scaling,
+    derivatives per cell.
     """
     ...
 
@@ -188,9 +189,9 @@ def inverse_power(level: wp.int32) -> wp.float64:
 
 @wp.func
 def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
-    """Return the jet of one level at (x, y) cells of that level from its first sample.
+    """Return the jet (z, zx, zy, zxx, zxy, zyy) of one level at (x, y) cells of that level from its first sample.
 
-    Metres before vertical scaling, derivatives per metre.
+    z: metres before vertical scaling. The derivatives are per metre.
     """
     i = wp.min(wp.int32(x), item_at(ground.columns, level) - 2)
     j = wp.min(wp.int32(y), item_at(ground.rows, level) - 2)
@@ -203,9 +204,10 @@ def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) ->
 
 @wp.func
 def jet_at(ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
-    """Return the jet at x, y metres in the terrain's space and a fractional level, after vertical scaling.
+    """Return the jet (z, zx, zy, zxx, zxy, zyy) at x, y metres in the terrain's space and a fractional level.
 
-    Points outside the raster are clamped to its border, and levels to those of the pyramid.
+    It is after vertical scaling, derivatives per metre. Points outside the raster are clamped to its border, and levels
+    to those of the pyramid.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)

@@ -62,8 +62,9 @@ def straight_first(q: wp.int32) -> wp.int32:
 def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, noise: ReceiverNoise):
     """Write the D8 receiver of each sample of row `offset + tid`; ROOT if no neighbour is lower, and at outlets.
 
-    (O'Callaghan and Mark 1984.) The raster's border is ROOT, too. inverse_distance: 1 / distance of the neighbours
-    east-west, north-south and diagonally, 1/m. noise: breaks straight lines.
+    A receiver is a direction, 3 * (dy + 1) + dx + 1, to the neighbour of the steepest descent (O'Callaghan and Mark
+    1984). The raster's border is ROOT, too. inverse_distance: 1 / distance of the neighbours east-west, north-south and
+    diagonally, 1/m. noise: breaks straight lines.
     """
     y = offset + wp.tid()
     first = y * d.grid.width
@@ -159,9 +160,9 @@ def find_passes(
 ):
     """Count or list the passes of row `offset + tid`: pairs of neighbours in different basins, in directions 5 .. 8.
 
-    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on, where `start` then has the
-    sums of the rows before and, as the last, of all. key: heights of the passes, metres. edge: 4 * sample + direction -
-    5. The last row is left out, as both ends of its passes are of `base`.
+    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on. `start` then has the number of
+    passes of all rows before each row and, as its last entry, of all. key: heights of the passes, metres. edge: 4 *
+    sample + direction - 5. The last row is left out, as both ends of its passes are outlets.
     """
     y = offset + wp.tid()
     if emit == 0:

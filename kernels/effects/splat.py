@@ -113,9 +113,10 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
 
 @wp.func
 def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
-    """Return the layer's noise at (x, y) metres, -1 .. 1; octaves fade out from two footprints a wave to one.
+    """Return the layer's noise at (x, y) metres, -1 .. 1, a sum of octaves that a pixel can show.
 
-    footprint: metres that a pixel covers. Without a `noise_size` the result is 0.
+    An octave fades out as its waves shrink from two footprints to one. footprint: metres that a pixel covers. Without a
+    `noise_size` the result is 0.
     """
     total = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):

@@ -86,13 +86,17 @@ class Sweep:
 """.replace("LINES", str(LINES))
 )
 def sweep_lines(s: Sweep, item: int):
-    """Compute the horizons of the LINES lines of an item of work, and write those of the samples between two lines."""
+    """Compute the horizons (slopes, metres a metre) of samples along LINES parallel lines over a raster; write them.
+
+    A line keeps the upper hull of the ground ahead of it, on which the horizon's point is. A sample between two lines
+    gets the interpolated value. item: number of the group of lines.
+    """
     ...
 
 
 @wp.kernel
 def sweep(offset: int, s: Sweep):
-    """Compute the horizons of the lines of item `offset + tid`, and interpolate them at samples between the lines."""
+    """Compute the horizons along the lines of group `offset + tid`, and those of samples between by interpolation."""
     sweep_lines(s, offset + wp.tid())
 
 

@@ -59,7 +59,7 @@ class PackedLayers:
 def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
     """Return height (metres) and slopes along x and y (metres a metre) of all octaves of a layer's noise.
 
-    x, y: metres from the raster's middle.
+    x, y: metres from the raster's middle. c, s: scaled cosine and sine of each octave's rotation.
     """
     total = wp.vec3d()
     a = layer.amplitude

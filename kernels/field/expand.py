@@ -18,7 +18,11 @@ def raise_codes(
     translated: wp.array(dtype=wp.uint8),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Set the code of diamond `offset + tid` of depth `coarser` to the largest of its children, translated."""
+    """Set the error code of diamond `offset + tid` of depth `coarser` to the largest code of its children, translated.
+
+    finer, coarser: layouts of the depths of the children and of the diamond. translated: for each code the code of the
+    same error or more in the table of the coarser depth.
+    """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
         largest = wp.uint8(0)
@@ -39,9 +43,10 @@ def raise_cells(
     translated: wp.array(dtype=wp.uint8),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Set the codes of cells to the largest old code of themselves and their four neighbours, translated.
+    """Set the error codes of cells to the largest old code of themselves and their four neighbours, translated.
 
-    The thread works on cell `first + offset + tid`. old_cells: layout of the array `old`.
+    The thread works on cell `first + offset + tid`. old_cells: layout of the array `old`. translated: for each old code
+    the code of the same error or more in the new table.
     """
     p = diamond(cells, first + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))

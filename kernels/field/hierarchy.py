@@ -186,7 +186,7 @@ def centre_errors(
     coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute the errors of diamonds at the centres of cells of `side` samples (at least 2).
+    """Compute the errors, metres, of diamonds at the centres of cells of `side` samples (at least 2).
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
     largest of its children's errors if that is more. finer, coarser: layouts of the children's depth and of this one.

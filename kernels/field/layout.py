@@ -63,7 +63,10 @@ def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
 
 @wp.func
 def child(depth: Depth, p: wp.vec2i, k: wp.int32) -> wp.vec2i:
-    """Return child k (0 .. 3) of a diamond, if the finer depth holds it: the middle of a side or of a cell."""
+    """Return child k (0 .. 3) of a diamond: the middle of a side or of a cell; `holds` tells whether it exists.
+
+    depth: layout of the diamond's own depth. p: the diamond's position in it.
+    """
     c = wp.vec2i(p[0] - (k & 1), p[1] - (k >> 1))
     if depth.sides == 0:
         ahead = 2 * (k & 1)

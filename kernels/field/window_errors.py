@@ -35,8 +35,9 @@ def window_errors(
 ):
     """Raise `largest` of row `offset + tid` to the largest distance, metres, of the surface from a triangle's plane.
 
-    measured: a window of the raster, NaN where samples do not count. (west, south): its first sample. A cell of the
-    longest edge counts only if the window has all four of its samples. The triangle may extend beyond the window.
+    measured: a window of the raster, NaN where samples do not count. (west, south): its first sample. corner: the
+    triangle, which may extend beyond the window. A cell that the longest edge crosses counts only if the window has all
+    four of its samples.
     """
     row = offset + wp.tid()
     c = corner

@@ -63,7 +63,7 @@ def height_above(d: Domain, facet: Facet, x: wp.int32, y: wp.int32) -> wp.float6
 
 @wp.func
 def rows_of(facet: Facet, bits: wp.int32):
-    """Return the southernmost row of samples in the facet, counted from its apex, and the number of rows.
+    """Return the southernmost row of samples in the facet, counted from its apex, and the number of rows in it.
 
     A facet smaller than a cell has 0 rows. bits: a cell has 2^bits lattice units a side.
     """
@@ -205,9 +205,9 @@ def farthest_on_diagonal(
 ) -> wp.float64:
     """Return the larger of `known` and the largest distance along a diagonal side of the facet, metres before scaling.
 
-    (x0, y0), (x1, y1): ends of the side, lattice units from the apex. A side of whole cells is evaluated at the
-    parabola of each, without those beyond the border, and not at the samples between them, as `farthest` does that; a
-    shorter one is inside a cell and has one parabola and two ends.
+    (x0, y0), (x1, y1): ends of the side, lattice units from the apex. Along a side of whole cells only the extremum of
+    each cell's parabola counts, inside the border: `farthest` measures at the samples between. A shorter side is inside
+    one cell, and its two ends and the extremum count.
     """
     bits = d.unit_bits - d.levels
     dx = x1 - x0

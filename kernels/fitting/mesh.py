@@ -77,7 +77,7 @@ def facet_of(m: FitMesh, t: wp.int32) -> Facet:
 
 @wp.func
 def is_marked(m: FitMesh, t: wp.int32) -> wp.bool:
-    """Return whether triangle t is marked to be measured in the next sweep."""
+    """Return whether triangle t is marked to be measured in the next sweep over the mesh."""
     return ((m.marks[t >> 5] >> wp.uint32(t & 31)) & wp.uint32(1)) != wp.uint32(0)
 
 

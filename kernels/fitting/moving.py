@@ -44,9 +44,10 @@ def corner_heights(m: FitMesh, t: wp.int32) -> wp.vec3f:
 
 @wp.func
 def push_and_weight(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) -> wp.vec2f:
-    """Return (q, weight), the push on a corner; (0, 0) if the weight is only rounding of `sum_weights`.
+    """Return (q, weight) of a corner's push; (0, 0) if the weight is only rounding of `sum_weights`.
 
-    q: weighted sum of distances beyond the aim, metres before scaling. sum_weights: that of all three corners.
+    A push is a weighted sum q of distances of the surface beyond the aim, metres before scaling. sum_weights: sum of
+    the weights of all three corners.
     """
     return wp.where(weight > NO_WEIGHT * sum_weights, wp.vec2f(q, weight), wp.vec2f())
 

@@ -15,11 +15,11 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     """Split triangles beyond the bound that interpolation would split too; move the vertices of others to the surface.
 
     count: listed triangles. max_depth: level whose triangles are not split. min_share: split only triangles whose
-    excess is at least this part of the largest among the triangles that they touch, since one split may help them all.
-    `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place if there is
-    room, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles, of
-    triangles and of vertices (which it holds before), of all splits, of vertices that are new on the surface, of those
-    splits that wait for the next walk, and of triangles too coarse at the deepest level. One thread.
+    excess is at least this fraction of the largest among the triangles that they touch, since one split may help them
+    all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place if there
+    is room, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles,
+    of triangles and of vertices (the last two are also its input), of all splits, of vertices that are new on the
+    surface, of those splits that wait for the next walk, and of triangles too coarse at the deepest level. One thread.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -111,10 +111,10 @@ def _middle(m: FitMesh, t: int):
 
 @wp.func
 def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
-    """Return the stored error of triangle t with its vertices on the surface, metres before scaling.
+    """Return the stored error of triangle t if its vertices were on the surface, metres before scaling.
 
     below: bisections below the raster's cells, negative above them; in a cell the error divides by four with each two
-    bisections. cell: the triangle's cell, which is read only there.
+    bisections. cell: the triangle's cell, used only there.
     """
     if below < 0:
         middle = _middle(m, t)

@@ -51,9 +51,9 @@ class Soil:
     }
 """)
 def creep_of_row(soil: Soil, y: int):
-    """Take an explicit step of diffusion in row y, from the heights `old` to `h`.
+    """Take an explicit step of diffusion in row y: write `soil.h` from the heights `soil.old`.
 
-    The change is reduced by `preserved` and multiplied by `weight`.
+    The change of a sample is reduced by up to `preserved` metres of the same sign, and multiplied by `weight`.
     """
     ...
 

@@ -191,7 +191,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
 def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRain, carried: wp.array(dtype=wp.float64)):
     """Run all droplets of tile tiles[offset + tid] that start on this ground, one after the other.
 
-    tiles: of one colour. carried[offset + tid]: m3 of sediment that they carry over the border of these samples.
+    tiles: tiles of one colour, which are so far apart that their droplets never meet. carried[offset + tid]: m3 of
+    sediment that they carry over the border of these samples.
     """
     slot = offset + wp.tid()
     tile = tiles[slot]

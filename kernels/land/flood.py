@@ -77,7 +77,10 @@ _PUSH = """
 
 @wp.func_native(_PUSH)
 def push_row(s: FloodStep, y: int, to_north: int):
-    """Compute the fluxes, m2/s, from the samples of row y to the next ones: TO_EAST or TO_NORTH."""
+    """Compute the fluxes, m2/s, from the samples of row y to the next ones in one direction.
+
+    to_north: TO_EAST or TO_NORTH, the direction.
+    """
     ...
 
 

@@ -18,9 +18,9 @@ MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 
 @wp.func
 def mountains_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height of a range from west to east with forelands on both sides; metres, above 0.
+    """Return the height, metres and above 0, of a mountain range from west to east with forelands on both sides.
 
-    half_side: half of the square's side, metres.
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
@@ -61,10 +61,10 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 
 @wp.func
 def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0.
+    """Return the height, metres and above 0, of a plateau with a canyon from east to west and side canyons.
 
-    half_side: half of the square's side, metres. The distance from the river, shorter in side canyons, gives the height
-    in its walls.
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres. The distance from the
+    river, which is made shorter in side canyons, gives the height in the canyon's walls.
     """
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
@@ -119,7 +119,7 @@ def volcano(
 def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return the height, metres, of islands and volcanoes in a sea at 0 m that is deep at the square's border.
 
-    half_side: half of the square's side, metres.
+    x, y: metres from the middle of the square. half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))

@@ -174,10 +174,10 @@ SETTLE_SLAB = """
 def settle_slab(s0: Slope, y: int, along: int, turn: int):
     """Move rock and scree down between samples in rows y and y + 1 where they are steeper than their angles of repose.
 
-    Of each pair the scree moves first. Then rock of the upper sample breaks off and becomes scree of the lower one, the
-    less the more scree covers it, and none under 1 m. Beds differ less in faces higher than a bed. Rows outside the
-    raster are skipped. along: 1 to settle pairs along the rows, too, first those whose western column in the whole
-    level has the parity of `turn`.
+    In each pair of samples the scree moves first. Then rock of the upper sample breaks off and becomes scree of the
+    lower one, the less the more scree covers it, and none under 1 m. Beds of rock differ less in faces higher than a
+    bed. Rows outside the raster are skipped. along: 1 to settle pairs along the rows, too, first those whose western
+    column in the whole level has the parity of `turn`.
     """
     ...
 
@@ -193,9 +193,10 @@ def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
 
 @wp.kernel
 def vary_repose(offset: int, slope: Slope, longest: wp.float32, octaves: int, tangent: wp.float32):
-    """Add noise of slope about `tangent` to `base` of row `offset + tid`, which varies the angle at which scree rests.
+    """Add noise to `base` in row `offset + tid`, so that the angle at which scree rests varies by about `tangent`.
 
-    It has waves of `longest` metres and `octaves` - 1 shorter ones, at the same positions on every level.
+    The noise has waves of `longest` metres and `octaves` - 1 shorter ones, at the same positions on every level.
+    tangent: of the change of the angle.
     """
     row = offset + wp.tid()
     for column in range(slope.width):

@@ -64,9 +64,9 @@ def flag_holes(
     valid: wp.array(dtype=wp.uint8),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """Set flags[t] to 1 if the middle of triangle t = offset + tid is in a cell with a missing sample.
+    """Set flags[t] to 1 if the middle of triangle t = offset + tid is in a raster cell with a missing sample.
 
-    corner: south-western one of the raster, metres. step: metres between samples. valid: 0 for missing samples.
+    corner: the raster's south-western corner, metres. step: metres between samples. valid: 0 for missing samples.
     """
     t = offset + wp.tid()
     x = wp.float64(0.0)  # sums over the three corners, from the raster's corner
@@ -95,10 +95,10 @@ def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float
 
 @wp.kernel
 def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
-    """Set a vertex's value to 0 if one of its edges would be cut closer to it than float32 positions resolve.
+    """Set a vertex's signed value to 0 if the cut of one of its edges is nearer to it than float32 positions resolve.
 
-    One thread. tolerance: rounding of a position, relative to the largest coordinate. m: the mesh with its signed
-    values.
+    The mesh is cut where the values are 0. One thread. tolerance: rounding of a position, relative to the largest
+    coordinate. m: the mesh with its values.
     """
     for i in range(m.counts[LISTED]):
         o = 3 * m.listed[i]

@@ -36,7 +36,10 @@ class DisplacedPoints:
 
 @wp.func
 def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
-    """Return the unit normal of the scaled surface with height and slopes g (metres before scaling, and per cell)."""
+    """Return the unit normal of the scaled surface.
+
+    g: height there, metres before scaling, and slopes, metres a cell.
+    """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     nx = -g[1] * (domain.height_scale / (domain.unit_x * units_a_cell))
     ny = -g[2] * (domain.height_scale / (domain.unit_y * units_a_cell))
@@ -115,10 +118,10 @@ def find_run(
 def next_new(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return the end of the points to prefetch from `stop` on: the next run's first point, at most AHEAD further.
+    """Return the end of the points to prefetch from `stop` on: at most AHEAD further, and before the next copied run.
 
-    Points are counted in the slice. run, run_end: the next entry of the list of runs and its end. end: end of this
-    piece's points. point_base: entry of the slice's point 0 in `points.point`.
+    Points are counted in the slice. run, run_end: the next entry of the list of runs and its end. end: end of the
+    points that this call displaces. point_base: entry of the slice's point 0 in `points.point`.
     """
     begin = wp.min(stop + AHEAD, end)
     if run < run_end:

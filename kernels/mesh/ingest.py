@@ -13,7 +13,7 @@ def corner_uv(
     corner_verts: wp.array(dtype=wp.int32),
     out: wp.array(dtype=wp.vec2f),
 ):
-    """Write the UV of face corner `offset + tid`: that of its vertex."""
+    """Write the UV of face corner `offset + tid`, which is the UV of the corner's vertex."""
     c = wp.tid() + offset
     put(out, c, item_at(uv, item_at(corner_verts, c)))
 

@@ -31,10 +31,10 @@ from .weld_state import (
 
 @wp.func
 def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), is_vertex: wp.int32) -> wp.int32:
-    """Return the number that an import (a negative number) stands for; any other number stays as it is.
+    """Return the edge or vertex that an import stands for: an element of an earlier slice, as a negative number.
 
-    first: index of the slice's first import. found: (edge, vertex) of each import. is_vertex: 1 for the vertex, 0 for
-    the edge.
+    Other numbers stay as they are. first: index of the slice's first import. found: (edge, vertex) of each import.
+    is_vertex: 1 for the vertex, 0 for the edge.
     """
     n = number
     if number < 0:
@@ -51,11 +51,11 @@ def resolve(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Write the (edge, vertex) that each import stands for to `found`, slice by slice.
+    """Write the (edge, vertex) of an earlier slice that each import stands for to `found`, slice by slice.
 
-    It also completes the entries of shared sides that later slices import, and marks slices as TORN. slices: number of
-    slices. open, open_level: room for two stacks of `size` entries, the edges that are open at the end of a slice and
-    their levels.
+    It also completes the entries of shared sides that later slices import, and marks slices as TORN whose triangles do
+    not fit together. slices: number of slices. open, open_level: scratch for two stacks of `size` entries: the edges
+    that are open at the end of a slice, and their levels.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
@@ -146,10 +146,10 @@ def join(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Join the slices on one thread: they share few elements.
+    """Join the welded slices by replacing imports, on one thread: they share few elements.
 
-    `slices`: number of slices. `open`, `open_level`: scratch for two stacks of `size` entries, the edges that are open
-    at the end of a slice. `found`: scratch for the (edge, vertex) of every import, indexed as `w.imports`.
+    slices: number of slices. open, open_level: scratch for two stacks of `size` entries, the edges that are open at the
+    end of a slice and their levels. found: scratch for the (edge, vertex) of every import, indexed as `w.imports`.
     """
     resolve(slices, size, w, open, open_level, found)
     for k in range(slices):

@@ -143,7 +143,8 @@ def write_triangle(
 def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     """Return the strip before a slice's first leaf, and clear the slice's state.
 
-    No edge is open. The front is an import from the slice before, unless a square begins here.
+    No edge is open. The front, the edge by which the curve enters a leaf, is an import from the slice before, unless a
+    square begins here.
     """
     first_state = STATE_SIZE * slot
     for i in range(STATE_SIZE):

@@ -41,7 +41,10 @@ def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
 
 @wp.func
 def relief_of(domain: Domain, a: SplitVertex):
-    """Return heights (Relief) and weighed squared error, metres, of the diamond split at a; they decide a's W."""
+    """Return heights (Relief) and weighed squared error, m2, of the diamond split at a.
+
+    The morph weight of a depends on them.
+    """
     r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
     r.low = wp.where(d.border == 2, wp.float64(wp.inf), d.low[2])
@@ -79,9 +82,10 @@ def ratio2_of(
 
 @wp.func
 def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
-    """Return the weight W of a point on the ramp: 0 up to a ratio of 1, a smoothstep, and 1 from the ratio k on.
+    """Return the morph weight W of a point: 0 up to a ratio of 1, a smoothstep, and 1 from the ratio k on.
 
-    The smoothstep is one of 1 - 1 / ratio. ratio2: squared ratio of its diamond to the criterion, from `ratio2_of`.
+    The smoothstep is one of 1 - 1 / ratio. ratio2: squared ratio of the point's diamond to the criterion, from
+    `ratio2_of`. ramp: has the ratio k.
     """
     one = wp.float64(1.0)
     weight = one
@@ -116,13 +120,13 @@ def evaluate_point(
     last: wp.int64,
     clear_below: wp.int32,
 ):
-    """Return a point's W, its record, the surface there, and the squared metres of the finest pixel on its diamond.
+    """Return a point's morph weight W, its record, the surface there, and the squared metres of the finest pixel.
 
-    point, depth: lattice point and depth of its diamond. is_vertex: it is vertex `vertex` itself, not an end that it
-    depends on; record and relief are then written for the next frame. last: the vertex's number in the last frame, -1
-    for none; the record of such a vertex is read, and its surface is zero. clear_below: depth; the frustums contain the
-    diamonds of all deeper points. Points up to depth `ramp.bisections` have no diamond that judges them: their W is 1
-    and their pixel 0.
+    The pixel is the finest on the point's diamond. point, depth: lattice point and depth of its diamond. is_vertex: it
+    is vertex `vertex` itself, not an end that it depends on; record and relief are then written for the next frame.
+    last: the vertex's number in the last frame, -1 for none; the record of such a vertex is read, and its surface is
+    zero. clear_below: depth; the frustums contain the diamonds of all deeper points. Points up to depth
+    `ramp.bisections` have no diamond that judges them: their W is 1 and their pixel 0.
     """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
@@ -203,10 +207,10 @@ def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
 def has_settled(
     morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled_above2: wp.float64
 ) -> wp.bool:
-    """Return whether vertex `last` of the last frame was settled and still is.
+    """Return whether vertex `last` of the last frame had reached its final height (was settled) and still has it.
 
     Its record is then copied to `vertex` of this frame, and the point remembered in `memory`. p: its lattice point.
-    settled_above2: squared error, metres, above which a point has settled, from `settled_above`.
+    settled_above2: squared error, m2, above which a point has settled, from `settled_above`.
     """
     known = morphing.last_known[last]
     is_settled = known.is_settled == 1 and known.metres2 > settled_above2
@@ -224,9 +228,9 @@ def has_settled(
 
 @wp.func
 def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
-    """Return whether vertex `last` of the last frame was not settled: only then it has records of its edge's ends.
+    """Return whether vertex `last` of the last frame was not at its final height: only then it has records of its ends.
 
-    last: its number, -1 for none, which gives False.
+    The ends are those of the edge that it splits. last: its number, -1 for none, which gives False.
     """
     was = wp.bool(False)
     if last >= wp.int64(0):
@@ -244,7 +248,7 @@ def no_ends() -> Ends:
 
 @wp.func
 def give_to_waiting(memory: Memory, first: wp.int32, last: wp.int32, point: MorphedPoint, point_ends: Ends):
-    """Add a known point to the one that waits for it on the stack. If that has both ends now, compute it, and repeat.
+    """Add a known point to the point that waits for it on the stack. If that has both its ends now, compute it; repeat.
 
     first, last: entries of the stack, which is empty if last < first. point_ends: sums over the known point's ends.
     Return the point that was computed last, the sums over its ends, and the new last entry.

@@ -73,7 +73,7 @@ class RaySegment:
 
 @wp.func
 def range_at(blocks: HeightRanges, at: wp.int64):
-    """Return the lowest and highest height (metres) of an entry of the stored ranges, displacement included."""
+    """Return the lowest and highest height (metres, displacement included) of entry `at` of the stored ranges."""
     a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
     b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
     return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
@@ -232,7 +232,10 @@ def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: Ray
 
 @wp.func
 def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> wp.float64:
-    """Return the side of heights low .. high on which a segment of a ray is, 1 above and -1 below; 0: on neither."""
+    """Return the side of the heights low .. high on which a segment of a ray is: 1 above, -1 below, 0 for neither.
+
+    The segment must be `part.slack` metres away from them.
+    """
     z0 = ray.z + part.first * ray.dz
     z1 = ray.z + part.last * ray.dz
     side = wp.float64(0.0)
@@ -314,7 +317,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
     """Return (t, side): where the ray meets the surface in a segment in one cell, and its side there or at the end.
 
-    t is NOWHERE if they do not meet. side: 1 if it comes from above, -1 from below, 0 on the surface.
+    t is NOWHERE if they do not meet. side: 1 if the ray comes from above, -1 from below, 0 on the surface.
     """
     hit = NOWHERE
     side = wp.float64(0.0)

@@ -17,10 +17,10 @@ def grid_heights(
     heights: wp.array(dtype=wp.float64),
     inside: wp.array(dtype=wp.bool),
 ):
-    """Write the heights of row `offset + tid`, and whether there is ground; heights do without: holes are filled.
+    """Write the heights of row `offset + tid` of a grid, and whether there is ground; holes have heights, too.
 
-    columns, rows: cell of the raster that has each column and row of the grid. across, up: position in it, 0 .. 1. So
-    the height at a sample of the raster or of a finer tile has the bits of that sample.
+    columns, rows: cell of the raster that contains each column and row of the grid. across, up: position in that cell,
+    0 .. 1. So the height at a sample of the raster or of a finer tile has the bits of that sample.
     """
     n = offset + wp.tid()
     j = rows[n]

@@ -51,10 +51,10 @@ def is_whole_cell(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
 
 @wp.func
 def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
-    """Return whether there is ground at a point in cell (i, j).
+    """Return whether there is ground at a point in cell (i, j), that is, whether the point is in no hole.
 
-    `on_west`, `on_south`: whether the point is on that side of the cell. A side belongs to both cells, so the border of
-    a hole is ground.
+    on_west, on_south: whether the point is on that side of the cell. A side belongs to both cells, so the border of a
+    hole is ground.
     """
     found = surface.holed == 0
     if not found:

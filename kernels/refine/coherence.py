@@ -77,13 +77,13 @@ def camera_length(view: LocalView, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Return bounds (lower, upper) of the growth of depth or distance in any box inside this one, metres, and validity.
+    """Return bounds (lower, upper), metres, of the growth of depth or distance since the last frame, and if they hold.
 
-    The third result is 1 if the bounds are valid, and 0 if an eye is near the box or in it. motion: movement of the
-    view since the last frame. low, high: the box, metres. The view is not orthographic. A panorama's footprint is
-    proportional to the least distance in a box, a perspective's to the larger of two values: the least depth, and the
-    least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an
-    amount that varies over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
+    The bounds hold in any box inside low .. high (metres). The third result is 1 if they are valid, and 0 if an eye is
+    near the box or in it. motion: movement of the view since the last frame. The view is not orthographic. A panorama's
+    footprint is proportional to the least distance in a box, a perspective's to the larger of two values: the least
+    depth, and the least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b
+    changes by an amount that varies over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
@@ -110,10 +110,11 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Return bounds (lower, upper) of the growth of max |row . (x, y)| in any rectangle inside this one.
+    """Return bounds (lower, upper) of the growth of the largest |row . (x, y)| in any rectangle inside this one.
 
-    now, before: the row in this view and in the last. step: movement of the eye, metres. low, high: corners of the
-    rectangle relative to the eye before. The product is linear in the position.
+    row: two coefficients of a function that is linear in the position (x, y) relative to the eye. now, before: the row
+    in this view and in the last. step: movement of the eye, metres. low, high: corners of the rectangle relative to the
+    eye before.
     """
     products = ends_of(before, low, high)
     growth = ends_of(now - before, low, high)
@@ -132,8 +133,8 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
     """Return bounds (lower, upper) of the factor by which the squared largest slant times depth has changed in any box.
 
-    The boxes are all inside (low, high), metres; the change is that since the last frame (motion). If the product may
-    have been 0, the lower bound may be -infinity and the upper one infinity.
+    The boxes are inside low .. high, metres. motion: the movement of the view since the last frame, which has caused
+    the change. If the product may have been 0, the lower bound may be -infinity and the upper one infinity.
     """
     low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
@@ -307,10 +308,10 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
 
 @wp.func
 def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Return how the box low .. high of a subtree stands to the frustum: CLEAR, OUTSIDE, FADED, or CROSSED.
+    """Classify the position of a subtree's box low .. high relative to the frustum: CLEAR, OUTSIDE, FADED, or CROSSED.
 
-    FADED: a part or all of it is in the fringe. CROSSED: it cannot be cached. view: the only one of the frame, since
-    frames with several views cache nothing.
+    CLEAR: inside. FADED: at least partly in the fringe around the frustum. CROSSED: on its border, so that the subtree
+    cannot be cached. view: the only one of the frame, since frames with several views cache nothing.
     """
     frustum_class = classify_box_steadily(view, low, high)
     if frustum_class == CROSSED and view.fade > wp.float64(0.0):
@@ -320,10 +321,10 @@ def frustum_class_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32
 
 @wp.func
 def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
-    """Return the subtree with margins and footprints of the moved view, and 1 if all its verdicts certainly stay.
+    """Return the subtree with the moved view's margins and footprints, and 1 if all its split decisions certainly stay.
 
-    Its leaves are then copied instead of found again. The second result is 0 if a verdict may change; the returned
-    subtree is then of no use. in_frame: 1 if the frustum is known to contain it.
+    Then its leaves are copied instead of found again. The second result is 0 if a decision may change; the returned
+    subtree must not be used then. in_frame: 1 if the frustum is known to contain the subtree's box.
     """
     min_growth, max_growth, holds = footprint_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth

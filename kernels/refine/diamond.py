@@ -42,8 +42,8 @@ class Diamond:
 def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32):
     """Return the lowest and highest metres, before scaling, over the raster cells from (i0, j0) to (i1, j1) inclusive.
 
-    They are those of the samples or, if the surface is bicubic, of the control heights of its patches, which are stored
-    as codes that are rounded outwards. Displacement is not included.
+    A bilinear surface takes them from the samples. A bicubic one takes them from the control heights of its patches,
+    which are stored as codes that are rounded outwards. Displacement is not included.
     """
     low = wp.float64(0.0)
     high = wp.float64(0.0)
@@ -212,7 +212,10 @@ def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 
 @wp.func
 def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: Diamond) -> Diamond:
-    """Return a diamond whose box is inside finer tiles, with the smaller box and rise that their heights allow."""
+    """Return diamond d with the smaller box and rise that the heights of finer tiles allow; they must cover its box.
+
+    (x, y): where the diamond is split, lattice units. rise: the largest height difference along an edge, metres.
+    """
     levels = domain.levels + domain.finer[0].bits
     low, high = heights_in_tiles(domain, x, y, depth)
     z0 = low * domain.height_scale + domain.height_offset
@@ -233,7 +236,8 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
     """Return box, largest height difference along an edge, and border state of the diamond split at (x, y).
 
-    The box contains all vertices of its descendants. If it has only padding (border 2), its heights have no meaning.
+    (x, y): lattice units. The box contains all vertices of its descendants. Border state: 0 inside the raster, 1 across
+    its border, 2 wholly in the padding outside, where the heights have no meaning.
     """
     half = (depth - 1) >> 1
     odd = depth & 1
@@ -299,7 +303,9 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 def rest_of(domain: Domain, d: Diamond) -> wp.float64:
     """Bound the error, metres, that float32 positions add in a diamond's box; it is nested, as boxes are.
 
-    `rounding` in cbt_terrain/refine/terms.py explains its terms.
+    It is the rounding of heights plus `lean`: plane coordinates that are rounded move a facet sideways, and so up or
+    down by up to that distance times its slope, which the height of the box bounds. near_x, near_y: the part of it that
+    remains per metre from the anchor, the zero of the coordinates.
     """
     lean = smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
     if domain.near_x + domain.near_y > wp.float64(0.0):

@@ -31,9 +31,10 @@ from .walk_state import Cursor, Square, Walk, Written
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
-    """Count an edge on a side of square q in `w.sides`.
+    """Count one more edge on a side of square q in `w.sides`.
 
-    side: 0 taken from the left, 1 taken from below, 2 given to the right, 3 given above.
+    side: 0 for an edge that the square to the left has already written, 1 for one that the square below has; 2 for one
+    that the square to the right will use, 3 for one that the square above will.
     """
     entry = 4 * (w.slot * domain.columns * domain.rows + q.number) + side
     w.sides[entry] = w.sides[entry] + 1

@@ -142,9 +142,10 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
 def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d) -> wp.bool:
     """Return whether nearer ground hides a box from the eye. low, high: the box, metres relative to the eye.
 
-    slopes: the map of horizons. In every bin that the box meets, the entry of the last ring before the box must be
-    above the box's highest ray, and the floor not above its lowest. The result is false without such a ring, and for a
-    box that meets more than MAX_BINS bins.
+    slopes: the map of horizons, a row of floors (the lowest slopes that it is valid for) and then a row of slopes for
+    each ring. In every bin of directions that the box meets, the entry of the last ring before the box must be above
+    the box's highest ray, and the floor not above its lowest. The result is false without such a ring, and for a box
+    that meets more than MAX_BINS bins.
     """
     zero = wp.float64(0.0)
     near = nearest_of(low, high)

@@ -221,7 +221,7 @@ def max_mesh_offset(
     across2: wp.float64,
     rise: wp.float64,
 ) -> wp.float64:
-    """Return a bound of the height difference, metres, of mesh and surface at a point if the mesh meets the criterion.
+    """Bound the height difference, metres, of mesh and surface at a point, if the mesh meets the criterion.
 
     relaxation: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise:
     its height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error

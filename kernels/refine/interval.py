@@ -127,7 +127,7 @@ def too_coarse(criterion: CriterionArrays, limit: wp.float64, m: MeasuredDiamond
 
 @wp.func
 def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Return by how many metres pixel footprints must grow until the verdict on the diamond changes.
+    """Return by how many metres pixel footprints must grow until the decision on the diamond (split or leaf) changes.
 
     The result is less than 0 if they must shrink. Limits in metres are ignored.
     """
@@ -138,7 +138,7 @@ def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 @wp.func
 def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Return an estimate of the largest squared ratio of a diamond to the criteria; `too_coarse` decides exactly."""
+    """Estimate the largest squared ratio of a diamond to the limits of the criteria; `too_coarse` decides exactly."""
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2
     largest2 = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2

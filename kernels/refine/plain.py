@@ -26,7 +26,11 @@ from .walk_state import Walk, Written
 
 # Tests turn it into a kernel: declared here it would be compiled before the first frame.
 def walk(domain: Domain, criterion: CriterionArrays, w: Walk):
-    """Refine the leaves of a slice as the kernel of walk.py does, measuring every diamond."""
+    """Refine the leaves of a slice of the curve by measuring every diamond, and write them with their counts.
+
+    This is the plain form of the kernel in walk.py, which writes the same bytes but skips measurements. A triangle is
+    split while its diamond is too coarse; one at `w.max_depth` stays a leaf and sets STOPPED.
+    """
     n = Written()
     end = w.first_cell
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))

@@ -13,10 +13,11 @@ from .walk_state import Walk, Written
 
 @wp.kernel
 def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.array(dtype=wp.float32)):
-    """Write the leaves of all squares as the walk that found them has, by their depths in curve order.
+    """Write the leaves of all squares from their saved depths: the same words, vertices and counts as the walk wrote.
 
-    w: a slice of the whole curve. depths: each leaf's bisections of its square, 1 or more, in an order that the caller
-    has checked to be that of a tree. `worst` [1]: becomes the largest error of a leaf's diamond, metres before scaling.
+    w: a slice of the whole curve. depths: each leaf's bisections of its square, 1 or more, in curve order; the caller
+    has checked that they form a tree. `worst` [1]: becomes the largest error of a leaf's diamond, metres before
+    scaling.
     """
     n = Written()
     end = w.first_cell

@@ -101,7 +101,10 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
 
 @wp.func
 def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
-    """Limit the margins of slice `slot`'s open subtree: footprints may fall by `fall` and rise by `rise` metres."""
+    """Limit the margins of the subtree that slice `slot` is caching.
+
+    Its pixel footprints may fall by `fall` and rise by `rise` metres without changing a split decision.
+    """
     entry = wp.int64(slot) * r.room + r.cursor[slot].count
     r.cached[entry].fall = smaller(r.cached[entry].fall, fall)
     r.cached[entry].rise = smaller(r.cached[entry].rise, rise)
@@ -157,8 +160,8 @@ def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Wri
 def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
     """Return whether a cached subtree may begin at the cursor's triangle, so that its diamond must be measured.
 
-    None begins inside an open subtree, above one of FEW_LEAVES or more leaves that the last frame has cached, at the
-    depth limit, or without room in the list.
+    None begins inside a subtree that is open (being cached), above one of FEW_LEAVES or more leaves that the last frame
+    has cached, at the depth limit, or without room in the list.
     """
     slot = w.slot
     may = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room and c.depth < w.max_depth

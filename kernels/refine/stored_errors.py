@@ -215,9 +215,9 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
 
 @wp.func
 def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2f:
-    """Return the largest magnitude (metres) and slope (metres a metre) of the finer tiles' change in a diamond's box.
+    """Bound the magnitude (metres) and slope (metres a metre) by which finer tiles change heights in a diamond's box.
 
-    Both are before scaling. (x, y): where it is split. The result is nested, as boxes are.
+    Both are before scaling. (x, y): where the diamond is split. The result is nested, as boxes are.
     """
     reach = reach_of(domain.unit_bits, depth)
     shift = domain.unit_bits - domain.levels - domain.finer[0].bits
@@ -227,9 +227,9 @@ def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
 
 @wp.func
 def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the saturated error, metres before scaling, of the finer tiles' change at the diamond split at (x, y).
+    """Return the error, metres before scaling, of the finer tiles' change of heights at the diamond split at (x, y).
 
-    Of diamonds larger than those with stored errors it is the range of the change in their boxes.
+    It is saturated. For diamonds larger than those with stored errors it is the range of the change in their boxes.
     """
     levels = domain.levels + domain.finer[0].bits
     shift = domain.unit_bits - levels
@@ -260,9 +260,9 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
-    Of finer tiles it is what leaves at the diamond's own depth do not represent, which is not less. (x, y): where the
-    diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the border may miss
-    all displacement.
+    For finer tiles the bound is for leaves at the diamond's own depth, where it is not less. (x, y): where the diamond
+    is split. Beyond the raster's border the surface is level, so a triangle that crosses the border may miss all
+    displacement.
     """
     table_entry = leaf_depth
     if leaf_depth <= domain.border_depth:
@@ -282,7 +282,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 @wp.func
 def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the diamond's error from stored codes with that of the detail, metres before scaling.
+    """Return the diamond's error from stored codes plus that of the displacement, metres before scaling.
 
     It is cheaper than `error_at`, and equal to it unless `may_be_less`; then it is up to twice as large.
     """
@@ -311,7 +311,7 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 
 @wp.func
 def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether diamonds below those of `depth` are in another tile of the arrays: every four bisections."""
+    """Return whether the errors of the next depth are in other tiles of the array, as after every fourth bisection."""
     return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
 
 

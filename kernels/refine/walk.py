@@ -58,12 +58,12 @@ wp.set_module_options(INLINED)
 def judge(
     domain: Domain, criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written
 ):
-    """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the index of its children's interval.
+    """Decide the cursor's triangle: return SPLIT, LEAF or EVEN_BLOCK, and the index in `w.intervals` for its children.
 
-    The index is that in `w.intervals`. limits: the criterion with the margins of the intervals. The interval from above
-    decides if it can; otherwise the diamond is measured, unless it was measured just before, for its other triangle. A
-    measured diamond and its interval are stored in `w`, and a subtree may be opened or its margins narrowed in `r`. A
-    diamond that is too coarse at `w.max_depth` is a LEAF and sets STOPPED of the slice.
+    limits: the criterion with the margins of the intervals. The interval from above decides if it can; otherwise the
+    diamond is measured, unless it was measured just before, for its other triangle. A measured diamond and its interval
+    are stored in `w`, and a subtree may be opened or its margins narrowed in `r`. A diamond that is too coarse at
+    `w.max_depth` is a LEAF and sets STOPPED of the slice.
     """
     middle = middle_of(c)
     above = w.intervals[c.interval_index]

@@ -170,9 +170,10 @@ def choose(
 ):
     """Write to `chosen` the candidates of runs begin .. end - 1 that views want, with their sizes.
 
-    A candidate is wanted if its rank, as a fraction of all, is below GROWING times the density: the candidate's times
-    the largest of the views. It has size 0 at that limit and its full size where its rank is below the density. The
-    factor is the same for all ranks, so that the last ones do not appear all at once where the density reaches 1.
+    A candidate's rank is its position in the order in which points appear as the density grows. It is wanted if its
+    rank, as a fraction of all, is below GROWING times the density: the candidate's times the largest of the views. It
+    has size 0 at that limit and its full size where its rank is below the density. The factor is the same for all
+    ranks, so that the last ones do not appear all at once where the density reaches 1.
     """
     for t in range(begin, end):
         run = runs[t]

@@ -61,7 +61,7 @@ def density_range(
     numbers: wp.array(dtype=wp.vec2i),
     wanted: wp.array(dtype=wp.vec2d),
 ):
-    """Write to `wanted` the bounds (upper, lower) of the density that views want in square numbers[offset + tid].
+    """Write to `wanted` bounds (upper, lower) of the density of points that views want in square numbers[offset + tid].
 
     They are 0 outside the raster. east, north: border of the raster, metres. numbers: column and row of each square.
     """

@@ -6,25 +6,25 @@ import warp as wp
 
 @wp.func_native("return __atomic_fetch_or(a.data + i, bits, __ATOMIC_RELAXED);")
 def fetch_or(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64:
-    """Set the bits of `bits` in a[i] in one atomic step; return a[i] before."""
+    """Set the bits of `bits` in a[i] in one atomic step; return the value of a[i] before."""
     ...
 
 
 @wp.func_native("return __atomic_fetch_and(a.data + i, bits, __ATOMIC_RELAXED);")
 def fetch_and(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64:
-    """Clear all bits of a[i] that `bits` does not have in one atomic step; return a[i] before."""
+    """Clear all bits of a[i] that are 0 in `bits`, in one atomic step; return the value of a[i] before."""
     ...
 
 
 @wp.func_native("return __atomic_fetch_xor(a.data + i, bits, __ATOMIC_RELAXED);")
 def fetch_xor(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64:
-    """Flip the bits of `bits` in a[i] in one atomic step; return a[i] before."""
+    """Flip the bits of `bits` in a[i] in one atomic step; return the value of a[i] before."""
     ...
 
 
 @wp.func_native("return __atomic_fetch_add(a.data + i, value, __ATOMIC_RELAXED);")
 def fetch_add(a: wp.array(dtype=wp.int32), i: wp.int32, value: wp.int32) -> wp.int32:
-    """Add `value` to a[i] in one atomic step; return a[i] before."""
+    """Add `value` to a[i] in one atomic step; return the value of a[i] before."""
     ...
 
 
@@ -33,7 +33,7 @@ def fetch_add(a: wp.array(dtype=wp.int32), i: wp.int32, value: wp.int32) -> wp.i
     "__ATOMIC_ACQUIRE); return found;"
 )
 def compare_exchange(a: wp.array(dtype=wp.int32), i: wp.int32, old: wp.int32, value: wp.int32) -> wp.int32:
-    """Set a[i] to `value` if it is `old`, in one atomic step; return a[i] before, which is `old` if it was set."""
+    """Set a[i] to `value` if it is `old`, in one atomic step; return the value before, which is `old` if it was set."""
     ...
 
 

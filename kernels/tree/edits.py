@@ -23,7 +23,7 @@ def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
     """Split node `heap_id`; return whether it was split already, by another thread or an earlier kernel.
 
     Threads may split one node at once, and nodes below it. If the pool of pages is full, which sets state[IS_FULL], the
-    node may be split in part and the result is of no use: repeat the kernel with a larger pool.
+    node may be split in part and the result is meaningless: repeat the kernel with a larger pool.
     """
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)

@@ -24,7 +24,10 @@ def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64
 
 @wp.func
 def sum_word(t: Bitfield, slot: wp.int32):
-    """Update counter and mask of the word in `slot` from the words below; free it if only its first bit is set."""
+    """Update the number of leaves and the mask of the word in `slot` from the words below; free it if it has one leaf.
+
+    t.stored: which bits of the word have a word below. A word with only its first bit set has one leaf.
+    """
     bits = t.words[slot]
     below = 64 * t.pages[slot]
     t.stored[slot] = stored_words(t.words, below)
@@ -36,9 +39,9 @@ def sum_word(t: Bitfield, slot: wp.int32):
 
 @wp.kernel
 def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
-    """Count entry `offset + tid` of the list of changed words again if it is of this level.
+    """Sum entry `offset + tid` of the list of changed words again if it is of this level.
 
-    Lower levels are counted before, by earlier launches. The caller empties the list at the end.
+    Lower levels are summed before, by earlier launches. The caller empties the list at the end.
     """
     entry = t.changed[offset + wp.tid()]
     if wp.int32(wp.uint32(entry) >> wp.uint32(LEVEL_SHIFT)) == level:
@@ -47,7 +50,7 @@ def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
 
 @wp.kernel
 def reduce_words(t: Bitfield):
-    """Count all changed words again, level by level, on one thread, and empty their list: for few words."""
+    """Sum all changed words again, level by level, on one thread, and empty their list: for few words."""
     for level in range(t.top + 1):
         for k in range(t.state[NUM_CHANGED]):
             entry = t.changed[k]

@@ -41,7 +41,7 @@ class Attribute:
 
     @property
     def kind(self) -> tuple[str, int]:
-        """Key in TYPES: the dtype, and how many numbers an element has."""
+        """Return the key in TYPES: the dtype, and how many numbers an element has."""
         return self.array.dtype.name, math.prod(self.array.shape[1:])
 
     def check(self, name: str, sizes: dict[str, int]) -> None:

@@ -23,7 +23,7 @@ from .surface import Surface
 def cut_ends(
     surface: Surface, field: HeightField, domain: Domain, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, list[np.ndarray]]:
-    """Cut the whole surface of the leaves at the raster's border and at its holes. Other arguments are those of `cut`.
+    """Cut the surface of all leaves at the raster's border and at its holes. Other arguments are those of `cut`.
 
     Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order: one cut, or two with
     holes. domain: the placed field.
@@ -36,7 +36,7 @@ def cut_ends(
 
 
 def border_sides(domain: Domain) -> list[Side]:
-    """Return the sides where the raster ends before its squares do: the east, the north, both or none."""
+    """Return the sides on which to cut because the raster ends before its squares do: east, north, both or none."""
     # Of each axis: the border in units, the first unit's coordinate, and metres a unit.
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
     # Points have float32's steps, and a point where an edge is cut has those of both axes.

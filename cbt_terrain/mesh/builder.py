@@ -118,8 +118,8 @@ def _expand(
 ) -> tuple[wp.array, int, int, int]:
     """Divide every leaf into the triangles of its meshlet, in the arrays of the next frame.
 
-    Return the points, and the numbers of triangles, vertices and edges. parts: first entry and number of each slice's
-    points. leaves, vertices, edges: numbers before. t: the tables of a meshlet.
+    Return the points, and the new numbers of triangles, vertices and edges. parts: first entry and number of each
+    slice's points. leaves, vertices, edges: their numbers before. t: the tables of a meshlet.
     """
     scratch, arrays, segments = history.scratch, history.next.arrays, t.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))

@@ -74,7 +74,7 @@ def border_side(axis: int, at: float, rounding: float) -> Side:
 
 
 def copy_with_room(_name: str, array: np.ndarray, count: int) -> np.ndarray:
-    """Return a copy of an array in new memory with room for `count` items. _name: unused, as of Room."""
+    """Return a copy of an array in new memory with room for `count` items. _name: unused; other allocators need it."""
     larger = np.empty((count, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
@@ -209,7 +209,10 @@ class _Work:
             self._merge(np.arange(first_edge, end_edge))
 
     def _merge(self, new: np.ndarray) -> None:
-        """Merge the two ends of new edges (numbers `new`) that are too short for float32, as where a sliver is cut."""
+        """Merge the two ends of those new edges (numbers `new`) that float32 cannot resolve, as where a sliver is cut.
+
+        Triangles without an area are removed, and elements that become equal get one number.
+        """
         edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
         ends_in_plan = self.arrays["positions"][edges[new], :2].astype(np.float64)
         lengths_in_plan = lengths((ends_in_plan[:, 0] - ends_in_plan[:, 1]).T)
@@ -265,7 +268,7 @@ class _Work:
 
 
 def _merge_numbers(pairs: np.ndarray, count: int) -> np.ndarray:
-    """Return int64 [count]: the smallest number that each number is joined with by chains of pairs, int [n, 2]."""
+    """Return int64 [count]: for each number the smallest one that a chain of `pairs` (int [n, 2]) joins it with."""
     joined = np.arange(count)
     for a, b in pairs.tolist():
         smaller, larger = sorted((joined[a], joined[b]))

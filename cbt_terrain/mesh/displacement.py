@@ -70,7 +70,7 @@ def displace(
 
 
 def reuse_points(history: FrameHistory) -> list[int]:
-    """Bind the runs of points that the walk copied from the last frame to the arguments of the next `displace`.
+    """Prepare `displace` to copy the runs of points that the walk has found again in the last frame.
 
     Return the number of each slice's list of runs.
     """
@@ -82,7 +82,7 @@ def reuse_points(history: FrameHistory) -> list[int]:
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
-    """Bind the runs of the `points` inside each leaf that both frames have to the arguments of the next `displace`.
+    """Prepare `displace` to copy the `points` inside each leaf that both frames have, from the last frame.
 
     now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace`: for all
     other points 1, a list that does not exist, so that they are not copied, and for these points 0.
@@ -104,8 +104,8 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
 def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
     """Bind runs of points to copy, with the last frame's positions, normals and uv, to the arguments of `displace`.
 
-    base: int64 [slices], first entry of each slice's points in that frame. first: int64 [slices], number of its first
-    vertex.
+    base: int64 [slices], first entry of each slice's points in the last frame. first: int64 [slices], number of the
+    slice's first vertex there.
     """
     arrays, last = history.next.arrays, history.last.arrays
     bind(

@@ -15,7 +15,7 @@ Barycentric = tuple[int, int, int]  # weights of left, apex and right, in n-ths
 
 
 def _middle(p: Barycentric, q: Barycentric) -> Barycentric:
-    """Return the midpoint of two points in barycentric n-ths."""
+    """Return the midpoint of two points in barycentric coordinates, whole numbers of n-ths."""
     return (p[0] + q[0]) // 2, (p[1] + q[1]) // 2, (p[2] + q[2]) // 2
 
 

@@ -79,7 +79,10 @@ def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
-    """Return whether no point is to the right of a line by more than rounding, so that the outline is convex."""
+    """Return whether all points, float64 [n, 2], are to the left of all lines, except for rounding.
+
+    Then the outline with these lines and points is convex. lines: float64 [m, 3], from `_lines`.
+    """
     min_distance = -1e3 * SAME * np.abs(points).max()
     return all((_from_line(line, points) >= min_distance).all() for line in lines)
 

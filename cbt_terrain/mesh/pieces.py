@@ -52,7 +52,7 @@ class Pieces:
 
 
 def middles(surface: Surface) -> np.ndarray:
-    """Return float64 [T, 2]: the centroid of each triangle in plan, metres."""
+    """Return the centroid of each triangle in plan, metres, as float64 [T, 2]."""
     return surface.positions[surface.triangles, :2].astype(np.float64).mean(axis=1)
 
 

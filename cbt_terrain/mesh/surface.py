@@ -28,27 +28,27 @@ class Surface:
 
     @property
     def triangles(self) -> np.ndarray:
-        """int32 [T, 3]: vertices, counter-clockwise seen from above."""
+        """Return the vertices of the triangles, counter-clockwise seen from above: int32 [T, 3]."""
         return self.corner_verts.reshape(-1, 3)
 
     @property
     def normals(self) -> np.ndarray:
-        """Unit normals of the vertices: float32 [n, 3]."""
+        """Return the unit normals of the vertices: float32 [n, 3]."""
         return self.attributes[NORMALS].array
 
     @property
     def uv(self) -> np.ndarray:
-        """Texture coordinates of the vertices: float32 [n, 2]."""
+        """Return the texture coordinates of the vertices: float32 [n, 2]."""
         return self.attributes[UV].array
 
     @property
     def level(self) -> np.ndarray:
-        """Levels of the triangles, bisections of a root square: int32 [T]."""
+        """Return the levels of the triangles, bisections of a root square: int32 [T]."""
         return self.attributes[LEVEL].array
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Number of elements of each domain."""
+        """Return the number of elements of each domain."""
         corners = len(self.corner_verts)
         return {POINT: len(self.positions), EDGE: len(self.edges), FACE: corners // 3, CORNER: corners}
 

@@ -29,7 +29,7 @@ def limit_at_step(step: int) -> float:
 
 @cache
 def _limits(finer_by: int) -> wp.array:
-    """Return the limits of all steps, taken `finer_by` steps finer."""
+    """Return the factors on the criterion's squares of all relaxation steps, each `finer_by` steps finer."""
     return shared(np.array([limit_at_step(step - finer_by) for step in range(MAX_STEP + 2)]), wp.float64)
 
 
@@ -42,10 +42,11 @@ def search(
     start: Found | None,
     low: int,
 ) -> Found:
-    """Return the finest step that gives at most `max_leaves`, not finer than `low`; MAX_STEP + 1 if none does.
+    """Find the finest relaxation step that gives at most `max_leaves`, not finer than `low`; MAX_STEP + 1 if none does.
 
-    start: the last frame's result (None: there is none). It changes how long the search takes, not the answer. Without
-    it, 0 is only a step that may fit, and is not counted: a refinement finds that out as soon as counting does.
+    start: the last frame's result, None without one. It changes how long the search takes, not the answer. Without
+    `start`, step 0 is returned without counting if it may fit: the refinement that follows finds out as soon as
+    counting would.
     """
     roots = 2 * lattice.squares
     count_at = partial(count_splits, lattice, request, history, threads)
@@ -55,11 +56,11 @@ def search(
 def ramp_start(
     lattice: Lattice, request: RefinementRequest, history: FrameHistory, threads: int, step: int, leaves: int
 ) -> float:
-    """Return the factor on the criterion from which vertices morph on the mesh of `step`.
+    """Return the factor on the criterion from which vertices morph on the mesh of relaxation step `step`.
 
     step: the finest one that keeps to the budget; it has `leaves` leaves. The factor lies between those of the step and
     of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
-    continuous where the step changes: there is no jump.
+    continuous where the step changes, and no vertex jumps.
     """
     last, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
     max_splits = max(request.max_leaves, roots)
@@ -83,12 +84,11 @@ def count_splits(
     max_splits: int,
     finer_by: int = 0,
 ) -> tuple[int, np.ndarray]:
-    """Count split triangles at steps from `finest` to `coarsest`.
+    """Count the triangles that are split at each relaxation step from `finest` to `coarsest`.
 
     Return the first step with at most `max_splits`, and the counts from it on; `coarsest` + 1 and no counts if there is
-    no such step. The history's marks become those of this count.
-
-    finer_by: number of steps by which the limits are finer.
+    no such step. The work of each part of the curve (`history.hints.marks`) is noted for the next count. finer_by:
+    number of steps by which the limits are finer.
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2

@@ -68,7 +68,7 @@ class ReportedBounds:
 
     @property
     def bounds(self) -> "ReportedBounds":
-        """The bounds alone, without what else an update has."""
+        """Return the bounds alone, without the other fields that a subclass, as an update's result, adds."""
         return ReportedBounds(**{item.name: getattr(self, item.name) for item in fields(ReportedBounds)})
 
 
@@ -148,9 +148,10 @@ class Outcome:
     def tighten(self, what: int, finest: float, guaranteed: float, request: float) -> tuple[float, Excess | None]:
         """Return the smaller of two bounds of an error, and the worst leaf's error if that was searched.
 
-        The bounds are `guaranteed`, and the worst leaf's. Leaves, refined to the tolerance `finest`, are
-        searched only if rounding makes `guaranteed` exceed `request`, and not if the depth limit stopped one,
-        which `stopped_above` finds. what: ERROR or METRES, in whose unit of `search` all numbers are.
+        The bounds are `guaranteed` and the error of the worst leaf. Leaves, which are refined to the tolerance
+        `finest`, are searched only if rounding makes `guaranteed` exceed `request`. They are not searched if the depth
+        limit stopped a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all
+        numbers are.
         """
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
@@ -337,6 +338,6 @@ def _limit_bound(request: float, value: float, precision: float, source: float, 
 def _of_edges(too_coarse: Excess | None, longer: float) -> str:
     """Return the reason why a bound on edges exceeds the request, "" if it does not.
 
-    too_coarse: the worst leaf if the depth limit stopped one. longer: factor from `excess_of_edges`.
+    too_coarse: the worst leaf if the depth limit stopped one. longer: factor by which rounding lengthens edges.
     """
     return "max_depth" if too_coarse else "precision" if longer > 1 else ""

@@ -28,7 +28,7 @@ RAMP = 0.15
 
 
 def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: float = 0.0) -> int:
-    """Give each view its rings and its factors for hidden ground; returns the number of entries of all maps.
+    """Give each view its horizon rings and its factors for hidden ground; return the number of entries of all maps.
 
     factor: how many times coarser hidden ground may be. ramp: slope below the horizon at which the factor is reached;
     0: the factor is a step. Orthographic views have no eye and no map: no ground is hidden from them.
@@ -122,10 +122,10 @@ def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
-    """Return the number of a view's first ring, and the number of its rings, 0 or less if there are none.
+    """Return the number of a view's first horizon ring, and the number of its rings, 0 or less if there are none.
 
-    Rings extend to the raster's far corner from one raster cell away, from the raster's nearest point or from the clip
-    start, of which the farthest counts.
+    Rings extend to the raster's far corner. They start at the largest of three distances from the eye: one raster cell,
+    the raster's nearest point, and the clip start.
     """
     cells = (domain.samples.columns - 1, domain.samples.rows - 1)
     unit = 1 << (domain.unit_bits - domain.levels)

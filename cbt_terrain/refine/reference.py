@@ -40,7 +40,7 @@ def children(triangle: Triangle) -> tuple[Triangle, Triangle]:
 
 
 def square(x: float, y: float, side: float) -> tuple[Triangle, Triangle]:
-    """Return the two roots of a square with its lower left corner at (x, y)."""
+    """Return the two root triangles of a square with its lower left corner at (x, y)."""
     upper_left, lower_right = (x, y + side), (x + side, y)
     return (upper_left, (x, y), lower_right), (lower_right, (x + side, y + side), upper_left)
 
@@ -60,7 +60,8 @@ def refine(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> list[T
 def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criterion:
     """Return the criterion that also splits all ancestors of a diamond that `is_split` (a *saturated* criterion).
 
-    roots: triangles of the root squares. depth: number of bisections down to which it holds.
+    Then a plain recursion over triangles gives a mesh without cracks. roots: triangles of the root squares. depth:
+    number of bisections down to which it holds.
     """
     found: dict[Point, bool] = {}
 

@@ -67,7 +67,7 @@ def refine(
 def _refine_to_limit(
     field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float
 ) -> tuple[Slices | None, int]:
-    """Return the finest walk that keeps to the triangle limit, and its relaxation step.
+    """Return the finest walk over the leaves that keeps to the triangle limit, and its relaxation step.
 
     There is no walk (None) if that relaxes the criterion by more than `relaxed`. The step is kept in the hints, and the
     factor of its squares in the criterion. Raises TerrainError for a field whose errors are damaged.
@@ -98,10 +98,10 @@ def _refine_to_limit(
 def replay(
     field: HeightField, domain: Domain, depths: np.ndarray, cell_bits: int, history: FrameHistory
 ) -> tuple[Leaves, float]:
-    """Write the leaves of a saved tree into the next frame, as the walk that found them did.
+    """Write the leaves of a saved tree into the next frame, with the arrays that refinement writes.
 
-    depths: uint8, bisections of a square of each of its leaves, 1 .. cell_bits, square by square without a gap.
-    Returns the leaves, and the largest error of one, metres before scaling.
+    depths: uint8, bisections of a square of each of its leaves, 1 .. cell_bits, square by square without a gap. Returns
+    the leaves, and the largest error of one, metres before scaling.
     """
     lattice = field.lattice
     history.need_tree(lattice.square_bits + cell_bits, 1)
@@ -123,9 +123,10 @@ def _walk(
     max_leaves: int,
     expected: int = 0,
 ) -> Slices | None:
-    """Walk over the curve, again with larger arrays if a slice needs them; None if there are more than `max_leaves`.
+    """Walk over the curve and write the leaves, again with larger arrays if a slice needs them.
 
-    expected: leaves of the mesh if they were counted, so that one walk is enough; else 0.
+    Return the slices; None if there are more than `max_leaves` leaves. expected: leaves of the mesh if they were
+    counted, so that one walk is enough; else 0.
     """
     domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)
@@ -173,7 +174,7 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
 
 
 def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
-    """Describe the slices that hold any leaves as the next frame's `Leaves`, and write them into the tree."""
+    """Store the leaves of the slices that have any as the next frame's `Leaves`, and in the tree; return them."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
     used = np.flatnonzero(counts[:, 0])
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)

@@ -122,7 +122,7 @@ class Slices:
         return self.counts
 
     def leaf_parts(self) -> list[LeafPart]:
-        """Return the leaves of each slice and the nodes of reused leaves, as the tree reads them."""
+        """Return for each slice its leaves and the nodes whose leaves were reused, in the form that the tree reads."""
         scratch, counts = self.history.scratch, self.counts[:, 0].tolist()
         ends = scratch.numpy("ends").tolist()
         parts = [LeafPart(w.code, int(w.leaf_base), counts[k], ends[k]) for k, w in enumerate(self.walks)]
@@ -133,7 +133,7 @@ class Slices:
         return parts
 
     def reused_points(self) -> Runs:
-        """Return the runs of points that were copied from the last frame."""
+        """Return the runs of points that the walks have copied from the last frame, for displacement."""
         runs, scratch = self.history.scratch.struct(Runs), self.history.scratch
         bind(runs, runs=scratch.get("point_runs", 1, Run), counts=scratch.get("point_run_counts", 1, wp.int64))
         bind(runs, room=self.reuses[0].room, lists=len(self.walks))

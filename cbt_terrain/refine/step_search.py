@@ -86,9 +86,9 @@ class _Search:
         return first
 
     def approach(self, goal: int, reach: int) -> None:
-        """Find a mesh close to `goal` splits; if the goal is the budget, the finest mesh that meets it.
+        """Search for a step with about `goal` splits; if the goal is the budget, for the finest step that meets it.
 
-        reach: number of steps in the first window.
+        It narrows `low` and `high` and adds to the known counts. reach: number of steps in the first window.
         """
         beyond, stride = self.low, 1  # just finer than `beyond` there are more splits
         while beyond < self.high and (goal == self._max_splits or NEAR * self._reached < goal):
@@ -101,7 +101,7 @@ class _Search:
     def window(self, goal: int, beyond: int, stride: int, reach: int) -> tuple[int, int]:
         """Return the first and last step between which to search for `goal` splits.
 
-        beyond: every finer step has more splits. stride: grows after failures; the window begins at least this many
+        beyond: every finer step has more splits. stride: grows after failures. The window begins at least `stride`
         steps finer than `high`, the finest step that is known to fit, and has `stride` * `reach` steps.
         """
         if self.high > MAX_STEP:  # no step is known to fit

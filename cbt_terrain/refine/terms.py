@@ -63,7 +63,8 @@ class Rounding:
 def left_of(error_m: float, source: float) -> float:
     """Return the part of a height error, metres, that remains for everything but the source's rounding.
 
-    If the source takes more than half of the error, four fifths of it: less would cost many triangles for little gain.
+    error_m: the requested error. source: largest error of the source's heights by rounding, metres. If the source takes
+    more than half of the error, four fifths of the error remain: less would cost many triangles for little gain.
     """
     return error_m - source if source <= 0.5 * error_m else 0.8 * error_m
 
@@ -111,7 +112,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
 def position_rounding(
     field: HeightField, depth: int, vertical_scale: float, vertical_offset: float
 ) -> tuple[float, float, float]:
-    """Return the largest error, metres along x, y and z, of float32 positions of leaves at `depth` or above."""
+    """Return the largest errors of float32 positions of leaves at `depth` or above: metres along x, y and z."""
     lattice, plane = field.lattice, []
     sides = (
         (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x),
@@ -136,7 +137,10 @@ def _half_step(largest: float) -> float:
 
 
 def _is_exact(largest: float, spacing: float) -> bool:
-    """Return whether float32 represents all multiples of `spacing` from -largest to largest exactly."""
+    """Return whether float32 represents all multiples of `spacing` from -largest to largest exactly.
+
+    Both numbers are positive.
+    """
     quantum = min(_power_of_two(largest), _power_of_two(spacing))
     return largest <= quantum * 2.0**SINGLE_BITS
 

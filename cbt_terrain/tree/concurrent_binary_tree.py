@@ -81,12 +81,12 @@ class ConcurrentBinaryTree:
 
     @property
     def leaf_count(self) -> int:
-        """Number of leaves of the tree, at least 1."""
+        """Return the number of leaves of the tree, at least 1."""
         return int(self._arrays["counts"][SLOTS]) + 1
 
     @property
     def nbytes(self) -> int:
-        """Address space of all arrays; the system commits the pages that are touched."""
+        """Return the address space of all arrays in bytes; the system commits the pages that are touched."""
         return sum(array.nbytes for array in self._arrays.values())
 
     # Query: O(depth) a leaf
@@ -107,7 +107,8 @@ class ConcurrentBinaryTree:
     def find(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the number (int32) and heap id (uint64) of the leaf that covers each deepest cell.
 
-        cells: numbers of deepest cells, 0 .. cell_count - 1, which are not checked.
+        cells: numbers of deepest cells (nodes of the deepest level along the curve), 0 .. cell_count - 1, which are not
+        checked.
         """
         cells = np.ascontiguousarray(cells, np.uint64)
         numbers, ids = np.empty(len(cells), np.int32), np.empty(len(cells), np.uint64)
@@ -201,7 +202,7 @@ class ConcurrentBinaryTree:
         return self.set_leaves([LeafPart(codes, 0, len(depths), self.cell_count)])
 
     def reset(self, depth: int = 0) -> None:
-        """Make the leaves all the nodes at `depth`."""
+        """Replace the leaves by all the nodes at `depth`, bisections below the root."""
         self.set_depths(np.full(1 << depth, depth))
 
     # List all leaves: O(leaves * depth)
@@ -234,7 +235,7 @@ class ConcurrentBinaryTree:
 
     @property
     def _pages_used(self) -> int:
-        """Number of pages of the pool that hold words of the bitfield."""
+        """Return the number of pages of the pool that hold words of the bitfield."""
         return int(self._state[bitfield.PAGES_USED])
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list) -> None:

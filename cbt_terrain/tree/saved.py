@@ -22,7 +22,7 @@ def depths_to_bytes(max_depth: int, depths: np.ndarray) -> bytes:
 
 
 def depths_from_bytes(data: bytes) -> tuple[int, np.ndarray]:
-    """Return the arguments of `depths_to_bytes`, the depths as a read-only view of the bytes.
+    """Return the tree's depth, and the leaves' depths as a read-only view of the bytes that `depths_to_bytes` wrote.
 
     Raises TerrainError for other bytes, before any large allocation.
     """

@@ -114,7 +114,7 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def _path_error(path: Path, what: str, expected: str) -> TerrainError:
-    """Return the error about a camera path's file; what: its fault, after "In the camera path ...,"."""
+    """Return the error that names a camera path's file. what: the fault. expected: what is right."""
     return TerrainError(f"In the camera path {path}, {what}", expected=expected)
 
 
@@ -146,7 +146,7 @@ def _field_of_view(path: Path, where: str, data: dict, sensor: float) -> float:
 
 
 def _check_names(path: Path, where: str, data: dict, known: set[str]) -> None:
-    """Raise TerrainError for an entry that is not `known`. where: subject of the error."""
+    """Raise TerrainError for a name in `data` that is not `known`. where: subject of the error, as a keyframe."""
     if unknown := sorted(set(data) - known):
         raise _path_error(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
 
@@ -157,7 +157,7 @@ def _read_number(path: Path, where: str, data: dict, name: str, default: float |
 
 
 def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
-    """Return the list of `count` finite numbers under a name, or raise the error that names file and keyframe.
+    """Return the list of `count` finite numbers that `data` has as `name`. Raises TerrainError with file and keyframe.
 
     A single number comes as a list of one, from `_read_number`. where: the keyframe, in errors.
     """

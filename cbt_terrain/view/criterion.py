@@ -70,25 +70,31 @@ class Criterion:
 
     @property
     def hides(self) -> bool:
-        """Tell whether hidden ground may be coarser. Without an error the height of the ground in front is unknown."""
+        """Tell whether hidden ground may be coarser.
+
+        It needs a limit of the error: without one, the height of the ground in front of it is unknown.
+        """
         return self.hidden_factor > 1 and bool(self.error_px or self.error_m)
 
     @property
     def morph_until(self) -> float:
-        """Return the ratio at which vertices are at their final heights. 1: all are; without a view none moves."""
+        """Return the ratio of error to criterion at which vertices are at their final heights.
+
+        It is 1 if none moves, as without a view.
+        """
         return self.morph if self.needs_view else 1.0
 
     @property
     def measures_edges(self) -> bool:
-        """Whether lengths of edges or areas of triangles on screen are limited."""
+        """Return whether lengths of edges or areas of triangles on screen are limited."""
         return bool(self.edge_px or self.area_px)
 
     @property
     def needs_view(self) -> bool:
-        """Whether a limit on screen is requested."""
+        """Return whether a limit on screen is requested."""
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
 def requested_unit(criterion: Criterion) -> str:
-    """Return the unit of the error that is swept and budgeted: px with a screen error, else m, else ""."""
+    """Return the unit of the error that reports compare and budgets limit: px with a screen error, else m, else ""."""
     return "px" if criterion.error_px else "m" if criterion.error_m else ""

@@ -16,7 +16,7 @@ SWEEPS = 60  # of Jacobi rotations; three columns are at right angles after six 
 
 
 def add_up(terms: Iterable) -> Any:
-    """Return the sum of floats or arrays, added from left to right."""
+    """Return the sum of floats or arrays, added from left to right, so that its bits are the same on every machine."""
     total = 0.0
     for term in terms:
         total = total + term
@@ -72,7 +72,7 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def min_stretch(matrix: np.ndarray) -> float:
-    """Return the least length of a unit vector after a matrix [3, 3]: its smallest singular value.
+    """Return the smallest length of a unit vector after multiplication by a matrix [3, 3]: its smallest singular value.
 
     Columns are rotated in pairs until all are at right angles (one-sided Jacobi).
     """

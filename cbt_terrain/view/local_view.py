@@ -118,7 +118,10 @@ def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
 
 
 def _narrowness(view: View) -> float:
-    """Return the tangent of half the wider field of view over that of NORMAL_FOV, at most 1."""
+    """Return the tangent of half the view's wider field of view, divided by that of half NORMAL_FOV; at most 1.
+
+    It is 1 for views without a perspective.
+    """
     if view.kind != PERSPECTIVE:
         return 1.0
     half = max(high - low for low, high in view.bounds()) / 2
@@ -154,7 +157,10 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
 
 
 def _outside(planes: np.ndarray, box: np.ndarray) -> bool:
-    """Return whether the box is wholly on the far side of one of the planes."""
+    """Return whether a box is wholly on the far side of one of the planes.
+
+    planes: float64 [n, 4], positive on the visible side. box: float64 [2, 3], its lowest and highest corner.
+    """
     if not len(planes):
         return False
     furthest = np.where(planes[:, :3] > 0, box[1], box[0])

@@ -57,12 +57,12 @@ class CriterionSetting:
 
     @property
     def is_flag(self) -> bool:
-        """Tell whether users see a check box alone: on is `usual`, off is `default`."""
+        """Tell whether the setting is shown as a check box without a number: on is `usual`, off is `default`."""
         return bool(self.switch) and self.default is not None
 
     @property
     def expected(self) -> str:
-        """Return the range as the end of a sentence, as "a number from 0 to 1"."""
+        """Return the range as the end of a sentence, for example "a number from 0 to 1"."""
         number = "a whole number" if self.whole else "a finite number" if self.max == FINITE else "a number"
         if self.max < FINITE:
             return f"{number} from {self.min:g} to {self.max:,.10g}"

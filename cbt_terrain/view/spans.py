@@ -64,7 +64,7 @@ class Spans:
     unit_bits: int = 0
 
     def pixels(self, spans: float) -> float:
-        """Return the screen error, pixels, for an error in spans, in the view where it is largest."""
+        """Convert an error in spans (pixel footprints) to pixels on screen, in the view where it is largest."""
         seen = zip(self.views, self.wholes, self.widenings, strict=True)
         return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in seen)
 
@@ -187,10 +187,10 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 
 
 def widening(view: View, whole: float, error_px: float) -> float:
-    """Return the factor, 1 or more, on spans of a pixel that makes a limit in spans hold in pixels on screen.
+    """Return the factor, 1 or more, on a pixel's span that makes a limit in spans hold in pixels on screen.
 
-    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either. whole:
-    pixels of an error that reaches the eye.
+    A span is a pixel footprint in the kernels' measure. `as_seen` is convex: below the requested error, spans times
+    this factor are not below `as_seen`, either. whole: pixels of an error that reaches the eye.
     """
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
@@ -224,7 +224,10 @@ def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) 
 
 
 def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
-    """Return the largest length in camera space of a shift by at most `offsets` metres along each axis."""
+    """Return the largest length in camera space of a shift by at most `offsets` metres along each axis.
+
+    The unit is a metre of the terrain's height.
+    """
     return add_up(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
 
 

@@ -68,7 +68,10 @@ class View:
 
     @property
     def pixels_per_unit(self) -> float:
-        """Pixels per unit of tangent (perspective), per metre (orthographic) or per radian (panoramic): the larger."""
+        """Return the pixels per unit of tangent (perspective), metre (orthographic) or radian (panoramic).
+
+        It is the larger one of those across and up.
+        """
         if self.projection is None:  # a panorama
             return 1.0 / self.radians_per_pixel
         across, along = (abs(self.projection[axis, axis]) * self.resolution[axis] for axis in (0, 1))

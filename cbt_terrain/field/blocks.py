@@ -10,10 +10,10 @@ ROWS = 256  # rows of blocks that are computed together; even
 
 
 def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0) -> np.ndarray:
-    """Return `reduce` (np.maximum, np.minimum) of the samples of every `side` x `side` cells, an entry for each block.
+    """Return the maximum or minimum of the samples of every `side` x `side` cells, an entry for each block of cells.
 
-    samples: [rows, columns], at least 2 x 2. A block includes its border samples and `around` more on each side. A last
-    block is cut off at the raster's end.
+    samples: [rows, columns], at least 2 x 2. reduce: np.maximum or np.minimum. A block includes its border samples and
+    `around` more on each side. A last block is cut off at the raster's end.
     """
     for axis in (0, 1):
         last = samples.shape[axis] - 1
@@ -34,9 +34,9 @@ def level_shapes(rows: int, columns: int) -> list[tuple[int, int]]:
 
 
 def halve(level: np.ndarray, reduce: np.ufunc) -> np.ndarray:
-    """Return `reduce` (np.maximum, np.minimum) of 2 x 2 blocks, [rows, columns, ...].
+    """Return the maximum or minimum of each 2 x 2 blocks of a level, [rows, columns, ...].
 
-    A last odd row or column is copied.
+    reduce: np.maximum or np.minimum. A last odd row or column is copied.
     """
     for axis in (0, 1):
         level = level.swapaxes(0, axis)
@@ -72,17 +72,20 @@ def fill_levels(
 
 
 def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the levels of a pyramid, from the finest on, in one flat array, with their two `level_offsets`."""
+    """Return the levels of a pyramid in one flat array, from the finest on, and each level's first entry and width.
+
+    The last two are arrays of `level_offsets`, with `below` entries for finer levels that are not stored.
+    """
     return np.concatenate([level.ravel() for level in levels]), *level_offsets(
         [(len(level), level.shape[1]) for level in levels], below
     )
 
 
 def level_offsets(shapes: list[tuple[int, int]], below: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the offset and the width of each level of a flat pyramid, int64 and int32 [below + levels].
+    """Return the first entry and the width of each level of a flat pyramid, int64 and int32 [below + levels].
 
-    shapes: rows and columns of the stored levels, the finest first. The first `below` entries, 0, are for finer levels
-    without blocks. Rays skip empty space with them.
+    Rays read them to skip empty space. shapes: rows and columns of the stored levels, the finest first. The first
+    `below` entries, 0, are for finer levels without blocks.
     """
     first = np.cumsum([0] * (below + 1) + [rows * columns for rows, columns in shapes[:-1]], dtype=np.int64)
     return first, np.array([0] * below + [columns for _, columns in shapes], np.int32)

@@ -81,9 +81,10 @@ def fill_rows(
 
 
 def _first_valid(valid: np.ndarray, rows: range, beyond: np.ndarray) -> np.ndarray:
-    """Return, for each column, the first of `rows` with a valid sample, int32; that of `beyond` if there is none.
+    """Return, for each column, the first of `rows` with a valid sample, int32, or the column's entry of `beyond`.
 
-    valid: bool [len(rows), columns], in the order of `rows`, which may count down.
+    valid: bool [len(rows), columns], in the order of `rows`, which may count down. beyond: the answer for columns
+    without a valid sample.
     """
     if valid[0].all():  # as in most rasters
         return np.full(valid.shape[1], rows[0], np.int32)

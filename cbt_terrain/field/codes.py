@@ -34,7 +34,7 @@ ROWS = 256  # rows of heights that are numbered together
 
 
 def _table_shape() -> np.ndarray:
-    """Return the table of codes for a largest error of 1, float32 [256].
+    """Return the errors that the 256 codes stand for if the largest one is 1: float32 [256], rising.
 
     Entry 0 is 0, the others are about even steps of log2.
     """

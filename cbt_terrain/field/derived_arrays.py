@@ -53,7 +53,7 @@ def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], 
 
 
 def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
-    """Compute arrays in memory."""
+    """Return arrays by name in memory, zeroed and then filled by `fill`. shapes: (shape, dtype) of each."""
     found = {name: np.zeros(*of) for name, of in shapes.items()}
     fill(found)
     return found

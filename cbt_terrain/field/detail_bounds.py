@@ -64,7 +64,7 @@ class DetailTerm(NamedTuple):
 
 
 def masked_terms(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> list[DetailTerm]:
-    """Return the summands times a mask of 0 to 1 that is bilinear between samples, as bounds inside a raster cell.
+    """Return bounds of the summands times a mask of 0 to 1, inside a raster cell, where the mask is bilinear.
 
     steps: metres of the cell's sides.
     """

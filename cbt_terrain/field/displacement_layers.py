@@ -157,7 +157,7 @@ def max_of_masks(ground: Ground | None) -> np.ndarray:
 
 
 def _joined(arrays: list[np.ndarray]) -> np.ndarray:
-    """Return arrays of uint8 one after the other in a flat one: without a copy if they are so in one array's memory."""
+    """Return arrays of uint8 as one flat array: without a copy if they are neighbours in the memory of one array."""
     if not arrays:
         return np.empty(0, np.uint8)
     first, ends = arrays[0], [array.ctypes.data + array.nbytes for array in arrays]

@@ -11,7 +11,7 @@ from .heightfield import HeightField
 
 
 def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `find_extremes` of a field: extremes of blocks, the levels' first indices, and the blocks in their rows.
+    """Return `find_extremes` of a field: extremes of blocks, each level's first index, and its number of blocks a row.
 
     It is computed once for each `reduce`, np.maximum or np.minimum, and cached with the field.
     """
@@ -21,9 +21,9 @@ def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarr
 def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maxima of all blocks (minima with np.minimum), float32 metres, level after level from FINEST on.
 
-    A block of level k has 2^k cells a side, border samples included; the detail and finer tiles are not. Also the first
-    index of each level, int64 [levels], and the blocks in its rows, int32 [levels], 0 below FINEST. Those of a large
-    raster are cached in its store.
+    A block of level k has 2^k cells a side, with the samples on its border; detail and finer tiles do not count. Also
+    the first index of each level, int64 [levels], and the number of blocks in its rows, int32 [levels], 0 below FINEST.
+    Those of a large raster are cached in its store.
     """
     lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
     rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))

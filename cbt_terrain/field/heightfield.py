@@ -116,7 +116,10 @@ class HeightRaster:
 
     @property
     def known_place(self) -> Place | None:
-        """Return `place`; if it is None, metres from the origin without a CRS, and None with one (`known_place`)."""
+        """Return the affine map from the terrain's space to its CRS; None if a raster with a CRS does not have it.
+
+        Without a CRS the map gives metres from the origin.
+        """
         return known_place(self.place, self.crs, self.origin)
 
     def damage(self, what: str) -> TerrainError:

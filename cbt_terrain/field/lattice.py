@@ -111,7 +111,7 @@ class Lattice:
 
     @property
     def unit_bits(self) -> int:
-        """Return log2 of the lattice units along the side of a square, if they are as small as can be."""
+        """Return log2 of the number of the smallest possible lattice units along the side of a square."""
         return min(SIDE_BITS - self.side_bits, SQUARE_BITS)
 
     @property

@@ -58,6 +58,7 @@ def _is_provenance(value: JsonValue) -> bool:
 
 
 def _is_text(value: JsonValue) -> bool:
+    """Return whether a JSON value is a text."""
     return isinstance(value, str)
 
 

@@ -63,9 +63,10 @@ class Tiled:
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
     def _net(self, finest: float) -> tuple["_Net", float]:
-        """Return the finest net that leaves with edges of `finest` metres show, and the metres between its pixels.
+        """Return the finest net of control heights that a mesh can show, and the metres between its pixels.
 
-        If none is coarse enough, it is the coarsest.
+        finest: shortest edge of the mesh's triangles, metres. If no net is coarse enough for it, the coarsest is
+        returned.
         """
         nets, texel = _nets(self.image), self.size / self.image.values.shape[1]
         number = 0
@@ -106,7 +107,7 @@ class _Net:
 
 @lru_cache(maxsize=16)
 def _nets(image: Painted) -> tuple[_Net, ...]:
-    """Return the image's net and coarser ones, the finest first, each for pixels a metre apart.
+    """Return the image's control heights and coarser ones, the finest net first, each for pixels a metre apart.
 
     A net has the control heights of a B-spline, -1 .. 1 for values 0 .. 1; a coarser one has half the rows and columns.
     The last one has an odd number of rows or columns.

@@ -110,11 +110,17 @@ class AttributeDeclaration:
     nothing: Callable[[Mapping[str, ParameterValue]], bool] | None = None
 
     def reads_with(self, values: Iterable[tuple[str, ParameterValue]]) -> tuple[str, ...]:
-        """Return the names of the attributes that it reads; `values`: parameters that differ from their defaults."""
+        """Return the names of the attributes that this one reads with some parameters.
+
+        values: parameters that differ from their defaults.
+        """
         return self.reads if self.choose is None else self.choose(self.defaults() | dict(values))
 
     def is_nothing(self, values: Iterable[tuple[str, ParameterValue]]) -> bool:
-        """Return whether all its values are 0; `values`: parameters that differ from their defaults."""
+        """Return whether all values of the attribute are 0 with some parameters, so that it need not be computed.
+
+        values: parameters that differ from their defaults.
+        """
         return self.nothing is not None and self.nothing(self.defaults() | dict(values))
 
     def defaults(self) -> dict[str, ParameterValue]:

@@ -130,9 +130,10 @@ class _MapGround:
     threads: int
 
     def levels(self, side: int, positions: np.ndarray) -> np.ndarray:
-        """Return the level of each texel, float32 [n]: the spacing of texels, less SHARPER, where samples are as fine.
+        """Return the pyramid level at which each texel is evaluated, float32 [n]: the spacing of texels, less SHARPER.
 
-        side: texels along a side of the image. positions: float32 [n, 3], of the texels.
+        It is limited to the finest level that the ground has at the texel. side: texels along a side of the image.
+        positions: float32 [n, 3], of the texels.
         """
         level = max(self.image_level(side), min_level(self.field.raster))
         levels = np.full(len(positions), level, np.float32)
@@ -187,7 +188,7 @@ def _check_replaceable(file: Path, listed: set[str]) -> None:
 
 
 def _key_in(file: Path) -> str | None:
-    """Return the key in a complete image, None for anything else, such as a link."""
+    """Return the content key that a complete image has as its comment, None for anything else, such as a link."""
     if not owned_files.is_real_file(file):
         return None
     comment = png.comment_of(file) if file.suffix == ".png" else exr.comment_of(file)

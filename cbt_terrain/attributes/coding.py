@@ -28,7 +28,7 @@ class Coding:
 
     @property
     def texel_bytes(self) -> int:
-        """Bytes of a texel in Blender's memory."""
+        """Return the bytes of a texel in Blender's memory."""
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 

@@ -32,7 +32,7 @@ class DecalPicture:
 
     @cached_property
     def mips(self) -> list[np.ndarray]:
-        """The image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
+        """Return the image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
         found = [self.values]
         while max(found[-1].shape[:2]) > 1:
             rows, columns, _ = found[-1].shape
@@ -93,13 +93,13 @@ class Decal:
 
     @property
     def pixel(self) -> float:
-        """Side of a square with the area of a pixel, metres."""
+        """Return the side of a square with the area of a pixel, metres."""
         rows, columns, _ = self.picture.values.shape
         return math.sqrt(abs(self._area) / (rows * columns))
 
     @property
     def box(self) -> tuple[float, float, float, float]:
-        """West, south, east and north end, metres in the terrain's space."""
+        """Return west, south, east and north end, metres in the terrain's space."""
         x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
         west, south = self.corner[0] + min(x), self.corner[1] + min(y)
         return west, south, self.corner[0] + max(x), self.corner[1] + max(y)

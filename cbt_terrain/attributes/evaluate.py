@@ -65,7 +65,7 @@ class EffectRequest:
     geometry_metres: float = 0.0
 
     def key(self, heights: HeightField) -> tuple:
-        """Return everything that the values depend on, except the surface."""
+        """Return everything that the values depend on, except the surface: equal keys give equal values."""
         where = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
         views = tuple(view.key() for view in self.views)
         scale = float(self.vertical_scale), float(self.vertical_offset)
@@ -281,7 +281,7 @@ def _complete_group(
     values: EffectValues,
     dropped: set[str],
 ) -> int:
-    """Compute the group's values into `found` and return the number of points that were computed.
+    """Compute a group's values at the points that lack them, into `found`; return the number of these points.
 
     which: indices of the points to compute, where `found` has the others from the last surface; None for all. values:
     stores whole arrays for the next surface. dropped: names of the attributes whose values of the last surface are

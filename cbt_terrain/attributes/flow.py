@@ -26,7 +26,7 @@ MAX_SAMPLES = 4097 * 4097
 
 
 def routed_level(field: HeightField) -> int:
-    """Return the level of the pyramid where water is routed: 0 except for rasters of more than 4097 x 4097."""
+    """Return the level of the height pyramid where water is routed: 0 except for rasters of more than 4097 x 4097."""
     return level_with(field.lattice, MAX_SAMPLES)
 
 

@@ -42,8 +42,9 @@ def azimuths() -> np.ndarray:
 def strongest(suns: Iterable[Iterable[float]]) -> tuple[float, float, float, float] | None:
     """Return x, y, z and angle of the strongest sun, the first of equals; None if none has a strength above 0.
 
-    suns: (x, y, z, angle), of strength 1, or (x, y, z, angle, strength), as the parameter in sun.py. Raises
-    TerrainError for rows of other lengths, numbers that are not finite, no direction, and angles beyond 0 .. pi.
+    (x, y, z): direction towards the sun. suns: (x, y, z, angle), of strength 1, or (x, y, z, angle, strength), as the
+    parameter in sun.py. Raises TerrainError for rows of other lengths, numbers that are not finite, no direction, and
+    angles beyond 0 .. pi.
     """
     rows = [tuple(float(number) for number in sun) for sun in suns]
     for row in rows:

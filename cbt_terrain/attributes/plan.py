@@ -21,7 +21,7 @@ class AttributePlan:
 
     @property
     def skipped(self) -> dict[str, str]:
-        """Attributes that are not computed, with the reason."""
+        """Return the attributes that are not computed, with the reason."""
         run = {step.name for step in self.steps}
         return {name: NOTHING_READS_IT for name in ATTRIBUTES if name not in run}
 

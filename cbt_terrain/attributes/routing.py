@@ -118,7 +118,8 @@ def route(
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
     """Return the size and the weights of a grid for kernels, by directions: along x, along y and diagonal.
 
-    step_x, step_y: metres. `inverse_distance` is 1 / distance, `share` the length of contour over distance.
+    step_x, step_y: metres between samples. Its `inverse_distance` is 1 / distance of neighbours in a direction, `share`
+    the length of contour that flow crosses, divided by that distance.
     """
     grid, diagonal = kernels.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
@@ -143,8 +144,8 @@ def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None"
 def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     """Drain every basin that ends in a pit over its lowest pass into a neighbouring basin.
 
-    Passes are counted first and listed then, to allocate their arrays; sorted by height, they form a spanning tree.
-    `pits`: number of basins.
+    Passes are counted first and listed then, to allocate their arrays. Sorted by height, they form a spanning tree of
+    the basins. d: the drainage, changed in place. pits: number of basins.
     """
     width, height = d.grid.width, d.grid.height
     spread = partial(launch.spread, step="routing", threads=threads)

@@ -24,9 +24,9 @@ STEPS_PER_LEVEL = 8
 
 
 def fixed_level(field: HeightField, metres: float) -> float:
-    """Return the level with samples `metres` apart in the terrain's space; 0 for the finest samples.
+    """Return the pyramid level with samples `metres` apart in the terrain's space; 0 for the finest samples.
 
-    Below 0 it is that of finer tiles, which `limit_levels` raises elsewhere. Raises TerrainError for an invalid
+    Below 0 it is a level of finer tiles, which `limit_levels` raises elsewhere. Raises TerrainError for an invalid
     distance.
     """
     if not 0.0 <= metres < math.inf:
@@ -83,7 +83,7 @@ def limit_levels(field: HeightField, positions: np.ndarray, levels: np.ndarray, 
 
 
 def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
-    """Return a view for the footprint kernel; a pixel covers sqrt(pixel2) spacings of samples at unit distance.
+    """Convert a view for the footprint kernel: at distance d a pixel covers d sqrt(pixel2) spacings of samples.
 
     placement: float64 [4, 4], maps the terrain's space to the world.
     """

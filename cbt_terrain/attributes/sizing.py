@@ -25,7 +25,10 @@ MEGABYTE = 1_000_000
 
 
 def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return a box around each tile's ground without its detail, float64 [tiles, 2, 3] metres, from stored ranges."""
+    """Return a box around each tile's ground without its detail, float64 [tiles, 2, 3] metres: lowest, highest corner.
+
+    The heights come from stored ranges.
+    """
     lattice = field.lattice
     found = np.empty((tiling.rows, tiling.columns, 2, 3))
     sides = []
@@ -114,7 +117,10 @@ def resolutions(
 
 
 def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeRequest]) -> np.ndarray:
-    """Return the finest content of each tile, float64 [tiles] metres: samples, finer ones too, or pixels of decals."""
+    """Return the size of the finest content of each tile: samples, finer ones too, or pixels of decals.
+
+    The result is float64 [tiles] in metres.
+    """
     raster, spacing = field.raster, min(field.lattice.step_x, field.lattice.step_y)
     finer = np.array([is_finer(raster, tiling.box(tile)) for tile in range(len(tiling))])
     found = np.where(finer, spacing * 2.0 ** min_level(raster), spacing)

@@ -33,12 +33,12 @@ LAYER, PREVIEW, LOOKED = "sky", "coarse horizons", "looked for skies"
 
 
 def layer_level(field: HeightField) -> int:
-    """Return the level of the pyramid of the layer, which depends on the raster's size alone."""
+    """Return the level of the height pyramid at which the sky is computed, which depends on the raster's size alone."""
     return level_with(field.lattice, MAX_SAMPLES)
 
 
 def is_known(field: HeightField, scale: float) -> bool:
-    """Return whether the layer of a vertical scale is complete, so that values from it take no time.
+    """Return whether the sky at a vertical scale is complete, so that values from it take no time.
 
     The store is searched at the first call for a scale only.
     """
@@ -59,7 +59,7 @@ def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLaye
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
-    """Add one azimuth to the layer if one is missing; return whether it is complete."""
+    """Add one azimuth to the sky over the raster if one is missing; return whether it is complete."""
     return _add_azimuth(field, scale, threads)["azimuths"] == AZIMUTHS
 
 
@@ -113,9 +113,9 @@ def _load_from_store(field: HeightField, scale: float) -> None:
 
 
 def _save(field: HeightField, scale: float, sky: np.ndarray) -> np.ndarray:
-    """Write the layer of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain.
+    """Write the complete sky of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain.
 
-    Return the layer, mapped if it is in the store.
+    Return it, mapped if it is in the store.
     """
     file = result_file(LAYER, VERSION, (scale,))
     sky = write_result(field, file, sky)

@@ -107,10 +107,10 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
 
 
 def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
-    """Return a rule for the kernel, with limits in the unit of the values that it reads.
+    """Convert a rule for the kernel, with limits in the unit of the values that it reads.
 
-    `at`: row of the attribute, first pixel of the image, or index of the other layer. `lowest`, `highest`: heights in
-    metres at which relief is 0 and 1. Flow is compared by its logarithm.
+    at: row of the attribute, first pixel of the image, or index of the other layer. lowest, highest: heights in metres
+    at which relief is 0 and 1. Flow is compared by its logarithm.
     """
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:

@@ -44,7 +44,7 @@ class Tiling:
 
     @property
     def inner(self) -> float:
-        """Fraction of an image's side without the margins."""
+        """Return the fraction of an image's side without the margins."""
         return 1.0 - 2.0 * self.margin
 
     def udim_number(self, tile: int) -> int:

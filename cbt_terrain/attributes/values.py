@@ -46,7 +46,7 @@ class EffectValues:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Return the bytes of all arrays."""
         return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
 
     def move_to(self, positions: np.ndarray) -> np.ndarray:
@@ -138,7 +138,10 @@ class EffectValues:
 
 
 def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
-    """Return the arrays of an attribute, now and at the last surface, for the kernel that copies values."""
+    """Return the arrays of an attribute on this and the last surface, for the kernel that copies values.
+
+    values: of this surface. width: numbers for each point.
+    """
     pair = kernels.Pair()
     pair.last, pair.values, pair.width = flat(last, wp.float32), flat(values, wp.float32), width
     return pair

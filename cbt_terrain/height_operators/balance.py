@@ -66,12 +66,19 @@ def balance_mass(
 
 
 def _fraction(gain: np.ndarray | float, available: np.ndarray | float) -> np.ndarray:
-    """Return the fraction of the available material to remove, at most 1; negative to add, at least -1."""
+    """Return the fraction of the available material to remove, at most 1; negative to add material, at least -1.
+
+    gain: material to remove. Both are in one unit.
+    """
     return np.clip(gain / np.maximum(available, 1e-12), -1.0, 1.0)
 
 
 def _gather(samples: np.ndarray, halvings: int) -> np.ndarray:
-    """Apply the transpose of `finer` several times: float64, each time [rows // 2 + 1, columns // 2 + 1], same sum."""
+    """Sum samples to a level that is `halvings` coarser: each is distributed over the coarser samples around it.
+
+    It is the transpose of the interpolation `finer`, and the sum stays the same. Returns float64, each time [rows // 2
+    + 1, columns // 2 + 1].
+    """
     for axis in (0, 1) * halvings:
         along = np.moveaxis(samples, axis, 0)
         coarse = np.zeros((len(along) // 2 + 1, along.shape[1]))

@@ -93,22 +93,22 @@ class Land:
 
     @property
     def tiles(self) -> Path:
-        """Folder of the tiles of all stacks on this source."""
+        """Return the folder of the tiles of all stacks on this source."""
         return Path(self.folder).parent / store_folder.TILES
 
     @property
     def folder(self) -> str:
-        """Folder of the derived store."""
+        """Return the folder of the derived store."""
         return self.whole + OF_VIEWS if self.of_views else self.whole
 
     @property
     def of_views_alone(self) -> "Land":
-        """The same land where only the parts in view are fine, which is quicker to shape."""
+        """Return the same land where only the parts in view are fine, which is quicker to shape."""
         return replace(self, of_views=True)
 
     @property
     def in_shots(self) -> "Land":
-        """The land that shots need: with only the parts in view fine, or whole if that costs less."""
+        """Return the land that shots need: with only the parts in view fine, or whole if that costs less."""
         if self.folder not in _costs_less_whole:
             lattice = shaping_cost.lattice_of(self.source)
             _costs_less_whole[self.folder] = shaping_cost.costs_less_whole(lattice, self.stack)
@@ -116,13 +116,13 @@ class Land:
 
     @property
     def shown(self) -> str:
-        """Folder of the store that a viewport shows, "" if it shows a preview because none is there yet."""
+        """Return the folder of the store that a viewport shows, "" if it shows a preview because none is there yet."""
         both = (self, self.of_views_alone)
         return next((land.folder for land in both if land.is_shaped), "")
 
     @property
     def is_shaped(self) -> bool:
-        """Whether the store is there, has this version and records this land."""
+        """Return whether the store is there, has this version and records this land."""
         changed = stores.changed_ns(self.folder)
         try:
             return bool(changed) and _is_recorded(self.folder, changed, _source_key(self.source))
@@ -144,7 +144,7 @@ def use(user: int, land: Land) -> None:
 
 
 def release(user: int) -> None:
-    """Note that a user, by number, wants no land any longer; it may be removed then."""
+    """Note that a user, by number, no longer wants any land; the land may be removed then."""
     _in_use.pop(user, None)
 
 

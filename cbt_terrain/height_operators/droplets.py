@@ -28,9 +28,10 @@ TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one.
+    """Return the change of heights that erosion by droplets makes at a level, with sediment and wear as layers.
 
-    It is read only on levels finer than FINEST_STEP; other levels are independent of each other.
+    coarser: the change of the next coarser level, interpolated to this one. It is used only on levels finer than
+    FINEST_STEP; other levels are independent of each other.
     """
     if coarser is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         change = _smooth(coarser.heights, ground.missing)
@@ -123,9 +124,9 @@ def _num_steps(values: Mapping[str, float], stride: float) -> int:
 
 
 def _tile(reach: float, brush: int) -> int:
-    """Return the samples along a tile's side, of which a droplet with its last brush reaches less than half.
+    """Return the samples along a tile's side: more than twice as far as a droplet with its last brush can reach.
 
-    reach: of a droplet, in samples. brush: its radius in samples.
+    reach: of a droplet, in samples. brush: radius of the brush with which it deposits, in samples.
     """
     return math.ceil(2.0 * (reach + brush + 3.0))
 

@@ -42,7 +42,10 @@ class ExportedRows:
             yield self._copied(first, end) if self._is_copied else self._computed(first, end)
 
     def _copied(self, first: int, end: int) -> np.ndarray:
-        """Return the rows `first` to `end` (exclusive) of the raster; a missing sample is NaN."""
+        """Return the rows `first` to `end` (exclusive) as copies of the raster's samples; a missing sample is NaN.
+
+        Rows are counted from the north.
+        """
         height = self._field.lattice.height  # rows of the field are counted from the south
         rows = slice(height - end, height - first)
         found = np.array(self._field.heights(rows), np.float32)
@@ -51,7 +54,10 @@ class ExportedRows:
         return found[::-1]
 
     def _computed(self, first: int, end: int) -> np.ndarray:
-        """Return the rows `first` to `end` (exclusive) of points of the surface; those in holes are NaN."""
+        """Return the rows `first` to `end` (exclusive) of points interpolated on the surface; those in holes are NaN.
+
+        Rows are counted from the north.
+        """
         columns, rows = self.axes[0], self.axes[1].positions(first, end, is_reversed=True)
         found = np.empty((end - first, columns.inside), np.float32)
         for column in range(0, columns.inside, MAX_COLUMNS):

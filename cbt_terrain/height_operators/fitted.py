@@ -13,11 +13,11 @@ MIN_RELIEF = 1.0  # metres
 
 
 def fitted(stack: Stack, low: float, high: float) -> Stack:
-    """Return the stack adapted to land from `low` to `high` metres.
+    """Return a stack of height operators adapted to land from `low` to `high` metres.
 
-    Heights (the snow line, limits of masks) keep their fraction of the relief above the foot, and uplift is scaled
-    by the relief. The foot of land that rises above the sea is not below 0 m. The result is designed for land from the
-    foot to `high`. Without `stack.heights`, or for flat land, the stack stays as it is.
+    Heights (the snow line, limits of masks) keep their fraction of the relief above the foot, and uplift is scaled by
+    the relief. The foot is `low`, but not below 0 m for land that rises above the sea. The result is designed for land
+    from the foot to `high`. Without `stack.heights`, or for flat land, the stack stays as it is.
     """
     foot = max(low, 0.0) if high > 0.0 else low
     if stack.heights is None or high - foot < MIN_RELIEF:

@@ -85,10 +85,10 @@ class Bed:
     path_level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def drain(self, noise: "ReceiverNoise | None" = None) -> Drainage:
-        """Route water over the bed with its boundary conditions; `noise`: of the receivers, None for none.
+        """Route water over the bed with its boundary conditions; noise: of the choice of receivers, None for none.
 
-        The `heights` of the result are those of the bed, at the border at least `outlet_level`; only the choice of
-        receivers sees the path.
+        The `heights` of the result are those of the bed, at the border at least `outlet_level`. The lower path of lake
+        outlets affects only the choice of receivers.
         """
         heights = self.heights + np.float32(0.0)
         heights[self.border] = np.maximum(heights[self.border], self.outlet_level)
@@ -266,7 +266,7 @@ def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
 
 
 def _inside(lake: np.ndarray, distance: int) -> np.ndarray:
-    """Return the samples of lakes with water all round within a distance in samples, bool [rows, columns]."""
+    """Return the lake samples that are surrounded by lake within a distance in samples, bool [rows, columns]."""
     inside = lake
     for axis in (0, 1) if distance else ():  # no lake touches the border, so that nothing wraps around
         inside = np.logical_and.reduce([np.roll(inside, by, axis) for by in range(-distance, distance + 1)])

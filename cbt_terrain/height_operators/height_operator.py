@@ -68,7 +68,7 @@ class OperatorGround:
 
     @property
     def rims(self) -> tuple[bool, bool, bool, bool]:
-        """Whether the south, north, west and east side is the raster's border and not the cut of a tile."""
+        """Return whether the south, north, west and east side is the raster's border and not the cut of a tile."""
         (row, column), (rows, columns), shape = self.first, self.whole, self.heights.shape
         return row == 0, row + shape[0] >= rows, column == 0, column + shape[1] >= columns
 

@@ -30,7 +30,7 @@ _NAME = re.compile(f"[0-9a-f]{{16}}({OF_VIEWS})?")
 
 
 def folder_beside(source: str) -> Path:
-    """Return the folder of all that stacks made of a source's store."""
+    """Return the folder beside a source's store in which all land that stacks made of it is."""
     return Path(source.rstrip("/\\") + owned_files.LAND)
 
 

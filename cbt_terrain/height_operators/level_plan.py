@@ -45,9 +45,9 @@ class LevelPlan:
         self.total = add_up(self.costs)
 
     def doubt(self, number: int) -> None:
-        """Note that an entry's tiles do not fit the coarser level (see HeightOperator.doubts).
+        """Note that the change of an entry contradicts the coarser level (see HeightOperator.doubts).
 
-        From the next finer level on it is then applied to whole levels.
+        From the next finer level on the entry is applied to whole levels instead of tiles. number: its index.
         """
         self.doubted.add(number)
         self._count()

@@ -71,7 +71,7 @@ class LevelRun:
     coarse: Sequence[Arrays | None]
 
     def apply(self, tiles: list[int], land: LandWindow) -> tuple[Sequence[Arrays], list[TileSums]]:
-        """Apply the entries to the level, add their changes to `land`, and return changes and statistics.
+        """Apply the run's entries to the level, add their changes to `land`, and return changes and statistics.
 
         Changes of level 0 are not returned for a run in tiles, since no finer level reads them. tiles: tiles to
         compute, unless the run is applied to the whole level. Raises Finished if the caller needs no finer levels.
@@ -180,7 +180,10 @@ def _upsample(arrays: Arrays, shape: tuple[int, int]) -> np.ndarray:
 
 @contextmanager
 def _counted(shaping: Shaping, entry: Entry, sums: TileSums, cost: float) -> Iterator[None]:
-    """Add the time of the block and the pieces that it computed to `sums`. cost: planned nanoseconds."""
+    """Add to `sums` the time of the `with` block and the number of results that it computed instead of reading them.
+
+    cost: planned nanoseconds.
+    """
     before, start = shaping.cache.made[entry.effect], time.perf_counter()
     yield
     sums.computed += shaping.cache.made[entry.effect] - before

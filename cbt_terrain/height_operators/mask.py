@@ -77,7 +77,7 @@ class HeightMask:
 
     @property
     def versions(self) -> tuple[int, ...]:
-        """Versions of the attributes that the rules read, which are parts of keys."""
+        """Return the versions of the attributes that the rules read, which are parts of keys."""
         return tuple(MASK_ATTRIBUTES[rule.of].version for rule in self.rules if rule.of in MASK_ATTRIBUTES)
 
     def check(self, where: str) -> None:
@@ -176,9 +176,10 @@ def _weigh_ground(
 
 
 def _weigh_interval(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
-    """Return weights, 1 between the limits and 0 beyond, 0.5 at each limit in the middle of a step of width `edge`.
+    """Return weights, 1 between the limits `low` and `high` and 0 beyond.
 
-    Without an edge, values at the limits have the weight 1.
+    At each limit is the middle of a smooth step of width `edge`, with the weight 0.5. Without an edge, values at the
+    limits have the weight 1.
     """
     half = 0.5 * edge
     return _step(values, low - half, low + half) * _step(-values, -high - half, -high + half)
@@ -211,7 +212,7 @@ def _step_through(values: np.ndarray, knots: list[float]) -> np.ndarray:
 
 
 def _power(exponent: float) -> float:
-    """Return 10^exponent; a number below or above all measured ones for an infinite exponent."""
+    """Return 10^exponent; for an infinite exponent a number below or above all values that a mask reads."""
     return -STEEPEST if exponent == -math.inf else 10.0 ** min(exponent, 30.0)
 
 

@@ -30,10 +30,11 @@ def values_of(
     layers: Mapping[str, np.ndarray],
     threads: int,
 ) -> dict[str, np.ndarray]:
-    """Return the values of those `names` that are in MASK_ATTRIBUTES, float32 [rows, columns].
+    """Return the values that a mask's rules read, for those `names` that are in MASK_ATTRIBUTES.
 
-    Those of SHAPES are for the whole level; by-products are taken from `layers` as they are. heights(window): returns
-    float32 metres of the ground. missing: bool [rows, columns] of the level, holes, or None.
+    They are float32 [rows, columns] by name. Those of SHAPES are for the whole level; by-products are taken from
+    `layers` as they are. heights(window): returns float32 metres of the ground. missing: bool [rows, columns] of the
+    level, holes, or None.
     """
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
     requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]

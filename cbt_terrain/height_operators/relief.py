@@ -24,7 +24,10 @@ DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change | None) -> Change:
-    """Compute a level without the coarser one, which only lacks the finest waves; implements `Apply`."""
+    """Return the fine relief (noise and ledges of rock) to add to the heights of a level; implements `Apply`.
+
+    The coarser level, which only lacks the finest waves, is not needed. Sediment hides the relief.
+    """
     heights = np.ascontiguousarray(ground.heights)
     noise, window = _noise(ground, values), _window(ground, values)
     added = np.empty_like(heights)
@@ -55,7 +58,7 @@ def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
 
 
 def _window(ground: OperatorGround, values: Mapping[str, float]) -> Window:
-    """Return the window of samples for kernels; the reach, in samples, is of the average that gives the slope."""
+    """Return the window of samples for kernels, with the distance, in samples, over which slopes are averaged."""
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first

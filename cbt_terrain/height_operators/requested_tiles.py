@@ -66,7 +66,10 @@ def _digest(text: str) -> str:
 
 
 def has(folder: str, wanted: Tiles | None) -> bool:
-    """Return whether these tiles were requested of a store with at most these errors; True for None, all tiles."""
+    """Return whether a store was shaped with these tiles, at most with these errors, by its record; True for all tiles.
+
+    folder: the store's. wanted: allowed error of each tile, metres, by level; None for all tiles.
+    """
     if wanted is None:
         return True
     earlier = read_requested(folder)

@@ -32,7 +32,10 @@ Positions = tuple[np.ndarray, np.ndarray]
 
 
 def neighbour(y: np.ndarray, x: np.ndarray, way: np.ndarray | int) -> Positions:
-    """Return row and column of the neighbour in a D8 direction: 3 * (north + 1) + east + 1, 4 is the sample itself."""
+    """Return row and column of the neighbour of (y, x) in a D8 direction `way`: 3 * (north + 1) + east + 1.
+
+    north, east: -1, 0 or 1, so that 4 is the sample itself.
+    """
     return y + way // 3 - 1, x + way % 3 - 1
 
 
@@ -185,9 +188,9 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
 
 
 def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
-    """Return the direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
+    """Return the D8 direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
 
-    The receiver is the neighbour that is no higher and has the least larger drainage area.
+    The receiver is the neighbour that is no higher and has the smallest larger drainage area.
     """
     south, west = max(j - 1, 0), max(i - 1, 0)
     neighbours = np.s_[south : j + 2, west : i + 2]
@@ -240,7 +243,7 @@ def _ring(coarse: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
 
 
 def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns where the water of each sample enters the tile, followed for up to 16 samples.
+    """Return row and column of the place where the water of each sample enters the tile, followed for up to 16 samples.
 
     For a sample inside it is the sample itself. y, x: row and column of each sample's receiver.
     """
@@ -253,7 +256,10 @@ def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray,
 
 
 def _lakes(coarse: _Coarse, ring: _Ring) -> list[np.ndarray]:
-    """Return the indices in the ring of each lake on it; samples of one level are one lake."""
+    """Return the lakes on the ring of border samples, each as indices in the ring.
+
+    Samples with one water level are one lake.
+    """
     at = np.flatnonzero(coarse.wet[ring.at] & ring.cut)
     level = coarse.surface[ring.at][at]
     order = np.argsort(level, kind="stable")

@@ -45,7 +45,11 @@ FADE = 0.15
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
+    """Return how rivers change the heights of a level, with sediment, wear and drainage area as layers.
+
+    values: the parameters by name. coarser: the change of the next coarser level, interpolated to this one, from which
+    this level starts; None at the coarsest level.
+    """
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
@@ -86,7 +90,7 @@ def _change_of_bed(
 
 
 def doubts(coarser: Change, change: Change, cell: float) -> bool:
-    """Return whether the big rivers of two levels run elsewhere, so that finer levels must be computed in one piece.
+    """Return whether the big rivers of two levels take different courses, so that finer levels must be whole.
 
     coarser: change of the coarser level, interpolated. change: that of the finer one. cell: m^2 of a sample.
     """

@@ -59,7 +59,7 @@ class Shaping:
 
     @property
     def depths(self) -> set[str]:
-        """Names of the layers that are depths in metres, whose values add up."""
+        """Return the names of the layers that are depths in metres, whose values add up."""
         return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.adds_up}
 
     def progress(self, cost: float, level: Level, entry: Entry) -> Callable[[float], None]:

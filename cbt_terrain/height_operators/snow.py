@@ -32,7 +32,10 @@ WET = 0.05
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
+    """Return the snow on a level: the change of heights, and the depth of snow and of slides as layers.
+
+    values: the parameters by name. coarser: the change of the next coarser level, interpolated to this one.
+    """
     snowfall, clinging = _snowfall(ground, values)
     loose = start = snowfall - clinging
     if coarser is not None:
@@ -53,7 +56,10 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the depth of snow before slides, and the part of it that clings to the ground; float32 [rows, columns]."""
+    """Return the depth of snow before slides, and the part of it that clings to the ground, metres.
+
+    Both are float32 [rows, columns].
+    """
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
 

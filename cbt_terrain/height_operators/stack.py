@@ -73,12 +73,12 @@ class Entry:
 
     @property
     def declaration(self) -> HeightOperator:
-        """Declaration of the height operator."""
+        """Return the declaration of the height operator."""
         return HEIGHT_OPERATORS[self.effect]
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of all parameters."""
+        """Return the values of all parameters."""
         return self.declaration.defaults() | dict(self.parameters)
 
 
@@ -97,7 +97,7 @@ class Stack:
 
     @property
     def active(self) -> tuple[Entry, ...]:
-        """Entries that are switched on and whose mask is not 0 everywhere."""
+        """Return the entries that are switched on and whose mask is not 0 everywhere."""
         return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
 
     def check(self, where: str = "The stack") -> None:

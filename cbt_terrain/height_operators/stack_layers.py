@@ -17,7 +17,7 @@ def merge_layers(
 
 
 def key_with(key: str, layers: Mapping[str, np.ndarray]) -> str:
-    """Return the key of a field with these layers and the heights of `key`."""
+    """Return the content key of a field that has these layers besides its heights. key: of the heights alone."""
     if not layers:
         return key
     return compute_digest(key, *(part for name in sorted(layers) for part in (name, layers[name])))

@@ -32,7 +32,10 @@ HALO = 1.6
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
+    """Return how rock breaks off slopes and settles as scree at a level: change of heights, scree and wear.
+
+    values: the parameters by name. coarser: the change of the next coarser level, interpolated to this one.
+    """
     shape = ground.heights.shape
     breakable, loose = _breakable_depth(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
     left, scree = _start_level(ground, coarser, breakable, loose)

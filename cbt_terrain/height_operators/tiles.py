@@ -46,32 +46,35 @@ class Level:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and columns of samples."""
+        """Return the number of rows and columns of samples."""
         return self.rows, self.columns
 
     @property
     def size(self) -> tuple[float, float]:
-        """Metres from the first to the last row and column."""
+        """Return the metres from the first to the last row, and from the first to the last column."""
         return (self.rows - 1) * self.step_y, (self.columns - 1) * self.step_x
 
     @property
     def whole(self) -> Window:
-        """Window of all samples."""
+        """Return the window of all samples."""
         return slice(0, self.rows), slice(0, self.columns)
 
     @property
     def is_whole(self) -> bool:
-        """Whether the level is computed in one piece."""
+        """Return whether the level is computed in one piece."""
         return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Number of tiles northwards and eastwards. Tiles are counted from the south-western one eastwards."""
+        """Return the number of tiles from south to north and from west to east.
+
+        Tiles are numbered row by row from the south-western one.
+        """
         return -(-(self.rows - 1) // TILE), -(-(self.columns - 1) // TILE)
 
     @property
     def tile_count(self) -> int:
-        """Number of tiles."""
+        """Return the number of tiles."""
         return self.tiles[0] * self.tiles[1]
 
     def window(self, tile: int, rows: int = 0, columns: int = 0) -> Window:
@@ -83,7 +86,10 @@ class Level:
         )
 
     def weights(self, tile: int) -> np.ndarray:
-        """Return the weights of a tile over its window widened by BAND, float32 [rows, columns]."""
+        """Return the weights with which a tile is blended with its neighbours, float32 [rows, columns].
+
+        They are for the tile's window widened by BAND, and fall from 1 to 0 over 2 BAND samples.
+        """
         window = self.window(tile, BAND, BAND)
         position = divmod(tile, self.tiles[1])
         north, east = (_weights(axis, n, count) for axis, n, count in zip(window, position, self.tiles, strict=True))
@@ -105,9 +111,9 @@ class Level:
 
 
 def _weights(axis: slice, number: int, count: int) -> np.ndarray:
-    """Return weights at the samples `axis`, float32: a ramp up, ones and a ramp down; no ramps at the level's ends.
+    """Return a tile's blending weights along one axis at the samples `axis`: a ramp up, ones and a ramp down, float32.
 
-    number: the tile's along the axis, of `count` tiles.
+    There are no ramps at the level's ends. number: the tile's position along the axis, of `count` tiles.
     """
     at = np.arange(axis.start, axis.stop, dtype=np.float32)
     low, high = number * TILE, (number + 1) * TILE

@@ -162,7 +162,7 @@ def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.
 
 
 def _sum_neighbours(array: np.ndarray) -> np.ndarray:
-    """Return the sums over the eight neighbours of each sample."""
+    """Return the sum of the eight neighbours of each sample; samples beyond the border count as 0."""
     rows, columns = array.shape
     padded = np.pad(array, 1)
     total = np.zeros_like(array)

@@ -133,6 +133,7 @@ def import_raster(
             end = 1.0 if raster.finer is None else COARSE_SHARE
 
             def tell(share: float, message: str) -> None:
+                """Report a fraction of this step as one of the whole import."""
                 on_progress(begin + (end - begin) * share, message)
 
             if by_tile:
@@ -213,7 +214,10 @@ def _build(
 
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
-    """Return the land of the first picture in the store at `path`. Raises TerrainError if it is of another source."""
+    """Return the coarse heights of the quick import in the store at `path`, around which tiles are loaded.
+
+    Raises TerrainError if the store is of another source.
+    """
     before, picture = dataclasses.replace(settings, loaded_tiles=(), loaded_finer=()), first_picture(path)
     if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
         raise TerrainError(

@@ -101,7 +101,7 @@ class _EarlierTiles:
         return getattr(self._tiles, name)[number] if number >= 0 else None
 
     def close(self) -> None:
-        """Let go of the arrays, whose files are about to be removed."""
+        """Close the arrays, whose files are about to be removed."""
         self._tiles = self.work = None
 
 
@@ -120,7 +120,10 @@ class _WorkRecords(FinerRecords):
         self._before = {kind: before.records(kind) if before is not None else {} for kind in (*FINER, SEAMS)}
 
     def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
-        """Yield the records of a place in the work, and then in the earlier store, with its arrays."""
+        """Yield the records of a kind for a tile or window: first that of this import, then that of the earlier store.
+
+        Each comes with a function that returns the earlier store's arrays, or None. place: column and row.
+        """
         earlier = self._earlier.array if self._earlier is not None else None
         for records, arrays in ((self._found, None), (self._before, earlier)):
             record = records[kind].get(_number_of(place))
@@ -128,13 +131,19 @@ class _WorkRecords(FinerRecords):
                 yield record, arrays
 
     def note(self, kind: str, place: Tile, **values: Any) -> None:
-        """Write a record; that of a window has the figures of its reading."""
+        """Write a record of a kind for a tile or window; that of a window also has the figures of its reading.
+
+        place: column and row. values: content of the record.
+        """
         if kind == FILLED:
             values["figures"] = self._windows.figures
         self._work.note(kind, _number_of(place), **values)
 
     def use(self, kind: str, place: Tile, record: dict[str, Any], is_earlier: bool) -> None:
-        """Give the reader the figures of a window, and write the record of an earlier store into the work."""
+        """Take over a record: give the reader the figures of a window, and write a record of an earlier store again.
+
+        place: column and row. is_earlier: whether the record is of the store that is replaced.
+        """
         if kind == FILLED:
             self._windows.add(record["figures"])
         if is_earlier:
@@ -163,7 +172,7 @@ class _WorkRecords(FinerRecords):
         self._work.note(kind, number, **values)
 
     def close(self) -> None:
-        """Let go of the earlier store."""
+        """Close the earlier store, whose files are about to be removed."""
         if self._earlier is not None:
             self._earlier.close()
 
@@ -174,7 +183,7 @@ def _number_of(place: Tile) -> int:
 
 
 def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tuple[int, int]) -> set[Tile]:
-    """Return the tiles that files meet.
+    """Return column and row of the finer tiles that files meet, with a margin around each file.
 
     boxes: int64 [files, 4], in columns and rows of the file's grid, whose first row is in the north. margin: finer
     samples around a file that count, too. last: finer cells of the raster. shape: rows and columns of tiles.
@@ -234,7 +243,7 @@ class _Windows:
         return f"{sources} {scaling_of(self._reader.raster, self._reader.settings)}"
 
     def add(self, figures: dict[str, float]) -> None:
-        """Give the reader the figures of a window."""
+        """Give the reader the figures of a window, as the largest height and error that were read."""
         self._reader.add(figures | {"marks": [], "values": [math.inf, -math.inf]}, 0)
 
     def _in_file(self, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:

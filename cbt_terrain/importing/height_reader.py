@@ -54,7 +54,10 @@ class HeightReader:
         return heights
 
     def figures(self) -> dict:
-        """Return the figures so far as JSON, for `add`."""
+        """Return what was found in all values so far as JSON, for `add`.
+
+        These are the largest height, the largest errors by conversion, and the marks of missing samples.
+        """
         check = self.check
         return {
             "largest": self.largest,

@@ -33,9 +33,10 @@ class TileAhead(NamedTuple):
 
 
 def write_ahead(store: Path, grid: TileGrid, number: int, record: dict, heights: np.ndarray) -> None:
-    """Write the file of a tile, which appears when it is complete. Raises TerrainError.
+    """Write the heights of a tile to its own file, from which a later import reads them. Raises TerrainError.
 
-    record: inputs, missing, limits and figures of the tile. heights: float32, NaN where missing.
+    The file appears when it is complete. record: inputs, missing, limits and figures of the tile. heights: float32, NaN
+    where missing.
     """
     content = np.ascontiguousarray(heights, "<f4").tobytes()
     line = line_of({"kind": READ, "number": number, "at": time.time_ns(), **record, "heights": zlib.crc32(content)})
@@ -51,9 +52,9 @@ def write_ahead(store: Path, grid: TileGrid, number: int, record: dict, heights:
 
 
 def find_ahead(store: Path, grid: TileGrid, number: int, inputs: str) -> TileAhead | None:
-    """Return a tile from its file; None if that is missing, damaged or of other sources.
+    """Return a tile that was read before the import, from its file.
 
-    inputs: digest of the sources.
+    Return None if the file is missing, damaged or of other sources. inputs: digest of the sources.
     """
     box = grid.owned(grid.box(number))
     shape = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
@@ -79,9 +80,10 @@ def remove_ahead(store: Path) -> None:
 
 
 def share_of(tiles: Iterable[int], part: int, parts: int) -> tuple[int, ...]:
-    """Return a part of tiles, so that all parts have about as many. part: 1 .. parts."""
+    """Return the tiles of one of several parts of about equal size. part: 1 .. parts."""
     return tuple(sorted(tiles))[part - 1 :: parts]
 
 
 def _file_of(store: Path, number: int) -> Path:
+    """Return the file in which the tile with a number is kept before the import needs it."""
     return store / AHEAD / f"{number}.tile"

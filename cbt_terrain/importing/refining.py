@@ -37,14 +37,17 @@ FEWEST = 1 << 29  # samples of a raster whose complete import takes much longer 
 
 
 def first_picture(store: Path) -> Path:
-    """Return the folder of the first picture: inside a store with loaded tiles, else the store."""
+    """Return the folder of the first picture, the store of a quick import with few samples.
+
+    It is inside a store with loaded tiles, else it is the store itself.
+    """
     folder = named_folder(store)
     inner = None if folder is None else folder / FIRST
     return inner if inner is not None and changed_ns(inner) else store
 
 
 def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
-    """Return the land of the first picture in the folder `picture`, in which the tiles of the settings are loaded.
+    """Return the heights of a quick import in the folder `picture`, around which the settings' tiles are loaded.
 
     Raises TerrainError if there is none.
     """
@@ -56,9 +59,10 @@ def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
-    """Return a raster with the samples of a land's finer grid: those of `raster` that are nearest to its positions.
+    """Return a raster with the samples of the finer grid of a quick import, whose tiles are loaded one by one.
 
-    It reads `raster` on demand, and closes it.
+    Its samples are those of `raster` that are nearest to the grid's positions. It reads `raster` on demand, and closes
+    it. land: the quick import.
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
@@ -155,7 +159,10 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
 
 
 def is_large(field: HeightField) -> bool:
-    """Return whether a field is a first picture of FEWEST samples or more; otherwise all are soon imported."""
+    """Return whether a field is of a quick import of so large a raster that its tiles in view are loaded first.
+
+    Such a raster has FEWEST samples or more; a smaller one is soon imported completely.
+    """
     full = _full_raster(field)
     return full is not None and full[0] * full[1] >= FEWEST
 
@@ -254,13 +261,13 @@ def errors_in_view(
 
 
 def picture_tiles(picture: HeightField) -> int:
-    """Return the number of tiles of a first picture that can be loaded."""
+    """Return the number of tiles that can be loaded around the heights of a quick import."""
     side = _picture_side(picture)
     return -(-picture.lattice.cells_x // side) * -(-picture.lattice.cells_y // side)
 
 
 def _picture_side(picture: HeightField) -> int:
-    """Return the cells of a first picture along a side of a tile."""
+    """Return the number of cells of a quick import along a side of one of its tiles."""
     full = _full_raster(picture)
     assert full is not None, "it is a first picture"
     return 1 << BITS - _bits(picture, full)
@@ -277,7 +284,7 @@ def _full_raster(field: HeightField) -> tuple[int, int] | None:
 
 
 def _bits(field: HeightField, full: tuple[int, int]) -> int:
-    """Return log2 of the number of finer cells along one of a first picture.
+    """Return log2 of the number of loaded cells along one cell of a quick import.
 
     full: columns and rows of the complete raster.
     """

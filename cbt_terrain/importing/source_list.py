@@ -160,6 +160,7 @@ def _is_tile(name: str, lower: set[str]) -> bool:
 
 
 def _is_archive(suffix: str) -> bool:
+    """Return whether files with this suffix are archives of rasters."""
     return suffix in FORMATS and FORMATS[suffix].is_archive
 
 
@@ -175,6 +176,7 @@ def _is_beside(stem: str, lower: set[str]) -> bool:
 
 
 def _suffix(name: str) -> str:
+    """Return the suffix of a file's name in lower case, "" without one."""
     return os.path.splitext(name)[1].lower()
 
 
@@ -192,4 +194,5 @@ def _is_pattern(source: str) -> bool:
 
 
 def _is_index(source: str) -> bool:
+    """Return whether a source is a file that lists other files, by its suffix."""
     return _suffix(source) in INDEX_SUFFIXES

@@ -155,4 +155,5 @@ def loaded_text(provenance: dict) -> str:
 
 
 def _three_digits(value: float) -> str:
+    """Return a length as text with three significant digits, and whole metres from 100 on."""
     return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"

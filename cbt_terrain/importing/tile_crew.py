@@ -133,7 +133,7 @@ class TaskQueue:
             return None if self._is_stopped else next(self._tasks, None)
 
     def stop(self) -> None:
-        """Give out no more tasks."""
+        """Let `take` return no more tasks."""
         self._is_stopped = True
 
     def put(self, answer: dict) -> None:

@@ -92,7 +92,7 @@ class Crew:
 def open_work(
     path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, by_tile: bool, doubt: str
 ) -> Iterator[tuple[Draft, TileWork | None]]:
-    """Yield a draft of a store, and the work that an earlier import with this digest has left in it, if any.
+    """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
 
     That work is moved into the new folder. path: the store's folder. folder: name of the new folder of arrays in it.
     by_tile: whether work is continued, and left by a block that fails or does not publish. doubt: a further remedy in
@@ -109,16 +109,13 @@ def open_work(
 
 
 def _work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return the work of an import before anything is done. folder: of its arrays."""
+    """Return the description of an import's work before anything is done. folder: of its arrays."""
     bits = TILE_BITS if source.coarse is None else refining.BITS
     return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest)
 
 
 def _continued(wanted: TileWork) -> TileWork | None:
-    """Return the work that a killed import of the same has left in a store, moved to the wanted folder.
-
-    Return None if there is none.
-    """
+    """Return the unfinished work of a killed import with the same tiles, moved to the wanted folder; None for none."""
     work = _find_work(wanted)
     if work is None:
         return None
@@ -148,11 +145,11 @@ def _has_same_tiles(work: TileWork, wanted: TileWork) -> bool:
 def do_part(
     part: ImportPart, path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
 ) -> dict:
-    """Do a part of an import, and return a report. An import without parts then does the rest. Raises TerrainError.
+    """Do a part of an import, and return a report. Raises TerrainError.
 
-    BEGIN and FILL need the work alone; several processes may read, or measure, different tiles at a time. The report
-    has the number of "tiles"; to read or to measure, also how many of them were requested: "done". doubt: as of
-    `open_work`.
+    An import without parts then does the rest. The parts BEGIN and FILL need the work alone; several processes may
+    read, or measure, different tiles at a time. The report has the number of "tiles"; to read or to measure, also how
+    many of them were requested: "done". doubt: as of `open_work`.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
@@ -296,10 +293,10 @@ def _read_units(
     on_progress: Callable[[float], None],
     numbers: Collection[int] | None = None,
 ) -> bool:
-    """Read the units that have changed. Return False, before the rest is read, if heights have to be stored as floats.
+    """Read the samples of the units (tiles, or rows of the file) that have changed since the last attempt.
 
-    numbers: those of the units to read, None for all. Raises TerrainError, and gives the work up, if a unit then has no
-    record.
+    Return False, before the rest is read, if heights have to be stored as floats. numbers: those of the units to read,
+    None for all. Raises TerrainError, and gives the work up, if a unit then has no record.
     """
     before, tasks = work.records(READ), []
     chosen = _chosen(unit_count(work.grid, source), numbers)
@@ -315,7 +312,7 @@ def _read_units(
 
 
 def _inputs(work: TileWork, source: TileSource, number: int) -> str:
-    """Return a digest of all that determines the samples of a unit."""
+    """Return a digest of all that determines the samples of a unit, a part that is read at once."""
     if source.coarse is not None:
         return f"{source.coarse.digest} {number in source.coarse.loaded}"
     if source.raster.inputs is None:
@@ -377,13 +374,14 @@ def _completed(
     on_progress: Callable[[float, str], None],
     source: TileSource,
 ) -> HeightField:
-    """Join the measured tiles into the draft, and return the height field. It can be continued if finer tiles follow.
+    """Join the measured tiles into the draft, and return the height field.
 
-    source_max: largest error of the source's heights, metres.
+    The work can be continued if finer tiles follow. source_max: largest error of the source's heights, metres.
     """
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
 
     def tell(share: float) -> None:
+        """Report a fraction of the joining of tiles as one of the whole import."""
         on_progress(MEASURED_SHARE + span * share, MEASURING)
 
     joined = tile_steps.join(work, limits, launch.default_threads(), tell, source.coarse)

@@ -52,9 +52,10 @@ class TileSource(NamedTuple):
 def perform(
     work: TileWork, source: TileSource | None, task: TileTask, threads: int, coarse: CoarseLand | None = None
 ) -> bool:
-    """Do one task and write its record. Return False if its heights have to be stored as floats.
+    """Do one task of an import, to read a unit or to measure a tile, and write its record.
 
-    source: None is enough to measure. coarse: that of the source. Raises TerrainError, and OSError of the arrays.
+    Return False if its heights have to be stored as floats. source: None is enough to measure. coarse: the quick import
+    around loaded tiles, None without. Raises TerrainError, and OSError of the arrays.
     """
     if task.step == MEASURED:
         low, high, missing = task.limits
@@ -96,7 +97,7 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
 
 
 def is_loaded(source: TileSource, number: int) -> bool:
-    """Return whether a tile is one of those that are loaded around coarse land."""
+    """Return whether a tile is one of those that are loaded around the heights of a quick import."""
     return source.coarse is not None and number in source.coarse.loaded
 
 
@@ -120,7 +121,7 @@ def _read_heights(
 
 
 def unit_count(grid: TileGrid, source: TileSource) -> int:
-    """Return the number of units in which the samples are read."""
+    """Return the number of units, tiles or groups of rows, in which the samples are read."""
     if _is_by_tile(source):
         return len(grid)
     return -(-source.raster.height // _unit_rows(grid, source.raster))
@@ -157,7 +158,10 @@ def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[T
 
 
 def in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, int, int, int]:
-    """Return the first row, rows, first column and columns in the file of a box of the terrain."""
+    """Return first row, number of rows, first column and number of columns in the file of a box of the terrain.
+
+    The file may count from other corners than the terrain, or have rows along y. place: georeference of the file.
+    """
     x = lattice.cells_x - box.x1 if place.first_column_east else box.x0
     y = box.y0 if place.first_row_south else lattice.cells_y - box.y1
     across, up = box.x1 - box.x0 + 1, box.y1 - box.y0 + 1

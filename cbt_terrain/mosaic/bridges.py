@@ -77,10 +77,10 @@ def _interpolate_nodes(
 
 
 def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights at columns u and rows v of a lattice, NaN where a needed sample is missing, and their change.
+    """Return heights interpolated at columns u and rows v of a lattice, and how far an error of position changes them.
 
-    The change bounds that of a height, metres, for an error of one sample in u or v: twice the largest difference
-    between the first corner of its cell and another.
+    Heights are NaN where a needed sample is missing. The second result bounds the change of a height, metres, for an
+    error of one sample in u or v: twice the largest difference between the first corner of its cell and another.
     """
     height, width = window.values.shape
     p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)

@@ -121,7 +121,7 @@ def build_catalogue(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     unpacked: UnpackedFiles | None = None,
 ) -> list[SourceTile]:
-    """Return the tiles of all files that the settings' sources name, in their order.
+    """Return the tiles (headers) of all files that the settings' sources name, in their order.
 
     store: a store or a folder of arrays, whose catalogue is used where files have not changed; None for none.
     on_progress: gets the fraction of headers that are known. unpacked: height maps of archives. Raises TerrainError for
@@ -163,7 +163,10 @@ def open_tile(path: Path, settings: ImportSettings) -> Raster:
 
 
 def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder: Path) -> None:
-    """Write a catalogue into a store's folder of arrays."""
+    """Write a catalogue, the headers of a mosaic's files, into a store's folder of arrays, for the next import.
+
+    settings: those with which the headers were read.
+    """
     entries = [dataclasses.asdict(tile) for tile in tiles]
     content = {"version": VERSION, "settings": _header_settings(settings), "tiles": entries}
     text = json.dumps(content)
@@ -228,7 +231,7 @@ def _transform_of(numbers: Sequence[float]) -> Transform:
 
 
 def _header_settings(settings: ImportSettings) -> list:
-    """Return the settings that headers are read with; no-data as a text, which NaN is too."""
+    """Return the settings that decide how headers are read, as a JSON list; no-data as a text, since it may be NaN."""
     return [settings.band, str(settings.no_data), settings.encoding, settings.cell]
 
 

@@ -149,23 +149,25 @@ class Composite:
     def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
         """Return a hex digest of everything that determines the values of a window of the grid.
 
-        row, rows, column, columns: first row and column of the window, and numbers of them. No file is read, so the
-        digest changes with every file that is near enough to change a ring of an inset.
+        row, rows, column, columns: first row and column of the window, and numbers of them. No file is read. So the
+        digest changes with every file that is near enough to change the blending of a finer file's border in the
+        window.
         """
         reach = self.insets.reach if self.insets is not None else 0
         return self._inputs(GridPiece(self.grid.column + column, self.grid.row + row, columns, rows), reach)
 
     def inputs_by_seams(self, row: int, rows: int, column: int, columns: int) -> str:
-        """Return a digest as `inputs_of`, for which the seams of insets are read or known from an earlier import.
+        """Return a digest as `inputs_of`, but with the seams of finer files that are known, instead of near files.
 
-        It changes only with files in the window, and with seams that are near enough to change a ring there.
+        It changes only with files in the window, and with seams that are near enough to change the blending there.
+        Unknown seams are read.
         """
         piece = GridPiece(self.grid.column + column, self.grid.row + row, columns, rows)
         seams = self.insets.digest_around(piece) if self.insets is not None else ""
         return f"{self._inputs(piece, 0)} {seams}"
 
     def keep_seams(self, find: Callable[[int, int], dict | None], note: Callable[..., None]) -> None:
-        """Take the seams of blocks from records, and write records of others.
+        """Read the seams (borders between finer and coarser files) of blocks from records, and write records of others.
 
         find(row, column): returns the values of the record of a block of the grid, None for none. note(row, column,
         **values): writes one. Rows and columns of blocks are counted from the grid's first.
@@ -180,7 +182,7 @@ class Composite:
         self.insets.records = SeamRecords(find, note, inputs_at)
 
     def _inputs(self, piece: GridPiece, reach: int) -> str:
-        """Return a digest of all that determines the values of a piece, if files up to `reach` samples away count."""
+        """Return a digest of all that determines the values of a piece, with the files up to `reach` samples away."""
         column, row, columns, rows = piece.column, piece.row, piece.columns, piece.rows
         meets = self._meets(GridPiece(column - reach, row - reach, columns + 2 * reach, rows + 2 * reach))
         # grid[:5]: its system, origin and steps. Its extent does not change a sample's value.
@@ -232,7 +234,8 @@ class Composite:
     def _parts(self, piece: GridPiece) -> Iterator[tuple[GridPiece, np.ndarray, list[FoundLattice]]]:
         """Yield a piece, or its parts if it needs too many source samples at once, with the lattices found there.
 
-        Each comes with the levels of the tiles near it, ascending.
+        A lattice is a grid that several tiles share. Each part comes with the levels of the tiles near it, ascending;
+        level 0 has the coarsest tiles.
         """
         self.on_piece()
         meets, found = self._meets(piece), []
@@ -305,9 +308,9 @@ class Composite:
         return True
 
     def _scan(self, row: int, column: int) -> Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]:
-        """Yield the parts of a block with each level above the coarsest, the values below it and with it.
+        """Yield the parts of a block with each level of finer tiles, the values below that level, and those with it.
 
-        row, column: numbers of the block. The next step changes the values with the level in place.
+        row, column: numbers of the block. The next step overwrites the values with the next level.
         """
         block = GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK)
         if self.levels[self._meets(block)].any():
@@ -403,7 +406,10 @@ class Composite:
 def _overlay(
     piece: GridPiece, levels: np.ndarray, found: Sequence[FoundLattice], result: PieceValues
 ) -> Iterator[tuple[int, PieceValues | None]]:
-    """Lay one level after the other on `result`, and yield each with the values below it; None below level 0."""
+    """Write the tiles of one level after the other over `result`, and yield each level with the values before it.
+
+    These are None for level 0, the coarsest.
+    """
     for level in map(int, levels):
         below = result.copy() if level > 0 else None
         for lattice in found:
@@ -413,7 +419,7 @@ def _overlay(
 
 
 def _resample(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
-    """Write the samples of a piece for which a lattice has a tile of a higher rank than `result` so far."""
+    """Write to `result` the samples of a piece for which a lattice has a tile of a higher rank than those so far."""
     height, width = window.values.shape
     inputs = [
         piece.columns,

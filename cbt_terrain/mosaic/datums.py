@@ -100,7 +100,10 @@ class DatumShifts:
         return 0.0 if nodes is None else nodes.window(row, rows, column, columns, counts)
 
     def error_of(self, tile: SourceTile) -> float:
-        """Return the largest error of a tile's shifts, metres; 0 without any. Raises TerrainError where a grid ends."""
+        """Return the largest error, metres, of the conversion of a tile's heights to the common datum; 0 without one.
+
+        Raises TerrainError where a grid of PROJ ends.
+        """
         nodes = self._nodes_of(tile)
         return 0.0 if nodes is None else nodes.error_m
 
@@ -136,7 +139,10 @@ class DatumShifts:
         return ShiftNodes(np.ascontiguousarray(exact[::2, ::2]), (tile.height, tile.width), error)
 
     def grids(self, tiles: Sequence[SourceTile]) -> list[Path]:
-        """Return the files of the grids of these tiles' datums, once each; the ellipsoid has none."""
+        """Return the files of PROJ's grids that convert the datums of these tiles, once each.
+
+        Heights above the ellipsoid need no grid.
+        """
         datums = dict.fromkeys(tile.datum for tile in tiles if tile.datum)
         return [Path(grid) for grid in map(_grid_of, datums) if grid is not None]
 

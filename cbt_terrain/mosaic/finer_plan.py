@@ -36,7 +36,7 @@ class FinerPlan:
 
 
 def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
-    """Return the division of a mosaic; None if one step everywhere takes little more space.
+    """Return how to divide a mosaic into a coarse raster and tiles of finer files; None if that saves little space.
 
     None also without a finer file, and if the grid has fewer samples than FEWEST. grid: with the finest step. levels,
     steps, boxes: of its files, as in `Composite`.
@@ -59,7 +59,10 @@ def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: n
 
 
 def _count_tiles(grid: TargetGrid, files: np.ndarray) -> int:
-    """Return the number of tiles of a grid that files, or tiles beside theirs, meet. files: see `FinerPlan.boxes`."""
+    """Return the number of finer tiles of a grid that the files meet, with the tiles next to these.
+
+    files: boxes of the files in columns and rows of the grid, see `FinerPlan.boxes`.
+    """
     there = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
     for west, north, east, south in files // SIDE:
         there[max(north - 1, 0) : south + 2, max(west - 1, 0) : east + 2] = True

@@ -46,7 +46,7 @@ class TileLattice:
         return _indices(self.origin, self.steps, x, y)
 
     def positions(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of columns and rows."""
+        """Return x and y, in the lattice's coordinate system, of columns u and rows v."""
         a, b, d, e = self.steps
         return self.origin[0] + a * u + b * v, self.origin[1] + d * u + e * v
 
@@ -61,7 +61,10 @@ def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple
 
 
 def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
-    """Return the lattices of tiles, which are in the order of priority, ascending."""
+    """Group tiles whose samples are on a common grid (a lattice), and return the lattices.
+
+    tiles: in the order of priority, ascending.
+    """
     groups: dict[tuple, list[int]] = {}
     for number, tile in enumerate(tiles):
         groups.setdefault(_key(tile), []).append(number)
@@ -76,9 +79,9 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
 
 
 def _key(tile: SourceTile) -> tuple:
-    """Return what tiles of one lattice have in common: system, steps, and fractions of a sample of their origins.
+    """Return what tiles of one lattice have in common: system, steps, and where in a cell their first samples are.
 
-    Cosines of the fractions are compared, because one fraction may be close to 0 and another close to 1.
+    Cosines of the fractions of a cell are compared, because one fraction may be close to 0 and another close to 1.
     """
     a, b, c, d, e, f = tile.transform
     x, y = tile.position(0, 0)
@@ -106,7 +109,11 @@ def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | 
 
 
 def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tuple]) -> TileLattice:
-    """Return the lattice of some tiles. numbers: their indices. offsets: `_offset_of` each on the first of them."""
+    """Return the lattice of some tiles.
+
+    numbers: indices of the tiles. offsets: for each the column, row and deviation from `_offset_of`, relative to the
+    first one.
+    """
     first = tiles[numbers[0]]
     a, b, _, d, e, _ = first.transform
     rectangles = [

@@ -142,7 +142,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
 
 
 def blend_metres(composite: Composite) -> float:
-    """Return the largest width of the rings in which insets blend to the tiles below, metres; 0 without insets."""
+    """Return the largest width, metres, over which finer files are blended to the tiles below; 0 without such files."""
     if composite.insets is None:
         return 0.0
     place = georeference_of(composite.grid)

@@ -40,7 +40,7 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
 
 
 def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride: float, heights: np.ndarray) -> None:
-    """Write a tile's samples nearest to positions x and y, in the grid's system, over `heights`, where it has any.
+    """Write over `heights` a tile's samples nearest to positions x and y (in the grid's system), where it has any.
 
     All arrays are float64 [rows, columns]. stride: columns of the tile between two positions.
     """

@@ -40,9 +40,10 @@ class BlockNodes(NamedTuple):
 
 
 def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
-    """Return the nodes of the block with these numbers: its first sample is (column, row) * BLOCK.
+    """Return where samples of a block of the grid are in a lattice, at nodes evenly spread over the block.
 
-    In the grid's own system positions are linear, so the corners of the block are its nodes.
+    (column, row): number of the block, whose first sample is (column, row) * BLOCK. In the grid's own system positions
+    are linear, so the corners of the block are its nodes.
     """
     if lattice.crs == grid.crs:
         error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
@@ -95,9 +96,10 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
 
 
 def interpolation_error(exact: np.ndarray) -> float:
-    """Return the largest difference of interpolated from exact values at the odd rows and columns, as a sum by axis.
+    """Return the largest error of values that are interpolated between every second row and column.
 
-    exact: [2 n + 1, 2 m + 1], of which the even rows and columns are nodes. Values that are not finite do not count.
+    exact: [2 n + 1, 2 m + 1], of which the even rows and columns are nodes. The error is measured at the odd ones, and
+    summed over both axes. Values that are not finite do not count.
     """
     total = 0.0
     with np.errstate(invalid="ignore"):

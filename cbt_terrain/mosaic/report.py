@@ -120,7 +120,10 @@ def _kinds(composite: Composite) -> list[str]:
 
 
 def _seams(seams: SeamReport, scale: float) -> dict:
-    """Return the report entries about seams. scale: factor on the heights, by the settings."""
+    """Return the report's entries about seams: how far the heights of overlapping files differ at their borders.
+
+    scale: factor on the heights, by the settings.
+    """
     entries = {"seams": seams.pairs, "seams_compared": seams.compared, "seam_samples": len(seams.steps)}
     if not len(seams.steps):
         return entries
@@ -135,7 +138,7 @@ def _seams(seams: SeamReport, scale: float) -> dict:
 
 
 def _finer_tiles(composite: Composite) -> dict:
-    """Return the entries about finer tiles; {} for one step everywhere."""
+    """Return the report's entries about finer tiles: number and step; {} for a mosaic with one step everywhere."""
     if composite.finer is None:
         return {}
     plan, whole = composite.finer

@@ -25,9 +25,10 @@ class SeamRecords(NamedTuple):
     inputs_at: Callable[[int, int], str]
 
     def find(self, place: Block, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
-        """Return a block's marks by level, None if they are unknown.
+        """Return the marks of a block's seam cells by level, from its record; None if they are unknown.
 
-        place: the block, counted from the first. kind: type of the marks. side(level): cells along a side.
+        place: column and row of the block, counted from the grid's first one. block: the same by absolute numbers.
+        kind: type of the marks. side(level): cells along a side.
         """
         record = self.find_record(*place)
         if record is None or record["inputs"] != self.inputs_at(*block):
@@ -44,6 +45,9 @@ class SeamRecords(NamedTuple):
         return marks
 
     def note(self, place: Block, block: Block, marks: dict[int, np.ndarray]) -> None:
-        """Write the record of a block. place: the block, counted from the first."""
+        """Write the record of a block: the marks of its seam cells by level.
+
+        place: column and row of the block, counted from the grid's first one. block: the same by absolute numbers.
+        """
         texts = {str(level): zlib.compress(found.tobytes()).hex() for level, found in marks.items()}
         self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)

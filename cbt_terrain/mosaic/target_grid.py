@@ -47,7 +47,7 @@ class TargetGrid(NamedTuple):
     height: int
 
     def positions(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of numbers of columns and rows."""
+        """Return x and y, in the grid's coordinate system, of numbers of columns and rows."""
         return self.x0 + columns * self.step_x, self.y0 - rows * self.step_y
 
     def indices(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,7 +214,7 @@ def _utm_zone(tiles: Sequence[SourceTile]) -> str:
 
 
 def _unit_lengths(crs: str, middle: np.ndarray) -> tuple[float, float]:
-    """Return the metres in a unit of x and y at a position."""
+    """Return the metres in a unit of x and of y of a coordinate system at a position. middle: x and y there."""
     unit = unit_of(crs_of(crs)) if crs else {}
     if "degrees" not in unit:
         return (unit.get("metres", 1.0),) * 2

@@ -73,13 +73,13 @@ class PieceValues(NamedTuple):
 
 
 def empty_values(piece: GridPiece) -> PieceValues:
-    """Return a piece without any value."""
+    """Return the values of a piece before any tile is read: NaN, and the rank UNCOVERED."""
     shape = piece.rows, piece.columns
     return PieceValues(np.full(shape, np.nan), np.full(shape, UNCOVERED, np.int32), np.zeros(shape))
 
 
 def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPiece]:
-    """Divide a window into its parts of blocks."""
+    """Divide a window of the grid into pieces, each inside one block of BLOCK x BLOCK samples, and yield them."""
     for y in range(row // BLOCK, (row + rows - 1) // BLOCK + 1):
         y0, y1 = max(row, y * BLOCK), min(row + rows, (y + 1) * BLOCK)
         for x in range(column // BLOCK, (column + columns - 1) // BLOCK + 1):
@@ -114,10 +114,10 @@ def source_box(
 
 
 def at_corners(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
-    """Return the values at a piece's four corners, float64 [4], where the nodes are the corners of the whole block.
+    """Return the values at a piece's four corners, float64 [4], from those at the corners of its whole block.
 
-    The corners are those of the first row, then of the last one. values: those at the nodes, float64 [2, 2]. first: row
-    and column of the piece's first corner in its block.
+    The corners are those of the first row, then of the last one. values: at the block's corners, the nodes, float64 [2,
+    2]. first: row and column of the piece's first corner in its block.
     """
     corners = []
     for y in (first[0], first[0] + piece.rows - 1):

@@ -37,7 +37,7 @@ class TerrainError(Exception):
 
     @property
     def problem(self) -> str:
-        """The sentence without the fix, for a panel that shows the fix apart."""
+        """Return the sentence without the fix, for a panel that shows the fix apart."""
         return to_sentence(TerrainError(self.what, self.where, self.expected))
 
     def to_json(self) -> dict[str, str]:

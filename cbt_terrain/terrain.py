@@ -55,7 +55,7 @@ class Update(ReportedBounds):
 
     @property
     def triangles(self) -> int:
-        """Number of triangles of the surface."""
+        """Return the number of triangles of the surface."""
         return len(self.surface.triangles)
 
     def copy(self) -> "Update":
@@ -124,12 +124,12 @@ class Terrain:
 
     @property
     def tree(self) -> ConcurrentBinaryTree | None:
-        """The concurrent binary tree of the last update."""
+        """Return the concurrent binary tree of the last update."""
         return self.history.tree
 
     @property
     def buffer_bytes(self) -> int:
-        """Address space of the engine's arrays; the system commits the pages that are touched."""
+        """Return the address space of the engine's arrays; the system commits the pages that are touched."""
         return self.history.nbytes
 
     def update(

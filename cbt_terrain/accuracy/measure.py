@@ -217,5 +217,5 @@ def _checked_sight(sight: Sight | None, looked: Sight) -> Sight:
 
 
 def _part_of_progress(on_progress: Progress, start: float, end: float) -> Progress:
-    """Return a progress function for one part of the work, whose 0 to 1 are `start` to `end` of the whole."""
+    """Return a function that reports progress of one part of the work, 0 to 1, as `start` to `end` of the whole."""
     return lambda fraction: on_progress(start + (end - start) * fraction)

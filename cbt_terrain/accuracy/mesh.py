@@ -48,9 +48,9 @@ NONE = Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def errors_of(values: np.ndarray) -> Errors:
-    """Return the distribution of magnitudes of float32 or float64 `values`, sums in float64.
+    """Return the distribution (count, largest, quantiles, mean, root mean square) of the magnitudes of `values`.
 
-    `values` become their magnitudes, in another order.
+    values: float32 or float64, changed in place: they become their magnitudes, in another order.
     """
     values = values.reshape(-1)
     if not values.size:
@@ -104,7 +104,7 @@ class MeshGround:
 
     @property
     def point_ends(self) -> tuple[int, int]:
-        """Coordinates of the domain's north-east corner, in the integer units of points.
+        """Return the coordinates of the domain's north-east corner, in the integer units of points.
 
         A unit is 2^-(bits + POINT_BITS) of a sample's spacing.
         """
@@ -152,7 +152,10 @@ class MeasuredMesh:
         return sorted({0, *inner.tolist(), self.triangles})
 
     def walk(self, kernel: wp.Kernel, arrays: list) -> None:
-        """Launch `kernel` over all triangles: it takes the first and the end, ground, mesh and `arrays`."""
+        """Launch `kernel` over all triangles, divided among threads.
+
+        It takes the first and the end of the triangles, ground, mesh and `arrays`.
+        """
         inputs = self.ground.packed, self.packed, *arrays
         launch.slices(kernel, [[*piece, *inputs] for piece in pairwise(self._cuts)], step="measure")
 

@@ -108,7 +108,7 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
 
 
 def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Join the flips through each square between four pixels.
+    """Join the places where coverage flips by a line through each square between the middles of four pixels.
 
     Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32 [n,
     2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.

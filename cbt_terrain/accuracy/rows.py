@@ -55,7 +55,7 @@ class Row:
 
     @property
     def error(self) -> float:
-        """The largest error that was measured, in the setting's unit: of visible points, or of height."""
+        """Return the largest error that was measured, in the setting's unit: of visible points, or of height."""
         if self.setting.unit == "m":
             return self.measured.vertical_max_m
         assert self.measured.screen_px is not None  # it was measured in a view
@@ -63,12 +63,12 @@ class Row:
 
     @property
     def whole_ms(self) -> float:
-        """From the camera to the finished mesh, in Blender's memory if that was measured."""
+        """Return the milliseconds from the camera to the finished mesh, in Blender's memory if that was measured."""
         return ms_to_finished_mesh(self.ms)
 
     @property
     def cost_ms(self) -> float:
-        """Processor time of all threads to the finished mesh; elapsed time where that was not measured."""
+        """Return the processor time of all threads to the finished mesh; elapsed time where that was not measured."""
         return self.whole_ms if self.cpu_ms is None else self.cpu_ms
 
     def figures(self) -> dict[str, float | int | str | None]:
@@ -139,9 +139,9 @@ def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
 
 
 def curve_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return the plain rows of the first row's unit and interpolation.
+    """Return the rows that the cost curve goes through: those with the unit and the interpolation of the first row.
 
-    Rows that the triangle limit alone held back are left out.
+    Rows with further settings, and those that the triangle limit alone held back, are left out.
     """
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
     return [r for r in alike if r.setting.is_plain and r.limited != ("max_triangles",)]
@@ -172,7 +172,7 @@ def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
 
 
 def worst(parts: Sequence) -> Any:
-    """Return the largest of every figure of several Errors or Measurements, counts added; None if there are none."""
+    """Return the largest of every figure of several Errors or Measurements, with their counts added; None for none."""
     parts = [part for part in parts if part is not None]
     if not parts or isinstance(parts[0], float):
         return max(parts, default=None)

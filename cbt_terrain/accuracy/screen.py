@@ -138,7 +138,7 @@ class Sight:
 
     @cached_property
     def blocks(self) -> ray_kernels.HeightBlocks:
-        """The lowest and highest heights of blocks of the surface, by which rays skip empty space."""
+        """Return the lowest and highest heights of blocks of the surface, by which rays skip empty space."""
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ class Sight:
         return self._pixels
 
     def visible_points(self) -> np.ndarray:
-        """Return the points of the surface behind the pixels that see it, int64 [n, 2] in units of `point_ends`."""
+        """Return the surface's point behind each pixel that sees the surface, int64 [n, 2] in units of `point_ends`."""
         points = self.pixel_points()
         return points[points[:, 0] >= 0]
 

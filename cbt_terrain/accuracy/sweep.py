@@ -63,6 +63,7 @@ def sweep(
     for i, setting in enumerate(settings):
 
         def on_part(fraction: float, done: int = i) -> None:
+            """Report the finished fraction of one setting's measurement as one of the whole sweep."""
             on_progress((done + fraction) / len(settings))
 
         on_part(0.0)
@@ -132,6 +133,7 @@ def _measure_setting(
             )
 
         def make_attributes(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
+            """Evaluate the effects of this frame on a surface."""
             request = EffectRequest(effects, surface, views, *frame.placement_and_heights)
             return evaluate(heights, request, terrain.history, terrain.threads).attributes
 

@@ -46,7 +46,7 @@ class Setting:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the criterion is nothing but an error: no depth limit, meshlets, fitted heights or geomorph.
+        """Return whether the criterion is nothing but an error: no depth limit, meshlets, fitted heights or geomorph.
 
         The cost curve goes through these settings.
         """

@@ -48,7 +48,7 @@ class TimedFrame:
 
     @property
     def placement_and_heights(self) -> tuple:
-        """Placement, vertical scale and vertical offset: the arguments of `Terrain.update` that follow the views."""
+        """Return placement, vertical scale and vertical offset: the arguments of `Terrain.update` after the views."""
         return self.placement, self.vertical_scale, self.vertical_offset
 
 

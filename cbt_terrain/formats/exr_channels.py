@@ -27,12 +27,12 @@ class ExrChannel:
 
     @property
     def layer(self) -> str:
-        """Name of the channel's layer, "" for a channel outside layers."""
+        """Return the name of the channel's layer, "" for a channel outside layers."""
         return self.name.rpartition(".")[0]
 
     @property
     def component(self) -> str:
-        """Last part of the channel's name, in lower case: "r", "z"."""
+        """Return the last part of the channel's name, in lower case: "r", "z"."""
         return self.name.rpartition(".")[2].casefold()
 
     @property

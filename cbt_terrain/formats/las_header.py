@@ -11,7 +11,7 @@ COMPRESSED = 128  # added to a point format
 
 
 def las_damage(file: BinaryIO) -> str:
-    """Return the damage of a header as a clause, "" for counts that the file can hold.
+    """Return the damage of a LAS header as a clause for an error, "" for counts that the file can hold.
 
     Numbers below are offsets in the header, by the specification of LAS 1.4.
     """

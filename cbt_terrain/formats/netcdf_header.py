@@ -43,7 +43,7 @@ class _Header:
         return struct.unpack(code, self.file.read(struct.calcsize(code)))[0]
 
     def count(self) -> int:
-        """Return the next count of things of at least one byte, which cannot be more than the file has."""
+        """Return the next count of items. Raises ValueError if the rest of the file has fewer bytes than that."""
         found = self.number(self.count_code)
         if found > self.size - self.file.tell():
             raise ValueError
@@ -57,7 +57,10 @@ class _Header:
         self.file.seek(padded, os.SEEK_CUR)
 
     def items(self, tag: int, read_item: Callable[[], None]) -> None:
-        """Read a list: its tag, its length and its items. An absent list has the tag 0."""
+        """Read a list: its tag, its length and, by `read_item`, its items. An absent list has the tag 0.
+
+        tag: the tag that a list must have here. Raises ValueError for another one.
+        """
         found, length = self.number(), self.count()
         if found not in (0, tag) or (length and found != tag):
             raise ValueError

@@ -11,7 +11,7 @@ PIECE = 1 << 20
 
 
 def png_damage(file: BinaryIO) -> str:
-    """Return the damage of a PNG file as a clause, "" for a whole PNG and for any other file."""
+    """Return the damage of a PNG file as a clause for an error, "" for a whole PNG and for any other file."""
     if file.read(len(SIGNATURE)) != SIGNATURE:
         return ""
     while True:

@@ -234,7 +234,7 @@ def _dilate_along(mask: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _sum_around(values: np.ndarray) -> np.ndarray:
-    """Return the sums over 3 x 3 cells."""
+    """Return for each cell the sum over the 3 x 3 cells around it; cells beyond the border count as 0."""
     rows = values.copy()
     rows[1:] += values[:-1]
     rows[:-1] += values[1:]

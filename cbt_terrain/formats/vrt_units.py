@@ -31,14 +31,14 @@ class HeightScale(NamedTuple):
     offset: float = 0.0
 
     def over(self, inner: "HeightScale") -> "HeightScale":
-        """Return this conversion with a missing unit or scale replaced by those of a source."""
+        """Return this conversion, with the unit or the scale of a source (`inner`) where this one has none."""
         unit = self if self.unit else inner
         scale = self if self.is_scaled else inner
         return HeightScale(unit.unit, unit.metres, scale.scale, scale.offset)
 
     @property
     def is_scaled(self) -> bool:
-        """Whether values have to be scaled or shifted."""
+        """Return whether values have to be scaled or shifted."""
         return (self.scale, self.offset) != (1.0, 0.0)
 
     @property

@@ -36,7 +36,7 @@ class Leaves:
 
     @property
     def total(self) -> int:
-        """Number of leaves of all slices."""
+        """Return the number of leaves of all slices."""
         return int(self.counts[:, 0].sum())
 
 

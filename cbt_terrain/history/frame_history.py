@@ -201,7 +201,7 @@ class FrameHistory:
 
     @property
     def nbytes(self) -> int:
-        """Address space of all arrays; the system commits the pages that are touched."""
+        """Return the address space of all arrays; the system commits the pages that are touched."""
         memory = [
             m for buffers in (self.scratch, self.points, self.last.arrays, self.next.arrays) for m in buffers.memory()
         ]

@@ -40,7 +40,7 @@ class FileGrid(NamedTuple):
 
     @property
     def placed(self) -> Transform:
-        """The transform of a grid that places its samples."""
+        """Return the transform of a grid that places its samples."""
         assert self.transform is not None, self.problem
         return self.transform
 

@@ -35,7 +35,7 @@ def shared(array: np.ndarray, dtype: Any) -> wp.array:
 
 
 def flat(array: np.ndarray, dtype: Any) -> wp.array:
-    """Return a one-dimensional Warp array over the memory of a numpy array, in C order.
+    """Return a one-dimensional Warp array over the memory of a numpy array, in C order, without a copy.
 
     A Warp array ends at MAX_ITEMS; kernels reach the items of a larger one by `item_at` and `put` alone.
     """
@@ -90,7 +90,7 @@ class Loans:
             buffers.replace(in_use, spare, copy=buffers in copied)
 
     def memory(self) -> list[np.ndarray]:
-        """Return the arrays of which a part was lent, so that they are counted."""
+        """Return the arrays of which a part was lent, so that callers can count their bytes."""
         return [memory for memory, _ in self._lent]
 
 
@@ -156,12 +156,12 @@ class Buffers:
         return self._arrays[name][0]
 
     def memory(self) -> list[np.ndarray]:
-        """Return the memory of all buffers, so that it is counted."""
+        """Return the memory of all buffers, so that callers can count its bytes."""
         return [array for array, _ in self._arrays.values()]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, touched or not."""
+        """Return the bytes of all arrays, touched or not."""
         return address_space(self.memory())
 
     def replace(self, in_use: Container[int], spare: list[np.ndarray], copy: bool) -> None:

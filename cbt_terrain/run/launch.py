@@ -62,7 +62,7 @@ def stopwatch() -> Iterator[dict[str, float]]:
 
 @contextmanager
 def timed(step: str) -> Iterator[None]:
-    """Add the milliseconds that the block takes to `step` of the thread's stopwatch, if it has one."""
+    """Add the milliseconds that the block takes to `step` of the thread's stopwatch, if `stopwatch` has started one."""
     start = time.perf_counter()
     try:
         yield
@@ -140,10 +140,11 @@ def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: di
 
 
 def _command(recorded: dict, kernel: wp.Kernel, slot: int, count: int, values: list) -> Any:
-    """Return the recorded launch of `kernel` over `count` items, with these values as its inputs.
+    """Return the recorded launch of `kernel` over `count` items, with `values` as its inputs; record it at first.
 
-    Slots that run in parallel must not share a launch, so `slot` is in the key. Setting a parameter costs about as much
-    as a launch, so only values that are another object than in the last launch are set.
+    recorded: launches so far, by kernel, slot and count. Slots that run in parallel must not share a launch, so `slot`
+    is in the key. Setting a parameter costs about as much as a launch, so only values that are another object than in
+    the last launch are set.
     """
     key = kernel, slot, count
     if key not in recorded:
@@ -194,9 +195,10 @@ def spread(
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
-    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, in place; stable.
+    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, in place and stably.
 
-    Both arrays have at least 2 `count` items, of which those behind the first `count` are scratch.
+    Both arrays have at least 2 `count` items, of which those after the first `count` are scratch. step: name of the
+    timed step.
     """
     stopping.check()
     with timed(step):

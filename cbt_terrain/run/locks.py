@@ -33,7 +33,10 @@ class SharedLock:
         self._lock.release()
 
     def free(self) -> None:
-        """Free the lock in a forked child, unless the thread that forked holds it."""
+        """Free the lock in a forked child, unless the thread that forked holds it.
+
+        A lock that another thread held is replaced, and marked as broken.
+        """
         if self._lock.acquire(blocking=False):
             self._lock.release()
         else:
@@ -46,9 +49,9 @@ caching = SharedLock()
 
 
 def cached(cache: MutableMapping[Any, Any], key: Hashable, make: Callable[[], Value]) -> Value:
-    """Return `cache[key]`. If it is missing, `make` it on this thread, while other threads wait that need any value.
+    """Return `cache[key]`. If it is missing, compute it with `make` on this thread.
 
-    If `make` raises, nothing is cached.
+    Other threads that need any missing value wait meanwhile. If `make` raises, nothing is cached.
     """
     try:
         return cache[key]

@@ -141,7 +141,7 @@ def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool =
 
 
 def _close(folder: OpenFolder) -> None:
-    """Close the folder's descriptor, which Windows has not."""
+    """Close the folder's descriptor, which an open folder on Windows does not have."""
     if folder.descriptor is not None:
         os.close(folder.descriptor)
 

@@ -51,7 +51,7 @@ def check() -> None:
 
 
 def answer() -> int | None:
-    """Return the number of the signal of the request to stop, None without one, and clear the request."""
+    """Return the number of the signal that requested a stop, None without a request, and clear the request."""
     global _requested
     number, _requested = _requested, None
     return number
@@ -127,7 +127,7 @@ def listening() -> Iterator[None]:
 
 
 def _replace(number: int) -> Callable[[], object]:
-    """Let Python note a signal and do nothing. Return a function that restores the previous handler."""
+    """Let Python note a signal without acting on it. Return a function that restores the previous handler."""
     getsig, setsig = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     getsig.argtypes, getsig.restype = (ctypes.c_int,), ctypes.c_void_p
     setsig.argtypes, setsig.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p

@@ -82,7 +82,7 @@ class _Preparation:
         self.thread.start()
 
     def _run(self) -> None:
-        """Have children compile missing modules, load each group and set its event; runs on `thread`.
+        """Let child processes compile missing modules, load each group and set its event; runs on `thread`.
 
         All events are set at the end, also after a failure, so that no caller waits for ever.
         """
@@ -230,7 +230,7 @@ def other_modules() -> list[ModuleType]:
 
 
 def modules_of(package: ModuleType) -> list[ModuleType]:
-    """Return the modules of a room that have kernels."""
+    """Return the modules of a package of kernels that define kernels themselves."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
     return [module for module in modules if _kernels_of(module)]

@@ -202,10 +202,13 @@ class ChildJob:
         self._temporary.cleanup()
 
     def _published(self) -> dict | None:
-        """Return the report of finished work that the child was killed before sending."""
+        """Return the report of work that the child finished but was killed before sending; None if there is none.
+
+        A subclass whose child publishes its work looks there; this one knows none.
+        """
 
     def _discard(self) -> None:
-        """Remove incomplete output of the child."""
+        """Remove incomplete output of the child; here there is none."""
 
 
 def fix_of_end(code: int | None, usual: str) -> str:

@@ -26,7 +26,7 @@ class Candidates:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Return the bytes of all arrays."""
         return self.positions.nbytes + self.normals.nbytes + self.density.nbytes
 
     def packed(self) -> kernels.CandidateArrays:

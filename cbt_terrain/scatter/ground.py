@@ -78,10 +78,7 @@ class ScatterGround:
 
     @classmethod
     def of(cls, field: HeightField, request: ScatterRequest) -> "ScatterGround":
-        """Return the ground of a ScatterRequest: the pattern of candidates over the placed field.
-
-        None is placed yet.
-        """
+        """Return the ground that fits a ScatterRequest on this field; its cache of candidates is empty."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)
@@ -91,7 +88,7 @@ class ScatterGround:
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
     def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
-        """Return whether this is the ground of a ScatterRequest, so that its candidates can be reused."""
+        """Return whether this ground fits a ScatterRequest on this field, so that its candidates can be reused."""
         scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
         same = field is self.field and request.scatter == self.scatter and scale == self.scale
         return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))

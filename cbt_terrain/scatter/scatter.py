@@ -70,7 +70,7 @@ class Scatter:
 
     @property
     def tile_side(self) -> float:
-        """Side of a tile of the pattern in metres."""
+        """Return the side of a tile of the pattern in metres."""
         return self.spacing * math.sqrt(POINTS)
 
     def reads(self) -> list[tuple[AttributeRequest, int]]:
@@ -83,7 +83,7 @@ class Scatter:
         return found
 
     def _density_layers(self) -> tuple[Layer, ...]:
-        """Return two layers, of which the upper one has the weight of its rules."""
+        """Return two layers, one everywhere and over it one whose weight, from its rules, is the density."""
         return ANYWHERE, replace(self.where, on_top=True)
 
 

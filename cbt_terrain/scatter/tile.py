@@ -41,7 +41,7 @@ class Tile:
 
     @property
     def length(self) -> int:
-        """Number of ranks in `order`, which is stored for all halvings of the tile one after the other."""
+        """Return the number of ranks in `order`, which is stored for all halvings of the tile one after the other."""
         return sum(map(len, self.order))
 
     def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:

@@ -20,7 +20,11 @@ Opened = Callable[[], np.ndarray]  # maps an array anew: its pages count as memo
 
 
 def pass_depths(grid: TileGrid) -> Iterator[tuple[int, bool]]:
-    """Yield the depths that depend on several tiles, the deepest first: their level, and whether they are centres."""
+    """Yield (level, is_centre) of each depth of vertices that depend on several tiles, the deepest first.
+
+    level: log2 of half the side of a cell, samples. is_centre: the vertices are centres of cells, otherwise middles of
+    their sides.
+    """
     return ((level, is_centre) for level in range(grid.lattice.levels) for is_centre in (False, True))
 
 
@@ -51,15 +55,17 @@ def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[Lat
 
 
 def _cells(grid: TileGrid) -> tuple[int, int]:
+    """Return the number of the raster's cells from west to east and from south to north."""
     return grid.lattice.cells_x, grid.lattice.cells_y
 
 
 def children_of(
     lattice: Lattice, vertices: LatticeVertices, is_centre: bool
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, for each of the up to four children, the entries, and whether a vertex has that child.
+    """Yield, for each of the up to four children of diamonds, its entries in the array, and which vertices have it.
 
-    is_centre: the vertices are centres of cells, otherwise middles of their sides.
+    lattice: that of the array. vertices: split vertices of the diamonds. is_centre: they are centres of cells,
+    otherwise middles of their sides.
     """
     x, y, level = vertices
     half = 1 << level
@@ -126,9 +132,9 @@ def raise_errors(
 
 
 def unite_ranges(grid: TileGrid, opened: Opened) -> None:
-    """Give the shared vertices above the finest ones the union of their children's ranges.
+    """Write to the vertices that several tiles share the union of their children's ranges of heights, depth by depth.
 
-    grid: tiles of the whole raster. opened: maps the ranges of the raster.
+    The finest vertices are complete already. grid: tiles of the whole raster. opened: maps the ranges of the raster.
     """
     half = TileGrid(halved(grid.lattice), grid.bits - 1)
     flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
@@ -144,7 +150,7 @@ def unite_ranges(grid: TileGrid, opened: Opened) -> None:
 
 
 def near_vertices(grid: TileGrid, number: int) -> tuple[np.ndarray, LatticeVertices]:
-    """Return which of `TileGrid.near_border` a tile has, bool [n], and these, in samples of the raster."""
+    """Return which of `TileGrid.near_border` a tile has, bool [n], and these vertices, in samples of the raster."""
     near, box = grid.near_border, grid.box(number)
     there = exist(grid.local(box), near)
     x, y, level = near.chosen(there)

@@ -83,7 +83,7 @@ class CoarseLand:
         return np.logical_and.reduce(found)
 
     def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
-        """Return the errors of a tile's diamonds, float32 metres in the layout of its lattice."""
+        """Return the coarser store's errors of a tile's diamonds: float32 metres in the layout of the tile."""
         local = grid.local(box)
         base, pages = local.layout()
         found = np.zeros(local.node_count, np.float32)
@@ -112,14 +112,14 @@ class CoarseLand:
         return found
 
     def large_errors(self, found: list[LargeError]) -> Iterator[LargeError]:
-        """Yield the errors of this land for diamonds of cells as large as a tile or larger: those in `found`."""
+        """Yield the errors of `found`, diamonds as large as a tile or larger, with the coarser store's values."""
         for item in found:
             x, y = np.array([item.x]), np.array([item.y])
             is_centre = bool(item.x & item.y & 1 << item.level)
             yield item._replace(error=float(self._errors_at(x, y, item.level, is_centre)[0]))
 
     def _errors_at(self, x: np.ndarray, y: np.ndarray, level: int, is_centre: bool) -> np.ndarray:
-        """Return the errors of diamonds with their vertices at samples (x, y) of one level, float32 metres.
+        """Return the coarser store's errors of diamonds that are split at samples (x, y) of one level, float32 metres.
 
         is_centre: the vertices are centres of cells, otherwise middles of their sides.
         """

@@ -81,7 +81,10 @@ class TileSamples:
         return np.where(self.valid == 0, np.float32(np.nan), self.samples)
 
     def inner(self, values: np.ndarray, margin: int = 0) -> np.ndarray:
-        """Return the part of an array of the window for the tile and `margin` samples around it, contiguous."""
+        """Return a contiguous copy of the samples of the tile and `margin` samples around it.
+
+        values: an array of the whole window, which reaches further around the tile.
+        """
         around = self.grid.window(self.box, margin)
         x, y = self.window.x0, self.window.y0
         return np.ascontiguousarray(values[around.y0 - y : around.y1 - y + 1, around.x0 - x : around.x1 - x + 1])
@@ -158,7 +161,7 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, thr
 
 
 def _rows_depth(columns: int, rows: int) -> Depth:
-    """Return the layout of an image of `columns` x `rows` cells."""
+    """Return the layout of a tile's image of `columns` x `rows` cells, as the kernels read one depth of a hierarchy."""
     depth = Depth()
     depth.columns, depth.rows, depth.sides, depth.base = columns, rows, 0, 0
     depth.pages, depth.first, depth.step = -(-columns // PAGE), 0, 1
@@ -222,7 +225,7 @@ def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeT
 
 
 def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -> list[LargeError]:
-    """Return the errors of large diamonds over a tile."""
+    """Return the errors of diamonds of cells as large as a tile or larger, over one tile. found: their triangles."""
     counted, errors = tile.inner(tile.measured), []
     for x, y, level, corners in found:
         largest = np.zeros(len(counted), np.float64)

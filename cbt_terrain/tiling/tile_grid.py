@@ -63,7 +63,7 @@ class TileGrid:
 
     @property
     def holds_roots(self) -> bool:
-        """Return whether a tile holds whole root squares, so that no diamond is larger."""
+        """Return whether a tile contains whole root squares, so that no diamond extends over several tiles."""
         return self.lattice.levels <= self.bits
 
     @property
@@ -80,7 +80,7 @@ class TileGrid:
         return self.columns * self.rows
 
     def box(self, number: int) -> TileBox:
-        """Return the samples of a tile."""
+        """Return the rectangle of samples of a tile. Tiles are numbered row by row from the south-west."""
         row, column = divmod(number, self.columns)
         x0, y0 = column << self.bits, row << self.bits
         return TileBox(x0, y0, min(x0 + self.side, self.lattice.cells_x), min(y0 + self.side, self.lattice.cells_y))
@@ -108,7 +108,7 @@ class TileGrid:
 
     @cached_property
     def near_border(self) -> LatticeVertices:
-        """Return the vertices of a tile, from its first sample, that depend on its neighbours."""
+        """Return the vertices of a tile whose errors depend on its neighbours, in samples from its first one."""
         found = []
         for level in range(self.levels):
             half = 1 << level
@@ -133,7 +133,7 @@ def halved(lattice: Lattice) -> Lattice:
 
 
 def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
-    """Return whether the lattice has an entry for each vertex, bool [n]."""
+    """Return whether the lattice has an entry for each vertex, bool [n]; vertices outside the raster have none."""
     counts = np.array(
         [
             (*lattice.extent(2 * (lattice.levels - level) - 1), *lattice.extent(2 * (lattice.levels - level)))

@@ -42,7 +42,7 @@ def record_of(line: bytes, grid: TileGrid) -> dict | None:
 
 
 def _signed(text: bytes) -> bytes:
-    """Return the JSON of a record inside an object with its checksum."""
+    """Return the JSON text of a record, wrapped in an object with its checksum."""
     return b'{"sum": "%08x", "record": %s}' % (zlib.crc32(text), text)
 
 
@@ -113,6 +113,7 @@ def _are_vertices(found: Sequence, grid: TileGrid) -> bool:
 
 
 def _is_count(value: Any, max_count: int = 1 << 63) -> bool:
+    """Return whether a JSON value is a whole number from 0 to `max_count`."""
     return type(value) is int and 0 <= value <= max_count
 
 

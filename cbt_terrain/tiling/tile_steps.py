@@ -127,7 +127,11 @@ def measure(
 def _errors(
     tile: TileSamples, coarse: CoarseLand | None, is_near_loaded: bool, threads: int
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile as `exact_errors`; bounds of them if it has no holes and no loaded tile is near."""
+    """Return the errors of a tile and its kinds of cells as `exact_errors`.
+
+    Around loaded tiles of a quick import they are bounds, which need no samples, if the tile has no holes and no loaded
+    tile is near. coarse: that import, None without.
+    """
     if coarse is None:
         return exact_errors(tile, threads)
     errors, kinds = coarse.errors(tile.grid, tile.box), None
@@ -228,7 +232,10 @@ def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeErro
 
 
 def _nested(largest: Sequence[float]) -> list[float]:
-    """Return the largest errors of all groups after each parent was raised to its children's; the cells are last."""
+    """Return the largest error of each group, raised to those of the groups it holds; the last value is the cells'.
+
+    largest: the largest error of each group, the finest first, then that of the cells.
+    """
     *groups, cells = largest
     *nested, _ = (max([cells, *groups[: number + 1]]) for number in range(len(groups) + 1))
     return [*nested, cells]

@@ -80,7 +80,7 @@ class TileWork:
         }
 
     def attach(self, draft: Draft) -> None:
-        """Allocate those arrays of a store that are not there yet, as arrays of the draft in the same folder."""
+        """Allocate those arrays of the store that are missing in the folder, as arrays of the draft there."""
         for name in STORED:
             draft.allocate(name, *self.arrays()[name])
 
@@ -93,7 +93,7 @@ class TileWork:
         return self.has_array("missing") and all(os.lstat(file).st_nlink <= 1 for file in files)
 
     def describe(self) -> None:
-        """Describe the terrain in a file. From now on the work can be continued."""
+        """Write the file that describes the terrain and its tiles. From now on a later import can continue the work."""
         lattice = self.grid.lattice
         content = {
             "version": VERSION,
@@ -106,7 +106,7 @@ class TileWork:
         self._write(store_folder.WORK_NAME, json.dumps(content | {"sum": _sum_of(content)}))
 
     def start_again(self, draft: Draft) -> None:
-        """Forget everything, and store heights as floats."""
+        """Forget all records and the stored samples, and store heights as floats from now on."""
         for file in [self.folder / store_folder.WORK_NAME, *self.folder.glob(f"{PREFIX[:-1]}*.jsonl")]:
             owned_files.remove_file(file)
         draft.remove("samples")
@@ -237,7 +237,10 @@ class TileWork:
         return [float(known.min()), float(known.max())] if known.size else []
 
     def note(self, kind: str, number: int, **values: Any) -> None:
-        """Write the record of a finished part."""
+        """Write the record of a finished part, a unit or a tile, as a line of this process's file.
+
+        kind: READ, MEASURED or another kind. number: of the part. values: the record's content.
+        """
         line = line_of({"kind": kind, "number": number, "at": time.time_ns(), **values})
         with (self.folder / _log_name()).open("a", encoding="utf-8") as file:
             file.write(line)
@@ -279,6 +282,7 @@ def _sum_line(lines: bytes) -> bytes:
 
 
 def _lines(records: list[dict]) -> str:
+    """Return records as text, one JSON line each."""
     return "".join(map(line_of, records))
 
 

@@ -5,7 +5,10 @@ from .export.blend_files import import_bpy
 
 
 def need_bpy(what: str):
-    """Return the bpy module with this extension registered. Raises TerrainError. what: as of `import_bpy`."""
+    """Return the bpy module with this extension registered. Raises TerrainError without Blender.
+
+    what: subject of the error's "... needs".
+    """
     bpy = import_bpy(what)
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         from . import registration

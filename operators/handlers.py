@@ -258,5 +258,6 @@ HANDLERS = {
 
 
 def forget() -> None:
+    """Forget which frames were rendered and joined, for another file or a test."""
     _rendered_frames.clear()
     _joined_frames.clear()

@@ -96,7 +96,7 @@ class BackgroundJob:
 
     @property
     def text(self) -> str:
-        """What the job does, for places that show jobs of all kinds."""
+        """Return what the job does, for places that show jobs of all kinds."""
         title = phrase(self.kind.title)
         return f"{title}: {phrase(self.message)}" if self.message else title
 

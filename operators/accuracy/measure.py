@@ -76,6 +76,7 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
             field = session.field_of(request)
 
         def on_part(fraction: float, message: str, i: int = i, mode: str = mode) -> None:
+            """Report the finished fraction of one request as one of all requests."""
             on_progress((i + fraction) / len(requests), f"{DETAIL[mode].capitalize()}: {message}")
 
         results[mode] = measure_request(field, request, on_part)
@@ -135,6 +136,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     for i, view in enumerate(views, len(errors)):
 
         def on_part(fraction: float, done: int = i) -> None:
+            """Report the finished fraction of one view's measurement as one of all steps."""
             on_progress((done + fraction) / steps, "errors")
 
         measurements.append(measure(field, surface, view, *frame.placement_and_heights, on_progress=on_part))

@@ -31,7 +31,7 @@ class MeasuringOperator(JobOperator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Prepare the measurement, wait for kernels, and measure on a thread; return its result.
 
-        Raises TerrainError if Blender renders, and those of `prepare`; `clean_up` is not called for them.
+        Raises TerrainError if Blender renders or if `prepare` fails; `clean_up` is not called then.
         """
         if jobs.is_rendering():
             raise error_while_rendering()

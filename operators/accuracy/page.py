@@ -77,7 +77,7 @@ def as_csv(subjects) -> str:
 def as_json(subjects, machine: dict[str, str]) -> str:
     """Return the report as JSON, with the cost curves and all figures of each row.
 
-    subjects, machine: as of `report_files`.
+    subjects: measured terrains. machine: texts about the computer by name.
     """
     terrains = [
         {
@@ -99,7 +99,7 @@ def as_json(subjects, machine: dict[str, str]) -> str:
 def build_page(subjects, machine: dict[str, str]) -> list:
     """Return the page as blocks: figures and plots of all terrains first, then their tables, definitions last.
 
-    subjects, machine: as of `report_files`.
+    subjects: measured terrains. machine: texts about the computer by name.
     """
     several, blocks = len(subjects) > 1, []
     for subject in subjects:

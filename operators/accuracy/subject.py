@@ -63,7 +63,7 @@ class AccuracySubject:
 
     @property
     def title(self) -> str:
-        """The name of the source file, or `name` if the store names none, and that of the object if it differs."""
+        """Return the source file's name, or `name` if the store names none, and the object's name if it differs."""
         file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
         return (
             file
@@ -73,7 +73,7 @@ class AccuracySubject:
 
     @property
     def settings(self) -> list[Setting]:
-        """The settings of a whole sweep, after the current one if the sweep lacks it."""
+        """Return the settings of a whole sweep, after the current one if the sweep lacks it."""
         settings = settings_for(self.heights, self.frames[0], self.base.morph)
         return settings if self.current is None or self.current in settings else [self.current, *settings]
 

@@ -76,7 +76,7 @@ def paired_rows(rows: list[Row]) -> list[tuple[Row, Row]]:
 def _draw_jumps(pairs: list[tuple[Row, Row]]) -> str:
     """Return the plot of the largest jump and of the 99.9th percentile, without and with geomorph, as SVG.
 
-    pairs: rows without and with it, as of `paired_rows`.
+    pairs: rows of the same error, without geomorph and with it.
     """
     curves = []
     for i, (name, colour) in enumerate((("without", RED), ("smooth", BLUE))):

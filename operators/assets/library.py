@@ -59,6 +59,7 @@ def remove_entry(folder: Path) -> None:
 
 
 def _entries(folder: Path) -> list:
+    """Return the asset libraries in the preferences whose path is the folder."""
     libraries = bpy.context.preferences.filepaths.asset_libraries
     return [entry for entry in libraries if entry.path and real_path(entry.path) == real_path(folder)]
 

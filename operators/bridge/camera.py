@@ -113,7 +113,7 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
 def view_from_region(space, region, region_3d) -> View:
     """Return the view of a 3D viewport, camera view and its zoom included.
 
-    space: the area's. region, region_3d: as of `viewports`.
+    space: the viewport's SpaceView3D. region, region_3d: its region and the RegionView3D of that.
     """
     kind = PERSPECTIVE if region_3d.is_perspective else ORTHOGRAPHIC
     projection = np.array(region_3d.window_matrix, np.float64)
@@ -194,8 +194,8 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
     """Return the smallest angle that a pixel of a panorama spans, in radians, as Cycles projects.
 
     For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side along the meridians
-    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less. data, resolution,
-    aspect: as of `_projection`.
+    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less. data: Blender's
+    camera data. resolution: pixels across and up. aspect: width and height of a pixel.
     """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.

@@ -76,7 +76,7 @@ def _c_function(name: str):
 def _hold_jemalloc() -> bool:
     """Make jemalloc keep freed pages, in every arena; return whether an arena has an old time to restore.
 
-    None has if the process has another allocator, or keeps its pages anyway.
+    There is none if the process has another allocator, or if jemalloc keeps its pages anyway.
     """
     control, arenas = _c_function("mallctl"), ctypes.c_uint()
     size = ctypes.c_size_t(ctypes.sizeof(arenas))

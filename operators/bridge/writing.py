@@ -72,6 +72,7 @@ def _wait_for_drawing() -> bool:
 
 
 def _on_update(_manager, _context) -> None:
+    """Run the waiting writes; Blender calls this when the property changes."""
     _run()
 
 

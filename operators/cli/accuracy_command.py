@@ -28,7 +28,7 @@ def run(subjects: list[AccuracySubject], out: Path, show_progress: bool | None =
 def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) -> None:
     """Fill in the rows, crops and notes of every subject; print a line per row on stdout, a progress bar on stderr.
 
-    show_progress: see Progress.
+    show_progress: whether there is a bar, None for one in a terminal only.
     """
     write, note = mesh_writer()
     with Progress(len(subjects), "accuracy", show_progress) as bar:

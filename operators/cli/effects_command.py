@@ -38,7 +38,7 @@ def list_costs(store: Path) -> list[str]:
 
 
 def _measure_attribute(name: str, field, surface):
-    """Return time and memory of one attribute and the attributes that it reads together, as a Ran.
+    """Return the record of a run (time, memory) of one attribute and of the attributes that it reads.
 
     It is evaluated twice: the second run, which is reported, finds compiled kernels and filled caches.
     """

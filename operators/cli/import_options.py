@@ -10,7 +10,7 @@ PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster
 
 
 def add_import(add_verb, subparsers) -> None:
-    """Add the verb `import` and its arguments. add_verb: `_add_verb` of parser.py."""
+    """Add the verb `import` and its arguments. add_verb: function that adds a verb and returns its parser."""
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
@@ -72,7 +72,7 @@ def _add_parts(verb: argparse.ArgumentParser) -> None:
 
 
 def add_info(add_verb, subparsers) -> None:
-    """Add the verb `info` and its arguments. add_verb: `_add_verb` of parser.py."""
+    """Add the verb `info` and its arguments. add_verb: function that adds a verb and returns its parser."""
     verb = add_verb(subparsers, "info", "describe a store, a height map or an exported .npz", import_verbs.run_info)
     about = "a store, a height map or an .npz; several height maps or a folder of them are described as one terrain"
     verb.add_argument("paths", type=path_text, nargs="*", metavar="PATH", help=about)

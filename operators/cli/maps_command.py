@@ -61,8 +61,8 @@ def subjects_of_store(
 ) -> list[MapSubject]:
     """Return the terrain of a store as the only subject, with the views that decide how fine its maps are.
 
-    `path`: camera path; None bakes the whole terrain. `frames`: numbers of frames of the path, None for all whole
-    frames.
+    `out`: folder of the maps `names`. `path`: camera path; None bakes the whole terrain. `frames`: numbers of frames of
+    the path, None for all whole frames. `resolution`: pixels.
     """
     views = () if path is None else views_along(path, frames, resolution)
     requests = tuple(AttributeRequest(name, (READER,)) for name in check_names(names))

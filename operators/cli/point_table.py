@@ -35,7 +35,7 @@ class PointTable(NamedTuple):
 
 
 def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_degrees: bool) -> PointTable:
-    """Read a table of points.
+    """Read a table of points from the content of a CSV file.
 
     Args:
         content: the file's bytes.

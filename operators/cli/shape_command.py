@@ -40,7 +40,7 @@ def run(
         path, frames, resolution, pixel_error: camera path whose visible tiles are shaped; None for all tiles.
         whole: allow shaping all tiles of a large raster.
         finish_early_s: seconds after which the levels that are done suffice.
-        show_progress: see Progress.
+        show_progress: whether there is a progress bar, None for one in a terminal only.
     """
     tiles, operators = None, read_stack(stack)  # None: all tiles
     field = open_store(store)

@@ -261,7 +261,7 @@ def run_bench(arguments) -> None:
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
     """Return a line such as `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`.
 
-    `what`: its first words. `terrains`: results of `exporting.figures`; triangles and times are added up, the largest
+    `what`: its first words. `terrains`: figures of each terrain by name; triangles and times are added up, the largest
     bound counts. `elapsed_ms`: of all work on the frame, None to leave it out.
     """
     from ..text.shown_bounds import limit_text

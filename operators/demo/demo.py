@@ -50,8 +50,8 @@ FLIGHT = {
 def run(out: Path, show_progress: bool | None = None) -> None:
     """Import and shape the island, export a flight of 24 frames, render pictures, and write `index.html` into `out`.
 
-    All other files are in `out`, too. The scene takes the place of Blender's open file. show_progress: see Progress.
-    Raises TerrainError.
+    All other files are in `out`, too. The scene takes the place of Blender's open file. show_progress: whether there is
+    a progress bar, None for one in a terminal only. Raises TerrainError.
     """
     need_bpy("The demo")
     make_folder(out)

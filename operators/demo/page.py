@@ -51,7 +51,7 @@ def write_page(
     levels: dict,
     steps: dict[str, float],
 ) -> None:
-    """Write the page.
+    """Write the page of the demo, with its figures, pictures and tables, as an HTML file.
 
     Args:
         machine: phrase about the machine.

@@ -33,6 +33,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def kernels(self, context) -> list[ModuleType]:
+        """Return the kernel modules that an export in render quality needs, to compile them before."""
         return kernels_for(gather(context.object, context.evaluated_depsgraph_get(), RENDER))
 
     def invoke(self, context, event):

@@ -53,7 +53,7 @@ class MapExtent:
 
 
 def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float | None = None, with_sun: bool = False):
-    """Make an orthographic camera over the terrain `obj`, north up, the scene's, and return it.
+    """Add or update an orthographic camera over the terrain `obj`, north up, as the scene's camera; return it.
 
     It is the scene's Map Camera, or a new one. The render gets the size of the map; `leave_map` restores the size
     before. Raises TerrainError for a sheared or mirrored terrain, and for too many or too narrow pixels.

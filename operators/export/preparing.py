@@ -84,7 +84,10 @@ def import_store(obj, task: Preparation) -> None:
 
 
 def find_view(obj, task: Preparation) -> None:
-    """Find the tiles that the frames see, for `read_view`, if the terrain's can be loaded. Raises TerrainError."""
+    """Choose the tiles that the frames see, for `read_view`, if single tiles of the terrain can be loaded.
+
+    Raises TerrainError.
+    """
     if can_load_tiles(store_folder_of(obj)):
         task.say(f"{obj.name}: {plan_tiles(obj, task.frames, task.stores)}")
 
@@ -135,10 +138,11 @@ def prepare(
     stores: Path | None = None,
     share: tuple[int, int] = (1, 1),
 ) -> None:
-    """Make the `parts` (of PARTS) that frames of the open file need, for the terrains `objects`.
+    """Make the `parts` (of PARTS) that frames of the open file need, for the terrains `objects`. Raises TerrainError.
 
-    say, stores, share: as of `Preparation`. on_progress: takes the number of finished terrains, counted for each part,
-    with fractions. Raises TerrainError.
+    say: prints a line. on_progress: takes the number of finished terrains, counted for each part, with fractions.
+    stores: folder of a farm job's stores, None for the terrains' own. share: the number, from 1, and the count of
+    processes that read the tiles in view.
     """
     work = [(part, obj) for part in parts for obj in objects]
     for done, (part, obj) in enumerate(work):

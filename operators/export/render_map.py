@@ -225,7 +225,7 @@ class RenderMap(FileJobOperator, bpy.types.Operator):
             propose_file(self, terrain, "_map")
 
     def subject(self, _context) -> None:
-        """Return None: a map is a job of the scene."""
+        """Return None: a map is a job of the scene, not of one terrain."""
 
     def stops_on_escape(self) -> bool:
         """Return True: Escape ends Blender's renders, too."""

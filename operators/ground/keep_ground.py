@@ -73,7 +73,7 @@ def release(scene) -> None:
 
 
 def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> list[str]:
-    """Move the released objects of a scene to the ground and evaluate `depsgraph` again.
+    """Move the kept objects of a scene, which `release` has freed, to the ground; evaluate `depsgraph` again.
 
     Returns why some objects are not moved. Raises TerrainError if the ground cannot be computed.
 
@@ -271,5 +271,6 @@ def _reset_deltas(obj) -> None:
 
 @persistent
 def forget(_file: str = "") -> None:
+    """Forget the positions and messages of kept objects, since another file was opened."""
     _settled.clear()
     _notes.clear()

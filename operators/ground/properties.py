@@ -24,6 +24,7 @@ def is_any_on_ground() -> bool:
 
 @persistent
 def look_again(_self=None, _context=None) -> None:
+    """Forget whether any object is kept on the ground, so that the next call looks again."""
     global _looked
     _looked = None
 

@@ -95,4 +95,5 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
 
 
 def draw_entry(self, context):
+    """Draw the entry for built-in terrains in Blender's *Add* menu."""
     self.layout.operator(AddTerrain.bl_idname, icon="RNDCURVE")

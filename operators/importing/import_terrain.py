@@ -100,7 +100,7 @@ def is_raw(path: str) -> bool:
 
 
 def has_option(path: str, option: str) -> bool:
-    """Return whether an import option of source_formats.py applies to a file, by the end of its name.
+    """Return whether an import option, such as BAND or ENCODING, applies to a file, by the end of its name.
 
     Files that have BAND can record their position on Earth, too.
     """
@@ -348,5 +348,6 @@ def _restore_store(obj) -> None:
 
 
 def forget() -> None:
+    """Forget the stores of terrains imported by Add, and the terrains that were removed during their import."""
     _gone.clear()
     _added.clear()

@@ -73,10 +73,12 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
 
 
 def draw_import_entry(self, _context):
+    """Draw the entry of the add-on in Blender's *File > Import* menu."""
     self.layout.operator(AddTerrainFromFile.bl_idname, text="Terrain (.tif, .hgt, .asc, .png, .exr, .r16)")
 
 
 def draw_add_entry(self, _context):
+    """Draw the entry for terrains from files in Blender's *Add* menu."""
     self.layout.operator(AddTerrainFromFile.bl_idname, icon="FILE_IMAGE")
 
 
@@ -92,4 +94,5 @@ if hasattr(bpy.types, "FileHandler"):  # Blender 4.1
 
         @classmethod
         def poll_drop(cls, context):
+            """Return whether files may be dropped here: in a 3D viewport in object mode."""
             return context.area is not None and context.area.type == "VIEW_3D" and context.mode == "OBJECT"

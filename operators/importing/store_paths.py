@@ -158,6 +158,7 @@ if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
 
 
 def start() -> None:
+    """Let a timer search for moved stores once the open file can be read; not in background mode."""
     if not bpy.app.background:
         bpy.app.timers.register(find_moved_stores, first_interval=0.0)  # the open file, which is out of reach here
 

@@ -57,7 +57,7 @@ class TileLoader:
     def start(self, obj, depsgraph, *modes: str) -> ImportJob | None:
         """Start `child` if views lack tiles, and return it; None if they lack none.
 
-        modes: of `request.gather`, whose views count. Raises TerrainError if the store cannot be read or the child
+        modes: VIEWPORT or RENDER, whose views count. Raises TerrainError if the store cannot be read or the child
         cannot start.
         """
         tiles: set[int] = set()
@@ -153,7 +153,7 @@ def suffice(obj, depsgraph) -> bool:
 
 
 def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
-    """Return the `seen_land` of a terrain in a mode of terrain/request.py, VIEWPORT or RENDER. Raises TerrainError."""
+    """Return what a terrain's views see of it in a mode, VIEWPORT or RENDER. Raises TerrainError."""
     return seen_land(request.gather(obj, depsgraph, mode, about_middle=True))
 
 

@@ -122,4 +122,5 @@ class ClearLandCache(bpy.types.Operator):
         return {"FINISHED"}
 
     def _store(self, context) -> str:
+        """Return the absolute path of the store of the terrain that the panel shows."""
         return absolute_path(session.shown_terrain(context).adaptive_terrain.store)

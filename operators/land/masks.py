@@ -33,8 +33,8 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
     """Write a mask that is 1 where the mesh `obj` is above or below the terrain, 0 elsewhere; return its path.
 
     At the outline it is the covered fraction; the first row is in the north. terrain: evaluated object. extent_m: its
-    size in metres, from west to east and from south to north. folder: as of `write_image_mask`. Raises TerrainError if
-    the object's shape in this frame is unknown.
+    size in metres, from west to east and from south to north. folder: where masks are stored, named for their content.
+    Raises TerrainError if the object's shape in this frame is unknown.
     """
     evaluated, matrix = evaluated_or_still(depsgraph, obj, "mask")
     triangles = plan_triangles(evaluated, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")

@@ -139,9 +139,10 @@ def _has_rested(obj) -> bool:
 
 
 def _land_to_make(obj, depsgraph) -> Land | None:
-    """Return the land to shape for the views of the last update.
+    """Return the land to shape for the views of the last update; None if there is nothing to make.
 
-    None, and the terrain's rest is done, without land, if all of it exists, or if the user stopped it or it failed.
+    That is so without land, if all of it exists, if the user stopped it, or if it failed; the terrain's rest is then
+    done.
     """
     request = session.record_of(obj).status.request
     land = _current_land(obj, depsgraph)

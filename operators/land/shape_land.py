@@ -63,9 +63,9 @@ def _check_is_visible(obj, depsgraph) -> None:
 
 
 def _visit_views(obj, scene, land: Land, frames: list[int]):
-    """Visit frames, as `visit_views` does, if only visible land is to be fine; otherwise yield an empty list alone.
+    """Step through frames if only visible land is to be fine: yield the fraction done, and last the list of all views.
 
-    The last item is the list of views in either case.
+    Otherwise yield an empty list alone.
     """
     if not land.of_views:
         yield []
@@ -100,9 +100,9 @@ class _Shaping(JobOperator):
         return frames_of(scene)
 
     def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
-        """Return whether land has to be shaped: its tiles `wanted`, None for all. Shape Now always shapes.
+        """Return whether land has to be shaped; Shape Now always shapes. wanted: its tiles, None for all.
 
-        On the main thread, after damaged land was removed.
+        It is called on the main thread, after damaged land was removed.
         """
         return True
 
@@ -180,6 +180,7 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
         return JobOperator.invoke(self, context, event)
 
     def subject(self, context):
+        """Return the next terrain whose land is not shaped yet; `done` lists the names of those that are."""
         return next_unshaped(context, self.done.splitlines())
 
     def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
@@ -187,9 +188,11 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
         return not derived_store.has_tiles(land, wanted, session.open_field)
 
     def frames(self, scene) -> list[int]:
+        """Return the frames that will be rendered, whose views decide which tiles are shaped."""
         return frames_of(scene) if self.animation else [scene.frame_current]
 
     def stops_on_escape(self) -> bool:
+        """Return True: Esc cancels the job at any time."""
         return True
 
     def finish(self, context, obj, land: Land | None = None) -> None:

@@ -140,7 +140,7 @@ def active_numbers(land) -> list[int]:
 
 
 def state_of(obj) -> LandState:
-    """Return the state after the last update of the terrain; of an empty or inactive stack that of LandState().
+    """Return the state of a terrain's land after its last update; LandState() if no entry of the stack is active.
 
     A terrain of less than SMALL_M gets a note about its size instead of any other.
     """

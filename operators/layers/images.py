@@ -142,4 +142,5 @@ def _has_image(obj) -> bool:
 
 @persistent
 def forget(_file: str = "") -> None:
+    """Forget the images that were read, since another file was opened."""
     _read.clear()

@@ -206,10 +206,12 @@ def has_default_layers(settings) -> bool:
 
 
 def _exact_values(layer: rules.Layer) -> tuple:
+    """Return the values of a splat layer that must be equal for two layers to count as equal: texts, flags and seed."""
     return layer.name, layer.on_top, layer.seed, tuple(rule.of for rule in layer.rules)
 
 
 def _numbers(layer: rules.Layer) -> list[float]:
+    """Return the numbers of a splat layer and its rules, which are compared with a tolerance."""
     limits = (number for rule in layer.rules for number in (rule.low, rule.high, rule.edge))
     return [layer.strength, layer.noise_size, layer.ragged, *limits]
 

@@ -25,6 +25,7 @@ class BakeMaps(JobOperator, bpy.types.Operator):
     kind = jobs.BAKE
 
     def stops_on_escape(self) -> bool:
+        """Return True: Esc cancels the job at any time."""
         return True
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:

@@ -60,6 +60,7 @@ class ShowOverlay(bpy.types.Operator):
 
 
 def start() -> None:
+    """Create the collection of colour swatches that the panel shows; `stop` removes it."""
     global _swatches
     _swatches = bpy.utils.previews.new()
 

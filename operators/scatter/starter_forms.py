@@ -76,8 +76,8 @@ class FormNodes(Nodes):
     def blade(self, along: int, across: int, width: float, fold: float, droop: float):
         """Return a blade of length 1 along X that tapers to its tip, folded along its middle, with its tip down.
 
-        along, across: vertices. width: about the largest. fold: metres down per metre from the middle. droop: of the
-        tip, metres.
+        along, across: vertices. width: about the largest width, metres. fold: metres down per metre from the middle.
+        droop: metres by which the tip is lower.
         """
         inputs = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": along, "Vertices Y": across}
         grid = self.add("GeometryNodeMeshGrid", inputs).outputs["Mesh"]

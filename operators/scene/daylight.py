@@ -36,9 +36,9 @@ def sun_vector(elevation: float, azimuth: float) -> Vector:
 
 
 def add_sun(scene, elevation: float, azimuth: float):
-    """Add a sun lamp, warmer the lower it stands, and return its object. Angles as of `sun_vector`.
+    """Add a sun lamp, warmer the lower it stands, and return its object. The scene remembers it (`find_built`).
 
-    The scene remembers it (`find_built`).
+    Both angles are radians, `azimuth` clockwise from +Y.
     """
     lamp = bpy.data.lights.new(SUN, "SUN")
     lamp.energy, lamp.angle = SUN_STRENGTH, math.radians(SUN_DISC_DEG)

@@ -76,4 +76,5 @@ def _is_lamp(obj) -> bool:
 
 
 def _has_nodes(lamp) -> bool:
+    """Return whether a lamp has nodes besides the two that Blender gives it."""
     return bool(lamp.node_tree) and len(lamp.node_tree.nodes) > 2

@@ -52,6 +52,7 @@ def join_haze(material) -> None:
 
 
 def _node_of(material):
+    """Return the material's group node whose tree carries MARK, which is the haze; None without one."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.type == "GROUP" and node.node_tree and MARK in node.node_tree), None)
 
@@ -121,8 +122,10 @@ def haze_group() -> bpy.types.NodeTree:
 
 
 def _z(n: Nodes, vector):
+    """Add a node that gives the z component of a vector; return its output socket."""
     return n.add("ShaderNodeSeparateXYZ", {0: vector}).outputs["Z"]
 
 
 def _decay(n: Nodes, value):
+    """Add nodes that compute exp(-value); return their output socket."""
     return n.math("EXPONENT", n.math("MULTIPLY", value, -1.0))

@@ -147,8 +147,8 @@ def _add_camera(scene):
 def _light(scene, elevation: float, azimuth: float) -> Vector:
     """Light a scene by a sun and the sky around it, and return the unit vector towards the sun.
 
-    A sun lamp of the user stays and the sky follows it, whatever the angles are, which are those of `sun_vector`. The
-    sky of an earlier click is replaced; a world of the user remains in the file.
+    elevation, azimuth: of a new sun in radians, the azimuth clockwise from +Y. A sun lamp of the user stays as it is,
+    and the sky follows it. The sky of an earlier click is replaced; a world of the user remains in the file.
     """
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)

@@ -57,7 +57,7 @@ def look_from(region_3d, camera_to_world: Matrix, distance: float) -> None:
 
 
 def across(obj) -> Matrix:
-    """Return the matrix to the world of a camera over a terrain that looks across it: the best view of `_best_view`.
+    """Return the matrix to the world of a camera over a terrain in the view that shows most kinds of ground.
 
     Raises TerrainError without a store.
     """

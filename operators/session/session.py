@@ -84,6 +84,7 @@ def shown_terrain(context):
 
 
 def terrains_of(scene) -> list:
+    """Return the terrain objects of a scene."""
     return [obj for obj in all_terrains() if _is_in(scene, obj)]
 
 
@@ -94,6 +95,7 @@ def _is_in(scene, obj) -> bool:
 
 
 def record_of(obj) -> Record:
+    """Return the record of a terrain object, its state in this session; create it if it is missing."""
     return _records.setdefault(obj.session_uid, Record())
 
 

@@ -42,7 +42,7 @@ def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **opti
     """Step through frames; yield after each a float, the fraction of the frames before it, and at the end the views.
 
     The last item is the list of all views of the terrain `obj`, as if it stayed at `placement`, float64 [4, 4]. The
-    scene then returns to its frame. options: as of `visit_requests`. Raises TerrainError.
+    scene then returns to its frame. options: keyword arguments of `gather`, such as `camera`. Raises TerrainError.
     """
     views, frames = [], list(frames)
     with closing(visit_requests(obj, scene, frames, **options)) as requests:

@@ -49,7 +49,7 @@ def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[
 
 
 def shown_viewports(window_manager, scene) -> list[tuple]:
-    """Return the viewports of every window that shows the scene, as of `camera.viewports`; none in the background."""
+    """Return (window, area, region, region_3d) of each viewport that shows the scene; none in the background."""
     if bpy.app.background:
         return []
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]

@@ -8,7 +8,10 @@ TRIES, PAUSE_S = 20, 0.1  # the tabs of a sidebar are known only after it is dra
 
 
 def open_tab(viewports: list[tuple]) -> None:
-    """Open the tab in the largest of some viewports (see camera.viewports): a timer tries until it is there."""
+    """Open the tab in the largest of some viewports, (window, area, region, region_3d) each.
+
+    A timer tries until the tab is there.
+    """
     if not viewports:
         return
     _, area, _, _ = max(viewports, key=lambda viewport: viewport[2].width * viewport[2].height)

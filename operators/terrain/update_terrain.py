@@ -16,6 +16,7 @@ class UpdatingOperator(KernelOperator, TerrainObjectOperator):
     """Base of operators that update the active terrain for the viewport."""
 
     def kernels(self, context) -> list[ModuleType]:
+        """Return the kernel modules that an update in viewport quality needs, to compile them before."""
         return kernels_for(gather(context.object, context.evaluated_depsgraph_get(), VIEWPORT))
 
 

@@ -104,7 +104,7 @@ class Progress:
             sys.stderr.flush()
 
     def _draw_line(self, line: str) -> None:
-        """Print a line unless it was the last one that this printed."""
+        """Print a line to stdout unless it is the same as the last one."""
         if line != self._drawn:
             self._drawn = line
             print(line, flush=True)

@@ -113,7 +113,11 @@ def _read_numbers(text: str) -> tuple[float, float] | None:
 
 
 def _read_pair(text: str, group: str, decimal: str, separator: str) -> tuple[float, float] | None:
-    """Return the two numbers of a text that is written in one way, None for another text. The way: see _WAYS."""
+    """Return the two numbers of a text that is written in one way, None for another text.
+
+    group: sign between thousands, "" for none. decimal: sign before decimals. separator: pattern of what is between the
+    numbers.
+    """
     whole = _GROUPED % re.escape(group) + r"|\d+" if group else r"\d+"
     is_number: Callable = re.compile(rf"[+-]?(?:{whole})(?:{re.escape(decimal)}\d*)?").fullmatch
     words = [word for word in re.split(separator, text) if word]

@@ -68,7 +68,7 @@ def cost_text(status, say: Callable[..., str]) -> str:
 
 
 def cost_figures(took) -> str:
-    """Format time and memory of a Ran or an EffectStatus."""
+    """Format time and memory as `12.1 ms, 0.4 MB`. took: has `ms` and `nbytes`, such as an EffectStatus."""
     return f"{plain(took.ms)} ms, {plain(took.nbytes / 1e6)} MB"
 
 

@@ -40,4 +40,5 @@ class ObjectMenu(bpy.types.Menu):
 
 
 def draw_entry(self, _context):
+    """Draw the add-on's submenu in Blender's object menu."""
     self.layout.menu(ObjectMenu.bl_idname)

@@ -70,7 +70,7 @@ def draw_switched(column, settings, switch: str, name: str) -> None:
 def draw_band(column, band, names: tuple[str, ...]) -> None:
     """Draw the switch of a rule, and its numbers below it if it is on.
 
-    band: group of `band` or an AspectSettings. names: its properties to draw.
+    band: the rule's property group, with the switch `use`. names: its properties to draw.
     """
     column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
     if band.use:

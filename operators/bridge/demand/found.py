@@ -26,7 +26,11 @@ class Demand(dict[str, list[Reader]]):
     """Readers by attribute name."""
 
     def add(self, name: str, label: str, family: str, at_hit: bool = False) -> None:
-        """Add a reader of the attribute `name`, once. label, family, at_hit: see Reader."""
+        """Add a reader of the attribute `name`, once. label: the reader's name for people.
+
+        family: PICTURE if pixels show the attribute, GEOMETRY if geometry is made from it. at_hit: it is read where
+        rays hit.
+        """
         readers = self.setdefault(name, [])
         if (reader := Reader(label, family, at_hit)) not in readers:
             readers.append(reader)

@@ -45,7 +45,7 @@ def _used_of_mix_colours(walk, node, context, inputs):
 def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
     """Return those of a node's inputs, a factor and two sides, that have an effect.
 
-    A constant factor of 0 hides the second side. replaces: one of 1 hides the first side, which a blend mode still
+    A constant factor of 0 hides the second side. replaces: a factor of 1 hides the first side, which a blend mode still
     reads. clamped: factors are limited to 0 .. 1.
     """
     if len(inputs) != 3:

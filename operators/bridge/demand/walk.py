@@ -70,10 +70,10 @@ class NodeWalk:
         return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
-        """Return the value of an input if nothing can change it, else None. context: see the module.
+        """Return the value of an input if nothing can change it, else None.
 
-        A link is followed back through reroutes, muted nodes and groups, 100 steps at most. It may end at a String
-        node; the values of other nodes count as computed.
+        context: enclosing group nodes, innermost last. A link is followed back through reroutes, muted nodes and
+        groups, 100 steps at most. It may end at a String node; the values of other nodes count as computed.
         """
         for _ in range(100):
             links = self.feeding(socket)
@@ -94,7 +94,10 @@ class NodeWalk:
         return None
 
     def read(self, name: str, node, context: tuple, why: str = "", at_hit: bool = False) -> None:
-        """Add a node as the reader of an attribute. why: added to the reader's label. at_hit: see Reader."""
+        """Add a node as the reader of an attribute. why: added to the reader's label.
+
+        context: enclosing group nodes, innermost last. at_hit: the node reads the attribute where its rays hit.
+        """
         groups = [f"group {group.node_tree.name}" for group in context]
         label = ", ".join([self.label, *groups, f"node {node.name}"])
         self.found.add(name, f"{label} ({why})" if why else label, self.family, at_hit)
@@ -112,7 +115,7 @@ class NodeWalk:
     def _input_passed_to(self, node, output, context: tuple) -> tuple | None:
         """Return (node, input, context) of the input that an output passes on unchanged; None if there is none.
 
-        The outermost tree's inputs have none.
+        An input of the outermost tree comes from no other node, so the result is None for it.
         """
         if node.mute:
             through = [link.from_socket for link in node.internal_links if link.to_socket == output]

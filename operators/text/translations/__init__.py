@@ -38,4 +38,5 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Unregister the translations of the interface."""
     bpy.app.translations.unregister(__package__)

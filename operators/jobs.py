@@ -348,10 +348,12 @@ class CancelJob(bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
+        """Return the tooltip of a cancel button: what stays of the job's work."""
         return f"Cancel; {KINDS[properties.kind].stays}"
 
     @classmethod
     def poll(cls, _context):
+        """Return whether any job runs."""
         return bool(running)
 
     def execute(self, context):

@@ -45,6 +45,7 @@ def allow_writing(function):
         results, errors = [], []
 
         def call() -> None:
+            """Call the function and keep its result, or the exception, which Blender would only print."""
             try:
                 results.append(function(*arguments))
             except Exception as error:  # Blender would print it

@@ -77,6 +77,7 @@ class LetGo(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether a selected or the active object is kept on or above the ground; if not, set the reason."""
         cls.poll_message_set("Select an object that is kept on the ground or above it")
         return any(_can_let_go(obj) for obj in _selected_or_active(context))
 

@@ -41,6 +41,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
 
     @classmethod
     def poll(cls, context):
+        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
         cls.poll_message_set("Leave the mode for Object Mode: a terrain is an object of its own")
         return context.mode == "OBJECT"
 

@@ -71,6 +71,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Import the terrain's files and the chosen ones as one, for the terrain whose button opened the dialog."""
         with remembered_object(self, context):
             return self._add(context.object.adaptive_terrain)
 

@@ -105,6 +105,7 @@ class ClearLandCache(bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
 
     def draw(self, _context):
+        """Draw the folders and the sizes of the cached land as lines of the dialog."""
         for line in self.messages:
             self.layout.label(text=line)
 

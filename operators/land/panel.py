@@ -97,6 +97,7 @@ class AddLandMenu(bpy.types.Menu):
     bl_label = "Add Land Effect"
 
     def draw(self, _context):
+        """Draw an entry for each effect, which adds it to the list."""
         self.layout.operator_enum("adaptive_terrain.land_add", "effect")
 
 
@@ -106,6 +107,7 @@ class LandPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw_header_preset(self, _context):
+        """Draw the menu of presets in the panel's header."""
         LandPresets.draw_panel_header(self.layout)
 
     def draw(self, context):
@@ -175,6 +177,7 @@ class LandEffectPanel(TerrainSubpanel):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the shown terrain's list has a chosen effect."""
         terrain = session.shown_terrain(context)
         return terrain is not None and 0 <= (land := terrain.adaptive_terrain.land).active < len(land.entries)
 

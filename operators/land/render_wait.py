@@ -171,6 +171,7 @@ class CancelWaiting(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     def invoke(self, context, _event):
+        """Begin to receive the window's events, so that `modal` hears Escape."""
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 

@@ -172,10 +172,12 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether a terrain has to be shaped before a render, in Object Mode; if not, set the reason."""
         cls.poll_message_set("The land is shaped: render as usual")
         return context.mode == "OBJECT" and next_unshaped(context) is not None
 
     def invoke(self, context, event):
+        """End the shaping of resting land, which this job does too, and start the job."""
         resting_land.give_way()
         return JobOperator.invoke(self, context, event)
 
@@ -220,6 +222,7 @@ class FinishShaping(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether a child process shapes the active terrain's land now."""
         job = jobs.find(jobs.SHAPE, context.object) if context.object is not None else None
         return job is not None and job.child is not None
 

@@ -57,6 +57,10 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain in Object Mode without a running job for its water.
+
+        If not, set the reason.
+        """
         return on_terrain_object(cls, context) and super().poll(context)
 
     def invoke(self, context, event):

@@ -25,6 +25,7 @@ class AddLayer(_LayerOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain with room for another layer."""
         return super().poll(context) and len(context.object.adaptive_terrain.layers) < MAX_LAYERS
 
     def execute(self, context):
@@ -49,6 +50,7 @@ class RemoveLayer(_LayerOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain with a layer."""
         return super().poll(context) and len(context.object.adaptive_terrain.layers) > 0
 
     def execute(self, context):

@@ -52,6 +52,7 @@ class LayersPanel(TerrainSubpanel):
     bl_options = set()
 
     def draw_header_preset(self, _context):
+        """Draw the menu of presets in the panel's header."""
         LayerPresets.draw_panel_header(self.layout)
 
     def draw(self, context):

@@ -45,6 +45,7 @@ class ScatterPanel:
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a scatter."""
         obj = context.object
         return obj is not None and is_scatter(obj)
 

@@ -50,6 +50,7 @@ class AddStarterCollection(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
         cls.poll_message_set("Switch to Object Mode")
         return context.mode == "OBJECT"
 

@@ -46,6 +46,7 @@ class TerrainOperator:
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is an editable terrain; if not, set the reason that Blender shows."""
         return on_terrain(cls, context)
 
 
@@ -54,6 +55,7 @@ class TerrainObjectOperator:
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is an editable terrain in Object Mode; if not, set the reason."""
         return on_terrain_object(cls, context)
 
 

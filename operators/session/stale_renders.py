@@ -136,6 +136,7 @@ def _show_popup() -> None:
         return
 
     def draw(self, _context):
+        """Draw the message as lines of the popup."""
         for line in lines:
             self.layout.label(text=line)
 

@@ -140,6 +140,7 @@ class FrameTerrain(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is an editable terrain with a store."""
         obj = context.object
         return obj is not None and session.is_terrain(obj) and bool(obj.adaptive_terrain.store)
 

@@ -39,6 +39,7 @@ class MoveWorld(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
         cls.poll_message_set(IN_A_MODE)
         return context.mode == "OBJECT"
 

@@ -75,6 +75,7 @@ class ViewportPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
+        """Draw the settings of the terrain's detail in viewports."""
         _draw_detail(self._columns(), session.shown_terrain(context).adaptive_terrain.viewport)
 
 

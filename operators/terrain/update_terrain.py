@@ -44,5 +44,6 @@ class LockInterface(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context):
+        """Switch on Lock Interface in the scene's render settings."""
         context.scene.render.use_lock_interface = True
         return {"FINISHED"}

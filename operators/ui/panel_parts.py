@@ -34,6 +34,7 @@ class TerrainSubpanel:
 
     @classmethod
     def poll(cls, context):
+        """Return whether there is a terrain for the panel to show."""
         return session.shown_terrain(context) is not None
 
     def _columns(self):

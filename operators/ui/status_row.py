@@ -147,6 +147,7 @@ class ShowMessage(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain or a scatter on one."""
         return _terrain_of(context.object) is not None
 
     def execute(self, context):

@@ -74,6 +74,7 @@ class LandExport(FileJobOperator):
 
     @classmethod
     def poll(cls, context):
+        """Return whether the active object is a terrain in Object Mode that no job exports."""
         return on_terrain_object(cls, context) and super().poll(context)
 
     def propose(self, context) -> None:

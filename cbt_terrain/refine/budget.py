@@ -69,6 +69,7 @@ def ramp_start(
     marks = history.hints.marks
     _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_splits, finer_by=1)
     history.hints.marks = marks  # those of the search
+    # leaves at the next finer step, and where the limit is between both counts, 0 .. 1
     finer = int(found[0]) + roots if len(found) else FAR_OVER * max_splits
     fraction = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
     return last * 2.0 ** (fraction / STEPS_PER_OCTAVE)

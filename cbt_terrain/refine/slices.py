@@ -49,6 +49,7 @@ class Slices:
         """
         assert history.tree is not None, "refine and replay have a tree"
         count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
+        # a square begins with up to two more vertices; the rest is spare
         stride, cell_bits = capacity + 2 * squares + 8, history.tree.max_depth - lattice.square_bits
         written, scratch = history.next.arrays, history.scratch
         arrays = {

@@ -34,6 +34,7 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
         j = wp.int64(k >> 1)
         h = scramble(scramble(wp.uint32(row + j) + seed) + wp.uint32(column + i))
         value = wp.float64(h) / wp.float64(2147483648.0)
+        # a hash of 2^31 or more stands for a negative number
         if value >= wp.float64(1.0):
             value -= wp.float64(2.0)
         across = wp.where(i == wp.int64(1), east, wp.float64(1.0) - east)
@@ -52,7 +53,7 @@ def octaves_height(layer: PackedDetail, x: wp.float64, y: wp.float64) -> wp.floa
     v = y * layer.frequency
     for k in range(layer.octaves):
         number = wp.float64(k + 1)
-        seed = layer.seed + wp.uint32(k) * wp.uint32(-0x61C88647)
+        seed = layer.seed + wp.uint32(k) * wp.uint32(-0x61C88647)  # 0x9E3779B9
         total += wp.pow(layer.gain, wp.float64(k)) * noise_at(u + number * SHIFT_X, v + number * SHIFT_Y, seed)
         turned = wp.float64(2.0) * (wp.float64(0.8) * u - wp.float64(0.6) * v)
         v = wp.float64(2.0) * (wp.float64(0.6) * u + wp.float64(0.8) * v)

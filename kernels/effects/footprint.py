@@ -127,7 +127,7 @@ def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float3
         found = FADE
         if beside != 0:
             for k in range(9):
-                if ((beside >> k) & 1) != 0:
+                if ((beside >> k) & 1) != 0:  # neighbour k, 3 * (dy + 1) + dx + 1, has no finer heights
                     across = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
                     along = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
                     found = wp.min(found, wp.max(across, along))

@@ -132,9 +132,9 @@ def from_jets(
     if (values.wanted & OF_GRADIENT) != 0:
         rise = wp.sqrt(squared)
         if rise > LEVEL_GROUND:
-            run = wp.float64(1.0) / rise
+            run = wp.float64(1.0) / rise  # 1 / slope; 0 on level ground
     if (values.wanted & OF_SURFACE) != 0:
-        r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)
+        r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)  # z of the unit normal
     if (values.wanted & SLOPE) != 0:
         values.slope[v] = wp.float32(arc_tangent(rise))
     if (values.wanted & ASPECT) != 0:

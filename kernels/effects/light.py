@@ -62,7 +62,7 @@ def sky_seen(
     for k in range(first, end):
         azimuth = azimuths[k]
         min_slope = wp.max(wp.dot(g, azimuth), lowest)
-        slope = horizon(occluder, x, y, z, azimuth, far, min_slope, wp.float64(1.0e300))
+        slope = horizon(occluder, x, y, z, azimuth, far, min_slope, wp.float64(1.0e300))  # no upper limit of the slope
         total += wp.float32(open_fraction(slope, g, azimuth)) / wp.float32(count)
     if end == count:
         total = wp.clamp(total, wp.float32(0.0), wp.float32(1.0))
@@ -104,7 +104,7 @@ def sun_seen(
     whole = zero
     for k in range(strips.shape[0]):
         half_height = strips[k].half_height
-        slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)
+        slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)  # at any distance
         # In radii above the disc's centre.
         hidden_up_to = (elevation_of(slope) - elevation) / radius
         visible += wp.clamp(half_height - hidden_up_to, zero, wp.float64(2.0) * half_height)

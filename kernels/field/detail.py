@@ -68,8 +68,9 @@ def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
     for k in range(layer.octaves):
         shift = wp.float64(k + 1)
         n = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, layer.seed)
-        layer.seed = layer.seed + wp.uint32(-0x61C88647)
+        layer.seed = layer.seed + wp.uint32(-0x61C88647)  # 0x9E3779B9, for the next octave
         total += a * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
+        # twice the frequency, turned by the angle of the triangle (3, 4, 5)
         turned = wp.float64(1.6) * c - wp.float64(1.2) * s
         s = wp.float64(1.6) * s + wp.float64(1.2) * c
         c = turned

@@ -70,7 +70,7 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
     """
     row = offset + wp.tid()
     h = measured.floats
-    part = wp.float64(0.125)
+    part = wp.float64(0.125)  # 1 / BLOCK
     for column in range(patches.columns):
         x = column * BLOCK
         y = row * BLOCK
@@ -197,6 +197,7 @@ def centre_errors(
     n = wp.float64(side)
     largest = wp.float64(largest_below(errors, finer, coarser, p))
     for k in range(2):
+        # the triangle's right angle is at (x, y); its legs run `right` and `up`
         right = 1 - 2 * k
         up = wp.where(is_northeast, right, -right)
         x = (p[0] + k) * side
@@ -248,7 +249,7 @@ def side_errors(
     else:
         slope = (end - begin) / (wp.float64(2.0) * n)
         for k in range(4):
-            right = 1 - 2 * (k & 1)
+            right = 1 - 2 * (k & 1)  # the four right triangles with a corner in the middle
             up = 1 - (k & 2)
             across = wp.where(flat == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])

@@ -114,12 +114,13 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
     half = wp.float64(0.5)
     wide = noise(x * wp.float64(2.0), y * wp.float64(2.0), seed + wp.uint32(101))
     narrow = noise(x * wp.float64(6.0), y * wp.float64(6.0), seed + wp.uint32(102))
+    # the position moved by noise, so that forms are not round
     wx = x + wp.float64(0.14) * wide[2] + wp.float64(0.04) * narrow[2]
     wy = y + wp.float64(0.07) * wide[0] + wp.float64(0.02) * narrow[0]
     bays = noise(x * wp.float64(3.1), y * wp.float64(3.1), seed + wp.uint32(103))
     reach = wp.sqrt(wx * wx + wp.float64(1.3) * wy * wy)
     inland = wp.float64(0.82) - reach - wp.float64(0.16) * bays[2]
-    dry = smooth(wp.float64(-0.12), wp.float64(0.02), inland)
+    dry = smooth(wp.float64(-0.12), wp.float64(0.02), inland)  # 0 on the sea bed, 1 on land
     rough = relief(wx * wp.float64(2.2), wy * wp.float64(2.2), dry, seed)
     inland = inland + wp.float64(0.05) * rough
 

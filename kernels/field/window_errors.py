@@ -73,6 +73,7 @@ def window_errors(
         e0 = wp.float64(h[at]) - (top + across * wp.float64(i))
         e1 = wp.float64(h[far]) - (top + across * wp.float64(i + 1))
         twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[aside]) - wp.float64(h[below])
+        # the distance is a parabola between the samples; it counts if it turns there
         if wp.abs(e1 - e0) < wp.abs(twist):
             rest = twist - (e1 - e0)
             found = wp.max(found, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))

@@ -190,6 +190,7 @@ def diagonal_inside(
             z1 = wp.float64(item_at(h, far))
             e1 = z1 - (plane + slope * wp.float64(i + 1))
             twist = z0 + z1 - wp.float64(item_at(h, at + to_side)) - wp.float64(item_at(h, at + to_row))
+            # the parabola turns inside the cell
             if wp.abs(e1 - e0) < wp.abs(twist):
                 rest = twist - (e1 - e0)
                 largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))

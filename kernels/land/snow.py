@@ -75,7 +75,7 @@ def fall(
         snow = weather.fall * cold * exposure * drift
         if bare[i] != wp.uint8(0):
             snow = wp.float64(0.0)
-        holds = (NONE_CLINGS - wp.sqrt(slope2)) / (NONE_CLINGS - LESS_CLINGS)
+        holds = (NONE_CLINGS - wp.sqrt(slope2)) / (NONE_CLINGS - LESS_CLINGS)  # 1 on gentle ground, 0 where none clings
         fallen[i] = wp.float32(snow)
         stuck[i] = wp.min(fallen[i], wp.float32(CLINGS * wp.clamp(holds, wp.float64(0.0), one)))
 

@@ -176,7 +176,7 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
     v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
     num_corners = wp.int32(0)
-    line = next_number(m, EDGE)
+    line = next_number(m, EDGE)  # the new edge along the cut
     for i in range(3):
         p = m.corner_verts[3 * t + i]
         q = m.corner_verts[3 * t + (i + 1) % 3]

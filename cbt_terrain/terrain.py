@@ -293,10 +293,10 @@ class Terrain:
             depth = result
 
     def _update_to(self, depth: int, request: UpdateRequest, box: np.ndarray) -> Update | int:
-        """Refine to leaves of at most `depth` bisections, as `_update`; return a smaller depth if that is too deep.
+        """Refine to leaves of at most `depth` bisections and return the update; a smaller depth if that is too deep.
 
-        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. box: `box_of` the
-        field.
+        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. box: the
+        terrain's bounding box, float64 [2, 3] metres.
         """
         criterion, morph_until = request.criterion, request.criterion.morph_until
         scaling = request.vertical_scale, request.vertical_offset

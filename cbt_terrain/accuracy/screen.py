@@ -230,7 +230,10 @@ class Sight:
         return pixels
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
-        """Launch a kernel over `count` items on the ground's threads. cost: of an item, as of `launch.spread`."""
+        """Launch a kernel over `count` items on the ground's threads.
+
+        cost: of an item, relative to a lookup and a few operations; small jobs stay on one thread.
+        """
         launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
 
 

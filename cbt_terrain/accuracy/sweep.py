@@ -101,8 +101,10 @@ def _measure_setting(
 ) -> Row:
     """Return the row of one setting: refine, measure and time every frame of the path.
 
-    A setting in metres ignores the camera, so one frame without views is enough. `sight` finds the visible ground in a
-    view; `base`, `write` and `effects` are those of `sweep`; `on_part` gets the finished fraction of the row.
+    A setting in metres ignores the camera, so one frame without views is enough. base: criterion with the guard band
+    and culling. sight: finds the visible ground in a view. write: puts a surface where it is used and returns the
+    milliseconds, None to leave that out. effects: plan of the attributes of each mesh. on_part: gets the finished
+    fraction of the row.
     """
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     in_pixels = setting.unit == "px"

@@ -37,7 +37,7 @@ def coding_of(effect: AttributeDeclaration, form: str) -> Coding:
 
     In PNG files, attributes without a unit and colours have 8 bits, measures 16 bits. In EXR files all are half floats.
     Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError for another
-    form.
+    form. effect: the attribute's declaration.
     """
     if form not in FORMS:
         raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")

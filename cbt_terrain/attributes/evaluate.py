@@ -163,7 +163,8 @@ def _evaluate_steps(
 def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
     """Return the values of attributes and of those that they read at points, by name, without a history.
 
-    Raises TerrainError for parameters that cannot be used, and for values that are not finite.
+    Raises TerrainError for parameters that cannot be used, and for values that are not finite. requests: the attributes
+    with their parameters.
     """
     steps = list(plan(requests).steps)
     values: dict[str, np.ndarray] = {}
@@ -210,7 +211,8 @@ def _attributes_read(step: AttributeRequest) -> set[str]:
 def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
     """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
 
-    Those that are cheapest to compute for their size are dropped first.
+    Those that are cheapest to compute for their size are dropped first. steps: requests for all attributes in the order
+    of their computation.
     """
     effects = [ATTRIBUTES[step.name] for step in steps]
     # Two copies of points and of the levels of both families.
@@ -263,7 +265,8 @@ def _compute_group(
 ) -> dict[str, np.ndarray]:
     """Return the values at points of attributes that one function computes, by name.
 
-    Raises TerrainError for a value that is not finite. read: attributes that they depend on, at the same points.
+    Raises TerrainError for a value that is not finite. read: attributes that they depend on, at the same points. group:
+    requests for these attributes.
     """
     wanted = {step.name: ATTRIBUTES[step.name].defaults() | dict(step.parameters) for step in group}
     found = ATTRIBUTES[group[0].name].make(places, wanted, read)

@@ -140,7 +140,10 @@ def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count
 
 
 def _split_levels(values: np.ndarray, sides: list[int], count: int) -> list[np.ndarray]:
-    """Return each level of `count` tiles in a flat array, float32 [count, side, side]."""
+    """Return the levels of a flat array of `count` tiles, float32 [count, side, side] each.
+
+    sides: samples along a side of a tile at each level, in the order of the array.
+    """
     levels, first = [], 0
     for side in sides:
         levels.append(values[first : first + count * side * side].reshape(count, side, side))

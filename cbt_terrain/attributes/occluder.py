@@ -55,7 +55,7 @@ def occluder_without_blocks(field: HeightField, scale: float) -> kernels.Occlude
 def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
     """Launch a kernel over points, AT_ONCE at a time, and let it fill `out`, float32 [n].
 
-    inputs: its arguments before the points and the result. cost: of a point, as of `launch.spread`.
+    inputs: its arguments before the points and the result. cost: of a point, relative to a lookup and a few operations.
     """
     for first in range(0, len(places), AT_ONCE):
         block = slice(first, first + AT_ONCE)

@@ -55,7 +55,7 @@ class Drainage:
     def areas(self, filled: np.ndarray) -> np.ndarray:
         """Return drainage areas in samples by multiple flow directions, float64 [n]; they are conserved.
 
-        filled: surface of lakes, float32 [n] m, as of `filled`.
+        filled: the lowest surface from which every sample drains, float32 [n] m: that of lakes, elsewhere the ground.
         """
         count, d = len(self.to), self.packed(filled)  # the arrays to sort are twice as long, which a radix sort needs
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
@@ -68,7 +68,11 @@ class Drainage:
         return area
 
     def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:
-        """Set the area of all samples of a lake to that of its outlet, in place. Arguments are those of `areas`."""
+        """Set the area of all samples of a lake to that of its outlet, in place.
+
+        filled: the lowest surface from which every sample drains, float32 [n] m. area: drainage areas, float64 [n]
+        samples.
+        """
         d = self.packed(filled)
         d.area = flat(area, wp.float64)
         launch.once(catchment.level_lakes, [d], step="routing")
@@ -119,7 +123,7 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
     """Return the size and the weights of a grid for kernels, by directions: along x, along y and diagonal.
 
     step_x, step_y: metres between samples. Its `inverse_distance` is 1 / distance of neighbours in a direction, `share`
-    the length of contour that flow crosses, divided by that distance.
+    the length of contour that flow crosses, divided by that distance. rows, columns: samples.
     """
     grid, diagonal = kernels.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows

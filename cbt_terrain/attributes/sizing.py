@@ -27,7 +27,7 @@ MEGABYTE = 1_000_000
 def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
     """Return a box around each tile's ground without its detail, float64 [tiles, 2, 3] metres: lowest, highest corner.
 
-    The heights come from stored ranges.
+    The heights come from stored ranges. tiling: how the raster is divided into tiles.
     """
     lattice = field.lattice
     found = np.empty((tiling.rows, tiling.columns, 2, 3))
@@ -82,7 +82,8 @@ def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
 def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
     """Return False for boxes completely outside of one plane of the frame, bool [tiles].
 
-    boxes, placement: as of `footprints`.
+    boxes: float64 [tiles, 2, 3], lowest and highest corners in the terrain's space, metres. placement: matrix from
+    there to the world.
     """
     inside = np.ones(len(boxes), bool)
     for a, b, c, d in product(frustum_planes(view, (0.0, 0.0)), product(view.world_to_camera, placement)):
@@ -97,11 +98,10 @@ def resolutions(
 ) -> list[int]:
     """Return the side of each tile's image in texels, a power of two from MIN_SIDE to MAX_SIDE.
 
-    A texel is no larger than the footprint, as far as MAX_SIDE and the budget allow.
-
-    `footprints`, `shown`: float64 [tiles] metres, of views and of the finest content (`shown_by`). `texel_bytes`: bytes
-    of a texel of all maps in Blender. If images exceed `budget_mb`, all tiles get coarser. Raises TerrainError for an
-    invalid budget.
+    A texel is no larger than the footprint, as far as MAX_SIDE and the budget allow. `footprints`, `shown`: float64
+    [tiles] metres, of views and of the finest content (`shown_by`). `texel_bytes`: bytes of a texel of all maps in
+    Blender. If images exceed `budget_mb`, all tiles get coarser. Raises TerrainError for an invalid budget. tiling: the
+    tiles of the maps.
     """
     if budget_mb is not None and not budget_mb > 0:
         raise TerrainError(f"The budget of the maps is {budget_mb} MB", expected="more than 0")
@@ -119,7 +119,8 @@ def resolutions(
 def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeRequest]) -> np.ndarray:
     """Return the size of the finest content of each tile: samples, finer ones too, or pixels of decals.
 
-    The result is float64 [tiles] in metres.
+    The result is float64 [tiles] in metres. tiling: the tiles of the maps. requests: the attributes that maps are made
+    of.
     """
     raster, spacing = field.raster, min(field.lattice.step_x, field.lattice.step_y)
     finer = np.array([is_finer(raster, tiling.box(tile)) for tile in range(len(tiling))])

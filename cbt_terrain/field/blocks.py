@@ -60,6 +60,7 @@ def fill_levels(
     """Fill all levels of a pyramid, concatenated in one flat array, some rows at a time.
 
     rows, columns: blocks of the finest level. finest(some): returns these rows of it, at most ROWS, [rows, columns].
+    reduce: np.maximum or np.minimum, which joins blocks to coarser ones.
     """
     shapes = level_shapes(rows, columns)
     ends = np.cumsum([rows * columns for rows, columns in shapes])

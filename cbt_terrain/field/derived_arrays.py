@@ -60,7 +60,10 @@ def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
 
 
 def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:
-    """Return cached arrays of a raster's store, mapped; None without a store, or if one is missing or damaged."""
+    """Return cached arrays of a raster's store, mapped; None without a store, or if one is missing or damaged.
+
+    shapes: shape and type of each array by name.
+    """
     folder = store.data_folder(raster)
     if folder is None:
         return None
@@ -73,7 +76,8 @@ def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:
 def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> bool:
     """Compute arrays into files of the raster's store; return False if there is none or it cannot be written.
 
-    Other errors of `fill` than OSError are raised. The files appear only after all are complete.
+    Other errors of `fill` than OSError are raised. The files appear only after all are complete. shapes: shape and type
+    of each array by name. fill: computes them in place.
     """
     folder = store.data_folder(raster)
     if folder is None:

@@ -115,7 +115,8 @@ def bound_terms(ground: Ground | None, finest: float, lattice: Lattice) -> list[
 def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list[DetailTerm]]:
     """Return the summands of all layers without a mask, then those of each layer with one.
 
-    finest: shortest edge of a mesh, metres; waves that it cannot resolve are left out.
+    finest: shortest edge of a mesh, metres; waves that it cannot resolve are left out. ground: a displacement, layers
+    of it, or None.
     """
     layers = layers_below(ground)
     everywhere = [part for layer in layers if layer.mask is None for part in layer.detail.parts(finest)]
@@ -170,7 +171,8 @@ def _joined(arrays: list[np.ndarray]) -> np.ndarray:
 def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
     """Fill in the fields of `domain` that bound the displacement of the layers.
 
-    finest: metres of the shortest edges. meshlet: each leaf is drawn as 4**meshlet triangles.
+    finest: metres of the shortest edges. meshlet: each leaf is drawn as 4**meshlet triangles. ground: a displacement,
+    layers of it, or None.
     """
     parts, levels = bound_terms(ground, finest, lattice), mask_levels(lattice)
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
@@ -183,7 +185,8 @@ def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: L
 def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:
     """Return the layers as kernels read them.
 
-    finest: metres of the shortest edges. Raises TerrainError for a mask of another raster.
+    finest: metres of the shortest edges. Raises TerrainError for a mask of another raster. ground: a displacement,
+    layers of it, or None.
     """
     layers, heights, masks, c = [], [], [], kernels.PackedLayers()
     pixels = bytes_ = 0

@@ -23,7 +23,7 @@ def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.
 
     A block of level k has 2^k cells a side, with the samples on its border; detail and finer tiles do not count. Also
     the first index of each level, int64 [levels], and the number of blocks in its rows, int32 [levels], 0 below FINEST.
-    Those of a large raster are cached in its store.
+    Those of a large raster are cached in its store. reduce: np.maximum or np.minimum.
     """
     lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
     rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))

@@ -245,7 +245,7 @@ def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float])
 def _border_warnings(latitude: float, borders: list[float], ellipsoid: tuple[float, float]) -> list[str]:
     """Return a warning if lengths at the latitudes `borders` are off by MIN_SHOWN_ERROR or more, else [].
 
-    latitude: of the raster's middle; all are degrees.
+    latitude: of the raster's middle; all are degrees. ellipsoid: semi-major axis in metres and inverse flattening.
     """
     error = border_error(latitude, borders, ellipsoid)
     if error < MIN_SHOWN_ERROR:

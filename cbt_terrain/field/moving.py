@@ -140,7 +140,8 @@ def find_moved(path: str, new: Path) -> str:
 def move_entry(source: Path, target: Path) -> None:
     """Move a file or a folder to a free path, also on another file system.
 
-    Raises OSError, or TerrainError, also for a link; nothing is lost then.
+    Raises OSError, or TerrainError, also for a link; nothing is lost then. path: the file or folder. target: its new
+    path.
     """
     check_no_link(source, "start Blender again")
     if os.lstat(source).st_dev == os.stat(target.parent).st_dev:
@@ -151,7 +152,10 @@ def move_entry(source: Path, target: Path) -> None:
 
 
 def copy_entry(source: Path, target: Path) -> None:
-    """Copy a file or a folder to a free path, where it appears when it is complete. Raises OSError or TerrainError."""
+    """Copy a file or a folder to a free path, where it appears when it is complete. Raises OSError or TerrainError.
+
+    source: the file or folder. target: path of the copy.
+    """
     with partial_files.private_folder(target.parent) as private:
         copy = private / target.name
         shutil.copytree(source, copy, True, copy_function=_copy_file) if source.is_dir() else _copy_file(source, copy)

@@ -67,7 +67,8 @@ def open_file(path: Path, form: SourceFormat) -> DatasetReader:
     """Open the dataset of one file, which the caller closes.
 
     Raises TerrainError if it, or its smallest readable piece, is too large, if it is damaged, lacks its header or names
-    files in another folder; and rasterio's errors for other files that GDAL cannot open.
+    files in another folder; and rasterio's errors for other files that GDAL cannot open. form: the format that its name
+    or content gives.
     """
     import rasterio
 
@@ -101,7 +102,10 @@ def _check_files(path: Path, dataset: DatasetReader) -> None:
 
 
 def _check_damage(path: Path, form: SourceFormat) -> None:
-    """Refuse damage that GDAL does not notice, or not soon. Raises TerrainError."""
+    """Refuse damage that GDAL does not notice, or not soon. Raises TerrainError.
+
+    form: the file's format.
+    """
     with open_regular(path, links=True) as file:
         damage = DAMAGE[form.driver](file)
     if damage:

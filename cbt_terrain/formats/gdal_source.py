@@ -90,7 +90,7 @@ def check_utf8(path: Path) -> None:
 def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
     """Open a file with GDAL and return its band `settings.band` as a raster, which its `close` closes.
 
-    Heights that are coded in colours are one band, decoded in memory.
+    Heights that are coded in colours are one band, decoded in memory. form: the file's format.
     """
     start_gdal()
     with warnings.catch_warnings():
@@ -208,7 +208,10 @@ def _close(*files: DatasetReader) -> None:
 
 
 def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> Raster:
-    """Return the raster of a resampled view of the dataset of `original`; missing samples of the view are NaN."""
+    """Return the raster of a resampled view of the dataset of `original`; missing samples of the view are NaN.
+
+    band: its number. original: the raster before.
+    """
     window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
     return dataclasses.replace(
         original,

@@ -31,7 +31,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     """Return the change of heights that erosion by droplets makes at a level, with sediment and wear as layers.
 
     coarser: the change of the next coarser level, interpolated to this one. It is used only on levels finer than
-    FINEST_STEP; other levels are independent of each other.
+    FINEST_STEP; other levels are independent of each other. values: the operator's parameters by name.
     """
     if coarser is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         change = _smooth(coarser.heights, ground.missing)

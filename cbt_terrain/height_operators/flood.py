@@ -188,7 +188,10 @@ def _check_time(flood: Flood, seconds: float) -> None:
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Return the depth and speed of a flood after `minutes`; heights stay, and the coarser level is not read."""
+    """Return the depth and speed of a flood after `minutes`; heights stay, and the coarser level is not read.
+
+    values: the operator's parameters by name.
+    """
     rain = values["rain"] / 1000.0 / HOUR
     flood = still(
         ground.heights,

@@ -101,8 +101,8 @@ class LevelRun:
     def _apply_to_tiles(self, tiles: list[int], land: LandWindow) -> tuple[Sequence[Arrays], list[TileSums]]:
         """Apply the entries to tiles, blend these into the interpolated coarser level, and update `land`.
 
-        The land after all entries is blended, not each change, so that depths that are nowhere negative stay so.
-        Arguments and result are those of `apply`.
+        Return each entry's change, none at level 0, and its statistics by tile. tiles: those to compute. The land after
+        all entries is blended, not each change, so that depths that are nowhere negative stay so.
         """
         level, first, changes = self.work.level, None, []
         start = land.crop(level.whole)  # the land before the run, as `land` is updated below

@@ -34,7 +34,10 @@ def coarser(samples: np.ndarray) -> np.ndarray:
 
 
 def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
-    """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest."""
+    """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest.
+
+    rows, columns: the window, of the finer level.
+    """
     south, west = rows.start // 2, columns.start // 2
     # One coarse sample after the last row and column, as odd ones are between two coarse samples.
     coarse = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
@@ -62,7 +65,8 @@ def apply_by_levels(effect: HeightOperator, ground: OperatorGround, values: Mapp
 def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
     """Return the change of an operator over all levels, before it is multiplied by its mask.
 
-    The mask would otherwise be applied again at each level.
+    The mask would otherwise be applied again at each level. effect: the operator's declaration. values: its parameters
+    by name.
     """
     (rows, columns), change = ground.heights.shape, None
     ground = replace(ground, whole=(rows, columns))
@@ -77,7 +81,7 @@ def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) 
     """Return the change with heights and by-products that add up multiplied by a mask.
 
     Return it as it is if the operator applies masks itself. mask: weights 0 to 1, float32 [rows, columns]; None changes
-    nothing.
+    nothing. effect: the operator's declaration.
     """
     if mask is None or effect.masks:
         return change

@@ -26,7 +26,8 @@ DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change | None) -> Change:
     """Return the fine relief (noise and ledges of rock) to add to the heights of a level; implements `Apply`.
 
-    The coarser level, which only lacks the finest waves, is not needed. Sediment hides the relief.
+    The coarser level, which only lacks the finest waves, is not needed. Sediment hides the relief. values: the
+    operator's parameters by name.
     """
     heights = np.ascontiguousarray(ground.heights)
     noise, window = _noise(ground, values), _window(ground, values)
@@ -45,7 +46,10 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
 
 
 def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
-    """Return the parameters of the noise for kernels; octaves end at waves of two samples."""
+    """Return the parameters of the noise for kernels; octaves end at waves of two samples.
+
+    values: the operator's parameters by name.
+    """
     noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
     noise.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
@@ -58,7 +62,10 @@ def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
 
 
 def _window(ground: OperatorGround, values: Mapping[str, float]) -> Window:
-    """Return the window of samples for kernels, with the distance, in samples, over which slopes are averaged."""
+    """Return the window of samples for kernels, with the distance, in samples, over which slopes are averaged.
+
+    values: the operator's parameters by name.
+    """
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first

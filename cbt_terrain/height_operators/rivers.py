@@ -73,7 +73,7 @@ def _change_of_bed(
     """Return the change of the heights since `origin`, with the layers and the state for the next finer level.
 
     origin: float32 [n], heights before all steps. load: float64 [n], sediment that came to each sample, metres times
-    samples a year.
+    samples a year. values: the operator's parameters by name.
     """
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
@@ -130,7 +130,11 @@ def _halvings(ground: OperatorGround) -> int:
 
 
 def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> tuple[Bed, np.ndarray]:
-    """Return the initial bed, and the heights before the operator with the sea at its surface, float32 [n]."""
+    """Return the initial bed, and the heights before the operator with the sea at its surface, float32 [n].
+
+    values: the operator's parameters by name. coarser: the change of the next coarser level, interpolated; None at the
+    coarsest.
+    """
     sea, shape, n = np.float32(values["sea"]), ground.heights.shape, ground.heights.size
     missing = np.zeros(n, bool) if ground.missing is None else ground.missing.reshape(-1)
     before = ground.heights.reshape(-1)

@@ -76,9 +76,11 @@ def shape_store(
     on_progress: Tell = lambda _fraction, _message: None,
     tiles: str | os.PathLike | None = None,
 ) -> dict:
-    """Shape in a child process and wait. Arguments and report are those of `run_shape`.
+    """Shape the store `source` into `store` in a child process, wait, and return the report. Raises TerrainError.
 
-    The report has "unchanged" if the store is up to date. on_progress(fraction, message): an exception stops the job.
+    The report has "unchanged" if the store is up to date. wanted: for each level {tile: allowed error in metres} or
+    None for all of it; None for all levels. on_progress(fraction, message): an exception stops the job. tiles: folder
+    of cached tiles, None for one in `store`.
     """
     return wait_for(lambda: ShapeJob(source, stack, store, wanted, tiles), on_progress)
 

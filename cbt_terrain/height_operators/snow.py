@@ -58,7 +58,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth of snow before slides, and the part of it that clings to the ground, metres.
 
-    Both are float32 [rows, columns].
+    Both are float32 [rows, columns]. values: the operator's parameters by name.
     """
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
@@ -101,7 +101,10 @@ def _where_bare(ground: OperatorGround) -> np.ndarray:
 
 
 def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Weather:
-    """Return the snow line, the depth of snow, the aspect and the noon sun of an equinox for kernels."""
+    """Return the snow line, the depth of snow, the aspect and the noon sun of an equinox for kernels.
+
+    values: the operator's parameters by name.
+    """
     weather, latitude = kernels.Weather(), math.radians(values["latitude"])
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
@@ -112,7 +115,10 @@ def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Wea
 
 
 def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level."""
+    """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level.
+
+    values: the operator's parameters by name.
+    """
     odd = [n % 2 for n in ground.first]
 
     def halve_samples(samples: np.ndarray) -> np.ndarray:
@@ -159,7 +165,8 @@ def _slide_snow(
     """Return the loose snow after `sweeps` sweeps of slides, float32 [rows, columns] m.
 
     It is the mean after the last four halves of sweeps. Overwrites `loose`. clinging: metres that never slide. sweeps:
-    at least 2; each has two halves, slabs of two rows that begin at even and at odd rows.
+    at least 2; each has two halves, slabs of two rows that begin at even and at odd rows. values: the operator's
+    parameters by name.
     """
     arguments, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     arguments.height, arguments.width = rows, columns
@@ -196,7 +203,7 @@ def _repose(values: Mapping[str, float]) -> float:
 def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping[str, float]) -> None:
     """Smooth deposits by [1 2 1] / 4 along both axes, in place, but not over cliffs.
 
-    On coarse levels they end at whole samples, whose squares would show.
+    On coarse levels they end at whole samples, whose squares would show. values: the operator's parameters by name.
     """
     deposited, bed = np.maximum(slides, 0.0), _with_walls(ground.heights, ground.missing)
     for axis, step in ((0, ground.step_y), (1, ground.step_x)):

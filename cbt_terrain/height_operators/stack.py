@@ -216,7 +216,8 @@ def read_stack(path: str | os.PathLike) -> Stack:
 def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
     """Return a checked stack from parsed JSON. Raises TerrainError.
 
-    where: subject of errors. folder: base of relative image paths, None if they stay as they are.
+    where: subject of errors. folder: base of relative image paths, None if they stay as they are. content: the parsed
+    JSON.
     """
     top = _check_object(where, content, _TOP)
     version = top.get("version")
@@ -236,7 +237,8 @@ def stack_from(content: object, where: str = "The stack", folder: Path | None = 
 def _heights(where: str, content: object) -> tuple[float, float] | None:
     """Return the lowest and highest height of the land in metres, None if not given.
 
-    Raises TerrainError unless they are 1 m apart or more, between -12,000 and 20,000 m.
+    Raises TerrainError unless they are 1 m apart or more, between -12,000 and 20,000 m. where: subject of the error.
+    content: the parsed JSON.
     """
     if content is None:
         return None
@@ -294,7 +296,10 @@ def _parse_rule(where: str, content: object) -> GroundRule:
 
 
 def _check_object(where: str, content: object, known: tuple[str, ...]) -> dict:
-    """Return `content` if it is a JSON object with `known` keys only. Raises TerrainError."""
+    """Return `content` if it is a JSON object with `known` keys only. Raises TerrainError.
+
+    where: subject of the error.
+    """
     if not isinstance(content, dict):
         raise TerrainError(f"{where} is {shown(repr(content))}", expected=f"an object with {', '.join(known)}")
     if unknown := sorted(set(content) - set(known)):

@@ -49,7 +49,10 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def _breakable_depth(ground: OperatorGround, values: Mapping[str, float]) -> np.ndarray:
-    """Return the depth of rock that may break off each sample, float32 [rows, columns] m; 0 in holes."""
+    """Return the depth of rock that may break off each sample, float32 [rows, columns] m; 0 in holes.
+
+    values: the operator's parameters by name.
+    """
     breakable = np.full(ground.heights.shape, values["depth"], np.float32)
     if ground.mask is not None:
         breakable *= ground.mask
@@ -92,7 +95,8 @@ def settle_scree(
     """Return the scree after `times` the sweeps of one level, and update `left`, the rest of the `breakable` rock.
 
     The scree is the mean after the last four halves of sweeps. All are float32 [rows, columns] m, see
-    kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`.
+    kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`. values: the operator's parameters
+    by name.
     """
     slope, rest = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
@@ -147,7 +151,8 @@ def pack_slope(
 ) -> kernels.Slope:
     """Return parameters and arrays as the kernels read them; the memory of the arrays is shared.
 
-    base: constant rock, left: rock that may break off, scree; float32 [rows, columns] metres.
+    base: constant rock, left: rock that may break off, scree; float32 [rows, columns] metres. values: the operator's
+    parameters by name.
     """
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape

@@ -56,7 +56,10 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.SteadyRain:
-    """Return the rain for kernels: `runoff` is m^3/s of each sample, from metres a year."""
+    """Return the rain for kernels: `runoff` is m^3/s of each sample, from metres a year.
+
+    values: the operator's parameters by name.
+    """
     rain = kernels.SteadyRain()
     rain.height, rain.width = ground.heights.shape
     rain.step_x, rain.step_y = ground.step_x, ground.step_y

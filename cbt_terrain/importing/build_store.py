@@ -92,7 +92,9 @@ def import_raster(
     """Import the raster of the settings in this process into the store at `path`, and return the report.
 
     If the store has the same mosaic already, its report is returned. file: the source, or its unpacked height map.
-    open_raster: opens the source of the settings; its raster is closed here. Others: as of `run_import`.
+    folder: name of the folder for the new arrays. on_progress: gets a fraction and a message; may raise to stop.
+    open_raster: opens the source of the settings; its raster is closed here. crew: processes that read and measure,
+    None for this one alone. part: the part of an import by tile to do, None for all.
     """
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
@@ -176,7 +178,10 @@ def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> flo
 
 
 def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draft, on_progress: Tell) -> HeightField:
-    """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_SHARE to 0.99."""
+    """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_SHARE to 0.99.
+
+    reader: gets the figures of the heights that are read.
+    """
     source = reader.raster.finer
     assert source is not None, "the raster has finer files"
     share, work = (COARSE_SHARE, 0.99 - COARSE_SHARE), work_in(draft.folder)
@@ -193,6 +198,7 @@ def _build(
     """Build the height field of a raster in one piece, in the arrays of a draft.
 
     place: georeference. on_progress: gets 0 to 0.99 and a message. Raises TerrainError, as if all samples are missing.
+    reader: gets the figures of the heights that are read.
     """
     raster, settings = reader.raster, reader.settings
     steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
@@ -297,7 +303,10 @@ def _read_heights(reader: HeightReader, place: Georeference, heights: np.ndarray
 
 
 def _source_max(reader: HeightReader) -> float:
-    """Return the largest distance, metres, by which rounding and resampling have moved the heights that were read."""
+    """Return the largest distance, metres, by which rounding and resampling have moved the heights that were read.
+
+    reader: has the figures of the heights that were read.
+    """
     raster, settings = reader.raster, reader.settings
     if settings.source in LANDS:
         return 0.0

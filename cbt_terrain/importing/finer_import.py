@@ -200,7 +200,7 @@ def border_weights(tile: Tile, known: set[Tile], margin: int, last: tuple[int, i
     """Return the weights of the finer heights at the samples of a tile, 0 .. 1: float64 [SIDE + 1, SIDE + 1].
 
     They are 0 where a tile without finer heights begins, and 1 from `margin` samples on. The raster's border does not
-    count. last: finer cells of the raster along x and y.
+    count. last: finer cells of the raster along x and y. known: the tiles with finer heights, (column, row) each.
     """
     from_west = np.arange(SIDE + 1) / margin
     distances = {-1: from_west, 0: np.zeros(SIDE + 1), 1: from_west[::-1]}

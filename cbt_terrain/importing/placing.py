@@ -124,7 +124,10 @@ def child_main() -> None:
 
 
 def _reprojected(x: float, y: float, source: str, target: str) -> tuple[float, float]:
-    """Return a point in another coordinate system. Raises TerrainError for names and points that PROJ refuses."""
+    """Return a point in another coordinate system. Raises TerrainError for names and points that PROJ refuses.
+
+    x, y: the point in its own system. target: name of the other system.
+    """
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

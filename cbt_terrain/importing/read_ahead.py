@@ -36,7 +36,7 @@ def write_ahead(store: Path, grid: TileGrid, number: int, record: dict, heights:
     """Write the heights of a tile to its own file, from which a later import reads them. Raises TerrainError.
 
     The file appears when it is complete. record: inputs, missing, limits and figures of the tile. heights: float32, NaN
-    where missing.
+    where missing. number: of the tile.
     """
     content = np.ascontiguousarray(heights, "<f4").tobytes()
     line = line_of({"kind": READ, "number": number, "at": time.time_ns(), **record, "heights": zlib.crc32(content)})
@@ -54,7 +54,7 @@ def write_ahead(store: Path, grid: TileGrid, number: int, record: dict, heights:
 def find_ahead(store: Path, grid: TileGrid, number: int, inputs: str) -> TileAhead | None:
     """Return a tile that was read before the import, from its file.
 
-    Return None if the file is missing, damaged or of other sources. inputs: digest of the sources.
+    Return None if the file is missing, damaged or of other sources. inputs: digest of the sources. number: of the tile.
     """
     box = grid.owned(grid.box(number))
     shape = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1

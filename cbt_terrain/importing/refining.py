@@ -127,7 +127,10 @@ class SeenLand(NamedTuple):
 
 
 def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
-    """Return the tiles that views need and an incomplete store lacks: see `seen_tiles`. Raises TerrainError."""
+    """Return the numbers of the tiles that views need and an incomplete store lacks, ascending. Raises TerrainError.
+
+    A tile is needed where the finest stored errors are larger than the allowed pixels.
+    """
     return seen_tiles(open_store(first_picture(store)), seen, loaded_tiles(read_json(store)["provenance"]))
 
 

@@ -18,7 +18,7 @@ from ..sandbox.store_job import ask, serve
 
 
 def describe_source(settings: ImportSettings) -> dict:
-    """Return facts of the header of one file, or of a built-in terrain, as `_fields`, read by a child process.
+    """Return a dict of facts of one file, or of a built-in terrain, by its header, which a child process reads.
 
     Raises TerrainError for a file that cannot be imported.
     """

@@ -74,9 +74,10 @@ def has_archives(settings: ImportSettings) -> bool:
 
 
 def _files_of_one(source: str, step: float | None) -> list[Path]:
-    """Return the absolute paths of the files of one source: a folder, a pattern or a file. step: as of `_files_in`.
+    """Return the absolute paths of the files of one source: a folder, a pattern or a file.
 
-    Raises TerrainError for a folder or a pattern without a height map.
+    step: metres of a pixel that decides the zoom level of web map tiles; None for the finest. Raises TerrainError for a
+    folder or a pattern without a height map.
     """
     if _is_folder(source):
         found = _files_in(Path(source).absolute(), step)

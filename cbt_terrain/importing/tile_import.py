@@ -149,7 +149,8 @@ def do_part(
 
     An import without parts then does the rest. The parts BEGIN and FILL need the work alone; several processes may
     read, or measure, different tiles at a time. The report has the number of "tiles"; to read or to measure, also how
-    many of them were requested: "done". doubt: as of `open_work`.
+    many of them were requested: "done". path: the store's folder. folder: name of the folder of arrays in it. digest:
+    of the settings and sources. doubt: a further remedy in errors if the store is implausibly large.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
@@ -212,7 +213,10 @@ def _not_begun(path: Path) -> TerrainError:
 
 
 def _started(work: TileWork | None, draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return an earlier work, attached to a draft in its folder, or a new one."""
+    """Return an earlier work, attached to a draft in its folder, or a new one.
+
+    digest: of the settings and sources.
+    """
     if work is None:
         work = _new_work(draft, source, lattice, digest)
     else:
@@ -273,7 +277,10 @@ def _steps_of(source: TileSource) -> codes.Steps | None:
 
 
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles."""
+    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles.
+
+    digest: of the settings and sources.
+    """
     work = _work_of(draft.folder, source, lattice, digest)
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
@@ -296,7 +303,7 @@ def _read_units(
     """Read the samples of the units (tiles, or rows of the file) that have changed since the last attempt.
 
     Return False, before the rest is read, if heights have to be stored as floats. numbers: those of the units to read,
-    None for all. Raises TerrainError, and gives the work up, if a unit then has no record.
+    None for all. Raises TerrainError, and gives the work up, if a unit then has no record. crew: processes that read.
     """
     before, tasks = work.records(READ), []
     chosen = _chosen(unit_count(work.grid, source), numbers)
@@ -312,7 +319,10 @@ def _read_units(
 
 
 def _inputs(work: TileWork, source: TileSource, number: int) -> str:
-    """Return a digest of all that determines the samples of a unit, a part that is read at once."""
+    """Return a digest of all that determines the samples of a unit, a part that is read at once.
+
+    number: of the unit.
+    """
     if source.coarse is not None:
         return f"{source.coarse.digest} {number in source.coarse.loaded}"
     if source.raster.inputs is None:
@@ -322,7 +332,10 @@ def _inputs(work: TileWork, source: TileSource, number: int) -> str:
 
 
 def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -> None:
-    """Raise TerrainError for a raster of which nothing would be left."""
+    """Raise TerrainError for a raster of which nothing would be left.
+
+    limits: lowest and highest height, and the number of missing samples.
+    """
     lattice = work.grid.lattice
     if limits.missing == lattice.width * lattice.height:
         raise no_heights(name)
@@ -343,7 +356,7 @@ def _measure_tiles(
     """Measure the tiles that have changed, which `tile_steps.measure` decides.
 
     numbers: those of the tiles to measure, None for all. Raises TerrainError, and gives the work up, if a tile then has
-    no complete record.
+    no complete record. limits: of all heights. crew: processes that measure.
     """
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
@@ -376,7 +389,8 @@ def _completed(
 ) -> HeightField:
     """Join the measured tiles into the draft, and return the height field.
 
-    The work can be continued if finer tiles follow. source_max: largest error of the source's heights, metres.
+    The work can be continued if finer tiles follow. source_max: largest error of the source's heights, metres. limits:
+    of all heights.
     """
     lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
 

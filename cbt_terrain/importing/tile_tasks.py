@@ -85,7 +85,10 @@ def perform(
 
 
 def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str, store: Path) -> None:
-    """Write the heights of a loaded tile into a file of the store, for a later import. Raises TerrainError."""
+    """Write the heights of a loaded tile into a file of the store, for a later import. Raises TerrainError.
+
+    number: of the tile. inputs: digest of the sources.
+    """
     source.raster.moved = source.raster.shifted = 0.0
     reader, whole = HeightReader(source.raster, source.settings), grid.owned(grid.box(number))
     found = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
@@ -106,7 +109,8 @@ def _read_heights(
 ) -> Iterator[tuple[TileBox, np.ndarray]]:
     """Yield the boxes of a unit, each with its heights in the order of the terrain, NaN where missing.
 
-    A unit that is not loaded has the heights of the coarse land.
+    A unit that is not loaded has the heights of the coarse land. number: of the unit. reader: gets the figures of the
+    heights.
     """
     if source.coarse is not None and not is_loaded(source, number):
         box = grid.owned(grid.box(number))
@@ -142,7 +146,10 @@ def _unit_rows(grid: TileGrid, raster: Raster) -> int:
 
 
 def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
-    """Yield the boxes of a unit, each with its values in the order of the file."""
+    """Yield the boxes of a unit, each with its values in the order of the file.
+
+    number: of the unit.
+    """
     raster, place = source.raster, source.place
     if _is_by_tile(source):
         tile = grid.owned(grid.box(number))

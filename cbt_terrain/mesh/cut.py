@@ -110,7 +110,11 @@ def cut(
 def drop_triangles(
     surface: Surface, triangles: np.ndarray, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, np.ndarray]:
-    """Remove flagged triangles, bool [T], from a surface. Other arguments, and the result, are those of `cut`."""
+    """Remove flagged triangles, bool [T]; return the remaining surface and int64 [2, n]: pairs of swapped vertices.
+
+    The last elements fill the gaps of removed ones. room: allocates the larger arrays for new elements; another one
+    than `copy_with_room` overwrites the given arrays.
+    """
     if not triangles.any():
         return surface, NONE_SWAPPED
     near = np.zeros(len(surface.positions), bool)

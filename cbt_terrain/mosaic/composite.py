@@ -51,7 +51,10 @@ METHOD = 1  # increased when the same files give other values
 
 
 def rank_tiles(tiles: Sequence[SourceTile], footprints: Footprints, settings: ImportSettings) -> np.ndarray:
-    """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher."""
+    """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher.
+
+    footprints: boxes and steps of the tiles.
+    """
     if settings.priority == RESOLUTION:
         return np.argsort(-(footprints.steps[:, 0] * footprints.steps[:, 1]), kind="stable")
     if settings.priority == NEWEST:
@@ -363,7 +366,10 @@ class Composite:
         return self.values_of(self.tiles[rank], self._raster(rank), row, rows, column, columns)
 
     def values_of(self, tile: SourceTile, raster: Raster, row: int, rows: int, column: int, columns: int) -> np.ndarray:
-        """Return a window of a tile's raster, or of an overview of it, as `tile_window`."""
+        """Return a window of a tile's raster, or of an overview of it, float64 in the unit of the composite's values.
+
+        Missing ones are NaN. row, column: first sample of the window. rows, columns: its size.
+        """
         assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
@@ -408,7 +414,7 @@ def _overlay(
 ) -> Iterator[tuple[int, PieceValues | None]]:
     """Write the tiles of one level after the other over `result`, and yield each level with the values before it.
 
-    These are None for level 0, the coarsest.
+    These are None for level 0, the coarsest. found: the lattices with tiles in the piece.
     """
     for level in map(int, levels):
         below = result.copy() if level > 0 else None
@@ -419,7 +425,10 @@ def _overlay(
 
 
 def _resample(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
-    """Write to `result` the samples of a piece for which a lattice has a tile of a higher rank than those so far."""
+    """Write to `result` the samples of a piece for which a lattice has a tile of a higher rank than those so far.
+
+    nodes: positions of the lattice at the nodes of the piece's block.
+    """
     height, width = window.values.shape
     inputs = [
         piece.columns,

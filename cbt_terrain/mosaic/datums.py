@@ -171,7 +171,10 @@ def find_shifts(tiles: Sequence[SourceTile]) -> DatumShifts | None:
 
 
 def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return metres of a datum above the ellipsoid at positions in a system; NaN where there is no grid."""
+    """Return metres of a datum above the ellipsoid at positions in a system; NaN where there is no grid.
+
+    crs: name of the system of x and y, arrays of one shape.
+    """
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

@@ -38,8 +38,9 @@ class FinerPlan:
 def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
     """Return how to divide a mosaic into a coarse raster and tiles of finer files; None if that saves little space.
 
-    None also without a finer file, and if the grid has fewer samples than FEWEST. grid: with the finest step. levels,
-    steps, boxes: of its files, as in `Composite`.
+    None also without a finer file, and if the grid has fewer samples than FEWEST. grid: with the finest step. levels
+    [files]: 0 for the coarsest, more for finer ones on top of them. steps [files]: samples of the grid between two of a
+    file. boxes [files, 4]: lowest column and row of the grid and highest ones of each.
     """
     is_finer = levels > 0
     if not is_finer.any() or grid.width * grid.height < FEWEST:

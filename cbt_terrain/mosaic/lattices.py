@@ -52,7 +52,10 @@ class TileLattice:
 
 
 def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns and rows of positions, by the inverse of the steps."""
+    """Return columns and rows of positions, by the inverse of the steps.
+
+    origin: position of sample (0, 0). x, y: the positions.
+    """
     (a, b, d, e), dx, dy = steps, x - origin[0], y - origin[1]
     if b == d == 0.0:
         return dx / a, dy / e

@@ -42,7 +42,7 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
 def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride: float, heights: np.ndarray) -> None:
     """Write over `heights` a tile's samples nearest to positions x and y (in the grid's system), where it has any.
 
-    All arrays are float64 [rows, columns]. stride: columns of the tile between two positions.
+    All arrays are float64 [rows, columns]. stride: columns of the tile between two positions. rank: number of the tile.
     """
     tile = composite.tiles[rank]
     x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))
@@ -68,7 +68,7 @@ def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stri
     """Return the samples of a tile at columns u and rows v, float64 [n].
 
     A mosaic of more than MAX_UNPACKED samples takes them from an overview if the file has one. stride: columns of the
-    tile between them.
+    tile between them. rank: number of the tile.
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:

@@ -110,7 +110,10 @@ def _compare(
 
 
 def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np.ndarray) -> tuple:
-    """Return columns and rows, float64, in the lower tile of samples of the upper one."""
+    """Return columns and rows, float64, in the lower tile of samples of the upper one.
+
+    above: the upper tile.
+    """
     x, y = projected(above.crs, below.crs, *above.position(columns, rows))
     a, b, _, d, e, _ = below.transform
     x0, y0 = below.position(0, 0)

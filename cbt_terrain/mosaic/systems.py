@@ -40,7 +40,10 @@ def names_of(crs: Any) -> tuple[str, str]:
 
 @lru_cache(maxsize=256)
 def _names_of(wkt: str) -> tuple[str, str]:
-    """Return the names for the CRS of a WKT; files of a mosaic share a few."""
+    """Return the names of the horizontal system and of the vertical datum, "" for none, of a CRS in WKT.
+
+    The results are cached, because the files of a mosaic share a few.
+    """
     from rasterio.crs import CRS
 
     crs = CRS.from_wkt(wkt)
@@ -66,7 +69,8 @@ def projected(source: str, target: str, x: np.ndarray, y: np.ndarray) -> tuple[n
     """Return positions in another system, float64 [n] each, not finite where there are none.
 
     They are x and y themselves if the systems are the same. GDAL chooses the operation between two datums by all points
-    of a call, so results depend on the whole set. Raises TerrainError for systems without a common one.
+    of a call, so results depend on the whole set. Raises TerrainError for systems without a common one. target: name of
+    the other system.
     """
     from rasterio.warp import transform
 

@@ -106,7 +106,8 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
 def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
     """Return the boxes and steps of tiles in a system. Raises TerrainError for a tile that has no place there.
 
-    Longitudes are within 180 degrees of the first tile's, so tiles on both sides of the date line are neighbours.
+    Longitudes are within 180 degrees of the first tile's, so tiles on both sides of the date line are neighbours. crs:
+    name of the system.
     """
     boxes, steps = np.empty((len(tiles), 4)), np.empty((len(tiles), 2))
     period, anchor = period_of(crs), None
@@ -129,7 +130,10 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
 
 
 def _outline(tile: SourceTile) -> np.ndarray:
-    """Return points of a tile's border, and its middle and the next ones along a row and a column: float64 [2, n]."""
+    """Return points of a tile's border, and its middle and the next ones along a row and a column: float64 [2, n].
+
+    They are x and y in the tile's coordinate system.
+    """
     right, bottom = tile.width - 1.0, tile.height - 1.0
     t = np.linspace(0.0, 1.0, SIDE_POINTS)
     zero, middle = np.zeros_like(t), (right / 2, bottom / 2)
@@ -156,7 +160,8 @@ def _steps(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 def _check_return(tile: SourceTile, crs: str, missed: np.ndarray) -> None:
     """Raise TerrainError for a tile whose positions do not survive the way to the target system and back.
 
-    missed: float64 [2, n], the differences in x and y; whole turns of longitude are removed from it in place.
+    missed: float64 [2, n], the differences in x and y; whole turns of longitude are removed from it in place. crs: name
+    of the target system.
     """
     a, b, _, d, e, _ = tile.transform
     cell, period = max(length((a, d)), length((b, e))), period_of(tile.crs)

@@ -79,7 +79,10 @@ def empty_values(piece: GridPiece) -> PieceValues:
 
 
 def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPiece]:
-    """Divide a window of the grid into pieces, each inside one block of BLOCK x BLOCK samples, and yield them."""
+    """Divide a window of the grid into pieces, each inside one block of BLOCK x BLOCK samples, and yield them.
+
+    row, column: first sample of the window. rows, columns: its size.
+    """
     for y in range(row // BLOCK, (row + rows - 1) // BLOCK + 1):
         y0, y1 = max(row, y * BLOCK), min(row + rows, (y + 1) * BLOCK)
         for x in range(column // BLOCK, (column + columns - 1) // BLOCK + 1):

@@ -61,8 +61,8 @@ def nearest(
 ) -> Hits:
     """Return the nearest hit on the lines through points, ahead or behind.
 
-    Arguments as of `pick`. `distance` is negative for a hit against the direction. Of two hits as near, the one ahead
-    counts.
+    points, directions: float64 [n, 3] in the terrain's own space, metres; directions have any length but 0. `distance`
+    is negative for a hit against the direction. Of two hits as near, the one ahead counts.
     """
     points, directions = _check_rays(points, directions)
     options = vertical_scale, vertical_offset, threads

@@ -101,7 +101,10 @@ def unit_of(crs: CRS | None) -> dict:
 
 
 def has_shear(grid: FileGrid, width: int, height: int) -> bool:
-    """Return whether the rows and columns of a placed raster are not perpendicular on the ground."""
+    """Return whether the rows and columns of a placed raster are not perpendicular on the ground.
+
+    width, height: samples of the raster.
+    """
     unit = unit_of(grid.crs)
     if "degrees" not in unit:
         return is_sheared(grid.placed, 1.0, 1.0)

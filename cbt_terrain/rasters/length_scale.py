@@ -19,6 +19,7 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
     """Return a warning if steps of `place` are off by more than MAX_SCALE_ERROR at the raster's middle or border.
 
     True steps are differences of longitude and latitude over a cell, times the length of a degree on the ellipsoid.
+    width, height: samples of the raster.
     """
     if grid.crs is None or not grid.crs.is_projected or min(place.step_x, place.step_y) < MIN_STEP:
         return []
@@ -37,7 +38,10 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
 
 
 def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
-    """Return a warning if x and y of a system are left-handed at the raster's middle, so the ground is mirrored."""
+    """Return a warning if x and y of a system are left-handed at the raster's middle, so the ground is mirrored.
+
+    width, height: samples of the raster.
+    """
     if grid.crs is None or not grid.crs.is_projected:
         return []
     a, b, _, d, e, _ = grid.placed
@@ -63,7 +67,10 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
 
 
 def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
-    """Return whether points near a raster's corners do not survive the way to longitudes and latitudes and back."""
+    """Return whether points near a raster's corners do not survive the way to longitudes and latitudes and back.
+
+    width, height: samples of the raster.
+    """
     from rasterio.warp import transform
 
     x, y = grid.positions(np.array([0.02, 0.98, 0.02, 0.98]) * width, np.array([0.02, 0.02, 0.98, 0.98]) * height)

@@ -146,7 +146,7 @@ def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
 def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> tuple:
     """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle.
 
-    Raises TerrainError.
+    Raises TerrainError. crs: the new system.
     """
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
@@ -188,7 +188,7 @@ def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tupl
 def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> None:
     """Raise TerrainError for a raster whose points do not survive the way to the new system and back.
 
-    A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator.
+    A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator. crs: the new system.
     """
     inner = np.linspace(0.02, 0.98, INNER_SAMPLES)
     columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
@@ -207,7 +207,10 @@ def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: C
 def _transform_points(
     path: Path, source: CRS, target: CRS, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in another coordinate system, x and y, float64 [n] each. Raises TerrainError."""
+    """Return positions in another coordinate system, x and y, float64 [n] each. Raises TerrainError.
+
+    target: the other system.
+    """
     from rasterio.warp import transform
 
     try:

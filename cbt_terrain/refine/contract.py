@@ -188,7 +188,8 @@ def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
 def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the distance on screen between a point and its true position, pixels; 0 if none is in view.
 
-    None without that criterion or without views.
+    None without that criterion or without views. outcome: the refinement and how it ended. spans: factors between
+    pixels and footprints.
     """
     if not criterion.error_px or not spans.views:
         return None
@@ -234,7 +235,8 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
 def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion.
 
-    It is the request times the relaxation factor, or more if rounding or the depth limit prevents that.
+    It is the request times the relaxation factor, or more if rounding or the depth limit prevents that. outcome: the
+    refinement and how it ended.
     """
     if not criterion.error_m:
         return None

@@ -121,7 +121,10 @@ def _wait_for(futures: Sequence[Future]) -> None:
 
 
 def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
-    """Launch a kernel that is one serial loop, on the calling thread. recorded: as of `slices`."""
+    """Launch a kernel that is one serial loop, on the calling thread.
+
+    recorded: dictionary of recorded launches, which are faster when repeated; None to record none.
+    """
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 

@@ -82,7 +82,7 @@ class OpenFolder(NamedTuple):
 
     @contextmanager
     def open_inner(self, name: str) -> Iterator["OpenFolder"]:
-        """Open a real folder in this one for the block. Raises as `open_folder`."""
+        """Open a real folder in this one for the block. Raises NotOursError for a link, and OSError."""
         inner = _open_below(self, name, make=False)
         try:
             yield inner
@@ -93,7 +93,7 @@ class OpenFolder(NamedTuple):
         """Move a file of another folder to `name` in this one, replacing a file there.
 
         Raises OSError, and NotOursError for a link, or another entry than a file, in a derived folder; in a folder that
-        the user chose a link is replaced.
+        the user chose a link is replaced. source, source_name: that folder and the file's name in it.
         """
         found = self.find(name)
         if found is not None and derived_components(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):

@@ -135,7 +135,7 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False, may_exis
     """Create a folder and return its lock, an open file; the folder counts as in use until it is closed.
 
     parents: also create the folders above it; the last of them may then be no link. may_exist: the folder may be there,
-    in use by no process. Raises OSError, among others FileExistsError, and NotOursError.
+    in use by no process. Raises OSError, among others FileExistsError, and NotOursError. mode: its permissions.
     """
     for attempt in range(ATTEMPTS):
         try:

@@ -140,7 +140,10 @@ def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None,
 
 
 def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, threads: int) -> None:
-    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice."""
+    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice.
+
+    measured: heights of the window, NaN where samples do not count.
+    """
     local, box, window = tile.grid.local(tile.box), tile.box, tile.window
     base, pages = local.layout()
     cells = _rows_depth(measured.shape[1] - 1, measured.shape[0] - 1)

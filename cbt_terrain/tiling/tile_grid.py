@@ -259,7 +259,7 @@ def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> 
 def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarray) -> None:
     """Replace the codes of a tile in the array of the raster, in place.
 
-    tables: uint8 [groups of the tile and cells, 256], the new code of each old one.
+    tables: uint8 [groups of the tile and cells, 256], the new code of each old one. whole: that array.
     """
     for area in owned_areas(grid, box):
         table = tables[area.group].tobytes()

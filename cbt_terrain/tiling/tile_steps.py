@@ -127,10 +127,10 @@ def measure(
 def _errors(
     tile: TileSamples, coarse: CoarseLand | None, is_near_loaded: bool, threads: int
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the errors of a tile and its kinds of cells as `exact_errors`.
+    """Return the errors of a tile, float32 metres in the layout of its lattice, and the kinds of its cells.
 
-    Around loaded tiles of a quick import they are bounds, which need no samples, if the tile has no holes and no loaded
-    tile is near. coarse: that import, None without.
+    The kinds (ground, hole) are None without holes. Around loaded tiles of a quick import the errors are bounds, which
+    need no samples, if the tile has no holes and no loaded tile is near. coarse: that import, None without.
     """
     if coarse is None:
         return exact_errors(tile, threads)
@@ -219,7 +219,10 @@ def join(
 
 
 def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeError]) -> list[float]:
-    """Return the largest error, metres, of each group of the terrain and of its cells."""
+    """Return the largest error, metres, of each group of the terrain and of its cells.
+
+    records: of the measured tiles by number. large: errors of diamonds as large as a tile or larger.
+    """
     found = [0.0] * (work.grid.lattice.groups + 1)
     for record in records.values():
         *groups, cells = record["largest"]

@@ -232,7 +232,10 @@ def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=w
 
 @wp.func
 def donors_at(d: DrainageArrays, x: wp.int32, y: wp.int32) -> wp.uint8:
-    """Return the number of donors of a sample on the border: neighbours that drain into it."""
+    """Return the number of donors of a sample on the border: neighbours that drain into it.
+
+    x, y: its column and row.
+    """
     count = wp.int32(0)
     for k in range(9):
         xx = x + k % 3 - 1

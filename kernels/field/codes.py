@@ -62,7 +62,7 @@ def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
 def twist_of(corners: wp.vec4d) -> wp.float64:
     """Return the twist of a bilinear patch, |h00 + h11 - h10 - h01| metres: 4 times its distance from a plane.
 
-    corners: see `corners_of`.
+    corners: heights in the order south-west, south-east, north-west, north-east.
     """
     return wp.abs((corners[0] - corners[1]) + (corners[3] - corners[2]))
 

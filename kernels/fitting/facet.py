@@ -114,8 +114,8 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
 def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
     """Return (t, r): where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value there.
 
-    It is (0, r0) if the extremum is not between t = 0 and 1. r0, r1: distances at the ends of a side, metres. twist:
-    see `twist_over`.
+    It is (0, r0) if the extremum is not between t = 0 and 1. r0, r1: distances at the ends of a side, metres. twist: of
+    the surface between these ends, metres with a sign.
     """
     slope = r1 - r0 - twist
     t = wp.float64(0.0)

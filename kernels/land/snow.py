@@ -141,6 +141,7 @@ def slide_slab(slides: Slides, y: int, along: int, turn: int):
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
     """Settle the loose snow of slab `offset + tid`: rows first + 2 * (offset + tid) and the next.
 
-    Slabs share no row. first: -1 or 0. along, turn: see `slide_slab`.
+    Slabs share no row. first: -1 or 0. along: 1 to settle pairs along the rows first, from those whose western column
+    has the parity of `turn`; 0 to settle only pairs across and along the diagonals.
     """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

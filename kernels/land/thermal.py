@@ -186,7 +186,8 @@ def settle_slab(s0: Slope, y: int, along: int, turn: int):
 def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
     """Settle slab `offset + tid`: the pairs of samples in rows start + 2 * (offset + tid) and the next.
 
-    start: -1 or 0. along, turn: see `settle_slab`.
+    start: -1 or 0. along: 1 to settle pairs along the rows, too, first those whose western column in the whole level
+    has the parity of `turn`.
     """
     settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 

@@ -71,8 +71,8 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 def diamond_above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
     """Return the diamond an even number of bisections above that of v, of which one triangle contains v's whole edge.
 
-    unit_bits: as in `split_vertex`. bisections: even, below v's depth. Two above, the split vertex is that end of the
-    edge which is two bisections older; the other end is older still.
+    unit_bits: a root square has 2^unit_bits lattice units a side. bisections: even, below v's depth. Two above, the
+    split vertex is that end of the edge which is two bisections older; the other end is older still.
     """
     for _ in range(bisections >> 1):
         end = v.left

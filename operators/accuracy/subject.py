@@ -157,7 +157,8 @@ def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> 
     """Visit the frames `numbers` of a scene and return a Look for each terrain of `objects`.
 
     Each frame has the next one with it, if the scene has one, for measuring popping. The scene stays at the last of
-    them. look: `camera`, `resolution` or `overrides` in place of those of the scene. Raises TerrainError.
+    them. look: `camera`, `resolution` or `overrides` in place of those of the scene. Raises TerrainError. view_layer:
+    the scene's, which the frames evaluate.
     """
     from ..terrain.request import RENDER, gather
 

@@ -32,7 +32,7 @@ VARIATION_M = 80.0  # size of the materials' variation: that of a terrain of 8 k
 
 
 def child_main(folder: str, stamp: str) -> None:
-    """Write the library in the child process of `library.start_writing`. `stamp`: as in `write_library`."""
+    """Write the library in the child process of `library.start_writing`. stamp: version of the library."""
     child.end_with_parent()
     write_library(Path(folder), stamp)
 

@@ -119,7 +119,10 @@ def statuses(
 
 
 def _note_on(step: AttributeRequest, heights: HeightField) -> str:
-    """Return why an attribute, or a layer in it, is 0 where one may not expect it, or ""."""
+    """Return why an attribute, or a layer in it, is 0 where one may not expect it, or "".
+
+    step: the attribute's request.
+    """
     if why := why_missing(heights, step.name):
         return f"0, since {why}"
     parameters = dict(step.parameters)
@@ -137,6 +140,7 @@ def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
     """Return the readers in the scene by attribute.
 
     A reader of everything counts for each attribute, and one of the active colours for the attributes that are active.
+    mode: VIEWPORT or RENDER.
     """
     demand = kept.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})  # a copy: `demand` may be cached

@@ -70,7 +70,8 @@ def _is_enabled(modifier, mode: str) -> bool:
 
 def _hidden_error(obj, depsgraph, what: str, named) -> TerrainError:
     """Return the error for a hidden object `named` that has animation, modifiers or constraints; `obj` is it or a
-    parent.
+
+    parent. what: noun for it in the error.
     """
     owner = "it" if obj == named else f"its parent {obj.name!r}"
     where = "renders" if depsgraph.mode == RENDER else "viewports"

@@ -17,6 +17,7 @@ def run(subjects: list[AccuracySubject], out: Path, show_progress: bool | None =
     """Measure the accuracy of every subject, then write the report into the folder `out`.
 
     Raises TerrainError if something cannot be written, and after writing if a measured error exceeds its bound.
+    show_progress: whether there is a bar, None for one in a terminal only.
     """
     accuracy_report.prepare_folder(out)
     measure(subjects, show_progress)

@@ -33,7 +33,10 @@ FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tif
 
 
 def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff: bool = True) -> list[Path]:
-    """Render the map of the scene's camera before returning, with arguments, files and errors as of `map_steps`."""
+    """Render the map of the scene's camera before returning; return the files, the first picture first.
+
+    tiles: pictures across and down. with_geotiff: whether each becomes a GeoTIFF, too. Raises TerrainError.
+    """
     steps = map_steps(scene, path, tiles, with_geotiff)
     try:
         while True:

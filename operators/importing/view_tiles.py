@@ -134,7 +134,10 @@ class TileLoader:
 
 @contextmanager
 def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoader]:
-    """Yield the TileLoader of a terrain while its import runs. uid: session_uid. settings, store: see TileLoader."""
+    """Yield the TileLoader of a terrain while its import runs. uid: session_uid of the object.
+
+    settings: of the quick import. store: absolute path of the incomplete store.
+    """
     loader = _loaders[uid] = TileLoader(settings, store)
     try:
         yield loader

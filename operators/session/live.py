@@ -251,7 +251,7 @@ def _solve_on_worker(record: session.Record, request: Request):
 def _refine_on_worker(record: session.Record, request: Request):
     """Run one step of the slow attributes on the worker thread; return None if more steps are needed.
 
-    After the last step, return the Update, the serial number of its surface and True, as `_solve_on_worker` does.
+    After the last step, return the Update, the serial number of its surface and True: no preview is shown.
     """
     global _stage
     _stage = "Refining effects"

@@ -46,7 +46,7 @@ def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
     """Return those of a node's inputs, a factor and two sides, that have an effect.
 
     A constant factor of 0 hides the second side. replaces: a factor of 1 hides the first side, which a blend mode still
-    reads. clamped: factors are limited to 0 .. 1.
+    reads. clamped: factors are limited to 0 .. 1. walk: the NodeWalk, which knows constant values.
     """
     if len(inputs) != 3:
         return inputs

@@ -49,7 +49,7 @@ class NodeWalk:
         """Walk backwards from an input of a node: add the reads of all nodes that feed it.
 
         Outputs that were visited before are passed over. A walk of more than MAX_STEPS outputs ends, and counts as
-        reading everything.
+        reading everything. socket: the input. context: enclosing group nodes, innermost last.
         """
         self.trees.add(node.id_data)
         waiting = [(node, socket, context)]

@@ -41,10 +41,11 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by at most 9/32 of their
     range, the sum of the samples' negative weights.
     """
+    # `around`: 1 where bicubic heights also depend on the samples around a cell, 0 for bilinear ones.
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:
-        more = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)
+        more = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
     (lows, base, width), (highs, _, _) = (

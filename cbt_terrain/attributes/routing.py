@@ -168,6 +168,7 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     count = int(start[-1])
+    # Twice as long as the passes: the second half is scratch memory of the sort.
     key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
     launch_search(emit=1, key=key, edge=edge)
     launch.sort_pairs(key, edge, count, step="routing")

@@ -382,6 +382,7 @@ def _tiles_json(samples: _Samples, names: dict[tuple, str], placing: Placing, se
         ],
     }
     if heights.form.is_integer and not settings.is_flipped:
+        # Unreal Engine measures in centimetres, and its y axis points south.
         index["unreal"] = {
             "scale_x": 100.0 * axes[0].spacing,
             "scale_y": 100.0 * axes[1].spacing,

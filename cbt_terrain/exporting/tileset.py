@@ -202,11 +202,13 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
     path: file of the tileset, beside which the tiles are written. tiles: gets the box of each tile (its lowest and
     highest corner) and its number of triangles, by level, x and y. root_bound: error of level 0, metres.
     """
+    # A triangle belongs to the tile that contains its centroid.
     centroids = level.mesh.positions[level.mesh.triangles].astype(np.float64).mean(1)
     x, y = (np.searchsorted(level.lines[axis], centroids[:, axis]) for axis in (0, 1))
     owner = y * level.side + x
     order = np.argsort(owner, kind="stable")
     starts = np.searchsorted(owner[order], np.arange(level.side**2 + 1))
+    # The mesh's own border gets no skirt.
     outer = edge_keys(border_edges(level.mesh))
     for tile in np.flatnonzero(np.diff(starts)):
         stopping.check()

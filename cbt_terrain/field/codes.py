@@ -40,6 +40,7 @@ def _table_shape() -> np.ndarray:
     """
     entries = [0.0]
     for octave, count in enumerate(PER_OCTAVE):
+        # even steps of log2 within the octave, rounded up
         above = np.nextafter((2.0 ** (np.arange(1, count) / count)).astype(np.float32), np.float32(2.0))
         entries += np.ldexp([1.0, *above], octave - len(PER_OCTAVE)).tolist()
     return np.array([*entries, 1.0], np.float32)

@@ -27,6 +27,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     lattice = field.lattice
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
+    # Corners of triangles are integers: a unit is a cell halved `unit_bits - levels` times.
     bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
     domain.unit_bits = min(bits, lattice.unit_bits)
     unit = 2.0 ** (lattice.levels - domain.unit_bits)

@@ -43,7 +43,7 @@ def add_finer_tiles(
     """Return the field `plain` of the coarser files with the finer heights of `source`, in the arrays of a draft.
 
     Near the border of all finer tiles they are mixed with the heights of `plain`. reader: gets their figures. work: of
-    the raster, in the draft's folder. on_progress, errors: as in `with_finer_tiles`.
+    the raster, in the draft's folder. on_progress: called with the fraction that is done.
     """
     bits, lattice = source.bits, plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits

@@ -156,6 +156,7 @@ def _degrees(crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[
         return None
     if base is None:
         return None
+    # units_factor: name of the base's unit of angle, and radians in one
     return np.degrees(moved * base.units_factor[1]), ellipsoid_of(base.to_wkt())
 
 

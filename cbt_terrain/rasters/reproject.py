@@ -93,6 +93,7 @@ def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:
     assert grid.crs is not None
     wkt = grid.crs.to_wkt()
     meridian = _MERIDIAN.search(wkt)
+    # Only longitudes in degrees can pass 180.
     if not grid.crs.is_geographic or not meridian or abs(math.degrees(grid.crs.units_factor[1]) - 1.0) > 1e-9:
         return grid
     corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (dataset.width, dataset.height)

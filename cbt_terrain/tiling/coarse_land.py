@@ -89,9 +89,11 @@ class CoarseLand:
         found = np.zeros(local.node_count, np.float32)
         for group in range(local.groups):
             image = found[base[group] : base[group + 1]]
+            # the vertices of two levels in rows; an image has pages of 32 x 32
             rows = np.zeros((len(image) // (32 * int(pages[group])), 32 * int(pages[group])), np.float32)
             for level in range(2 * group, min(2 * group + 2, local.levels)):
                 half = 1 << level - 2 * group
+                # row and column of the first centre, and of the first middle of sides of either direction
                 for y0, x0 in ((half, half), (0, half), (half, 0)):
                     is_centre = y0 == x0
                     if is_centre and level == local.levels - 1 and not grid.holds_roots:

@@ -182,6 +182,7 @@ def join(
         kinds = partial(work.open, "kinds")
         for level, is_centre in _join_kinds(work, kinds):
             largest[level // 2] = max(largest[level // 2], _longest(lattice, level, is_centre))
+    # of the largest error of each group, which choose the tables of codes
     exponents = codes.nested(lattice, list(map(codes.exponent_of, _nested(largest))))
     for number, record in sorted(records.items()):
         on_progress(0.5 * number / len(grid))

@@ -332,6 +332,7 @@ def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree,
     rounded = ROUNDED * subtree.coarse
     if not (subtree.fall > rounded and subtree.rise > rounded and subtree.fine + min_growth > rounded):
         holds = 0
+    # for boxes in the fringe `fade_change` bounds the change, wherever they are
     if holds == 1 and subtree.frustum_class != FADED:
         frustum_class = CLEAR
         if in_frame == 0:

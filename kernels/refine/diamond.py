@@ -225,6 +225,7 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     if depth > 2 * levels:  # inside a finer cell, which is bilinear
         part = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
         rise = rise * smaller(wp.float64(1 + (depth & 1)) / part, wp.float64(1.0))
+    # the climb of the displacement along an edge
     rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
     d.low = wp.vec3d(d.low[0], d.low[1], larger(d.low[2], smaller(z0, z1) - more))
     d.high = wp.vec3d(d.high[0], d.high[1], smaller(d.high[2], larger(z0, z1) + more))

@@ -134,8 +134,9 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
 
 
 def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None") -> wp.vec3f:
-    """Return 1 / metres along x, along y and diagonally, with the factors of DIAGONAL, for the choice of receivers.
+    """Return 1 / metres along x, along y and diagonally, for the choice of receivers.
 
+    With noise the values have factors, without which paths would turn towards diagonals and long steps (see DIAGONAL).
     noise: on the choice, None without; then no factor is needed.
     """
     if noise is None or noise.jitter == 0.0:

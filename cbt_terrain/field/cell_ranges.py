@@ -18,11 +18,11 @@ def rectangle_ranges(
 ) -> np.ndarray:
     """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2].
 
-    In metres before vertical scaling. A range encloses the ground of its rectangle, without the detail, and no more
-    than that within an eighth of the smallest rectangle's side, or 8 samples if that is more, around it, apart from
-    rounding and from the largest change of finer tiles. Where no ranges of that size are stored, all are the limits of
-    the whole field, which include its detail: for a raster with a side of one or two cells, and for rectangles much
-    larger than it.
+    Heights are metres before vertical scaling. A range encloses the ground of its rectangle, without the detail. It is
+    no wider than the range of the rectangle with a margin of an eighth of the smallest rectangle's side, or of 8
+    samples if that is more, apart from rounding and from the largest change of finer tiles. Where no ranges of that
+    size are stored, all are the limits of the whole field, which include its detail: for a raster with a side of one or
+    two cells, and for rectangles much larger than it.
 
     Args:
         columns: west and east side of each column, in samples from the raster's western border.

@@ -197,8 +197,8 @@ def _build(
 ) -> HeightField:
     """Build the height field of a raster in one piece, in the arrays of a draft.
 
-    place: georeference. on_progress: gets 0 to 0.99 and a message. Raises TerrainError, as if all samples are missing.
-    reader: gets the figures of the heights that are read.
+    place: georeference. on_progress: gets 0 to 0.99 and a message. reader: gets the figures of the heights that are
+    read. Raises TerrainError, for example if all samples are missing.
     """
     raster, settings = reader.raster, reader.settings
     steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))

@@ -212,7 +212,7 @@ class Composite:
         return max((self.shifts.error_of(self.tiles[rank]) for rank in np.flatnonzero(meets)), default=0.0)
 
     def all_roundings(self) -> tuple:
-        """Return the different roundings of the files, in units of a value."""
+        """Return the different roundings of the files, in the unit of the composite's values."""
         return tuple(
             dict.fromkeys(
                 rounding.scaled(tile.scale, tile.offset) if self._converts else rounding

@@ -131,7 +131,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         plan, whole = composite.finer
 
         def finer_window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-            """Read a window of the finest grid, as `window`."""
+            """Read a window of the finest grid, and keep the largest errors of positions and of shifts of datums."""
             values, moved = whole.read(first, count, column, columns)
             raster.moved = max(raster.moved, moved)
             raster.shifted = max(raster.shifted, whole.shift_error(first, count, column, columns))

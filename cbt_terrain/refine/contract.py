@@ -272,7 +272,8 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
 def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the largest triangle, square pixels; None without that criterion.
 
-    The search uses the square root of twice the area: the leg of a right triangle of two equal legs.
+    The search uses the square root of twice the area: the leg of a right triangle of two equal legs. So bounds are
+    computed as lengths, pixels. spans: pixel footprints of the views. outcome: what the refinement has reached.
     """
     if not criterion.area_px:
         return None

@@ -157,8 +157,8 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
     """
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
-    by_plane = plane_at(f, u, v) - z
-    by_height = z - reference_at(ground, u, v)
+    by_plane = plane_at(f, u, v) - z  # by the rounding of x and y
+    by_height = z - reference_at(ground, u, v)  # by that of z
     bits = wp.cast(wp.abs(position[2]), wp.int32)
     # half of the distance to the next float32
     half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(bits + 1, wp.float32)) - wp.abs(z))

@@ -186,6 +186,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
         while top > bottom and step <= w.coarsest:
             top -= 1
             cell = w.stack[top]
+            # The diamonds of the cell: quadrants 3 .. 0, sides -1 .. -4. A start cell (depth -1) has its square alone.
             number = wp.int32(3)
             last_number = wp.where(cell.depth < 0, 3, -4)
             while number >= last_number:

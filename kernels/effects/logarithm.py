@@ -27,10 +27,11 @@ def natural_log(x: wp.float64) -> wp.float64:
 
 @wp.func
 def exponential(x: wp.float64) -> wp.float64:
-    """Return e^x within a relative 1e-15, for -700 < x < 700. By e^x = 2^k e^r with |r| <= ln 2 / 2."""
+    """Return e^x = 2^k e^r with |r| <= ln 2 / 2, within a relative 1e-15, for -700 < x < 700."""
     k = wp.floor(x / LN_2 + wp.float64(0.5))
     r = x - k * LN_2
     series = wp.float64(1.0)
     for n in range(14):
         series = wp.float64(1.0) + series * r / wp.float64(14 - n)
+    # The last factor is 2^k, made from its exponent bits.
     return series * wp.cast((wp.int64(k) + wp.int64(1023)) << wp.int64(52), wp.float64)

@@ -202,7 +202,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                         entry = wp.int64(r.at) * s.count + wp.int64(v)
                         q = item_at(s.values, entry)
                         if r.kind == LOGARITHM:
-                            q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))
+                            q = wp.float32(natural_log(wp.float64(q)) * wp.float64(0.4342944819032518))  # 1 / ln 10
                         elif r.kind == DIRECTION:
                             q = r.sine * q + r.cosine * item_at(s.values, entry + s.count)
                         to_limit = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))

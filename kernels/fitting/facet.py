@@ -100,7 +100,8 @@ def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
 def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
     """Return the twist of the surface over a step (dx, dy) from (x, y), metres before scaling, with its sign.
 
-    The step is in one cell and parallel to a diagonal, so |dx| = |dy|, lattice units.
+    The twist is the sum of the heights at the two ends of the step, minus that at the other two corners of the square
+    around it. The step is in one cell and parallel to a diagonal, so |dx| = |dy|, lattice units.
     """
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
@@ -164,8 +165,9 @@ def diagonal_inside(
 
     The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
     border do not count. plane: height of the plane at (x, y); slope: its metres a cell along the diagonal. In a cell
-    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist. Only a turning point counts, so that the
-    result is 0 without one: `row_inside` measures at the samples.
+    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t). c: the cell's twist, the sum of the heights at the ends of the
+    diagonal minus that at the other corners. Only a turning point counts, so that the result is 0 without one:
+    `row_inside` measures at the samples.
     """
     h = raster.floats
     to_side = wp.int64(right)  # to the next sample in a row, and in a column

@@ -121,7 +121,11 @@ def resolve(
 
 @wp.func
 def replace_imports(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
-    """Replace the imports (negative numbers) in a slice's triangles and edges by the numbers in `found`."""
+    """Replace the imports (negative numbers) in a slice's triangles and edges by the elements that they stand for.
+
+    slot: number of the slice. found: (edge, vertex) of each import of all slices. `w.fixes` lists the triangles that
+    have imports.
+    """
     room = base_of(w.counts, slot).room
     first = 2 * room
     for i in range(w.state[STATE_SIZE * slot + FIXES]):

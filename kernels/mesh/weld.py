@@ -239,9 +239,10 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 
 @wp.func
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
-    """List triangle t for `join` if it uses an import, and pass an edge by which the curve leaves a square to the next.
+    """Do what few leaves need: list triangle t for `join` if it uses an import, and pass on an edge of the curve.
 
-    The next is the square above. third, far: the leaf's third edge and that edge's far vertex.
+    At the last leaf of a square that edge, by which the curve leaves it, is passed to the square above. code: the
+    leaf's code. third, far: the leaf's third edge and that edge's far vertex.
     """
     first_state = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:

@@ -286,6 +286,7 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
             view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
         valid = wp.min(valid, also_valid)
+    # Of the fringe's factor: its lower and upper change, then its smallest and largest value now.
     faded = wp.vec4d(one, one, one, one)
     if subtree.frustum_class == OUTSIDE:
         gain2 = gain2 * view.off_screen2

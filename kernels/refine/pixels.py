@@ -221,7 +221,7 @@ def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
         one = wp.float64(1.0)
         # 1 + fade * (-inner / width of the fringe), in a form that stays monotone when it is rounded.
         factor = one + view.fade / (one - outer / inner)
-        factor2 = factor * factor
+        factor2 = factor * factor  # the footprint is factor^4 coarser
         factor4 = factor2 * factor2
         coarser2 = smaller(factor4 * factor4, coarser2)
     return coarser2

@@ -213,7 +213,7 @@ def open_subtree(
             r.cached[entry].high = m.diamond.high
             r.cached[entry].fine = footprint
             r.cached[entry].coarse = wp.sqrt(coarse2)
-            r.cached[entry].fall = r.slack * footprint
+            r.cached[entry].fall = r.slack * footprint  # how far footprints may fall or rise
             r.cached[entry].rise = r.slack * footprint
 
 

@@ -174,9 +174,10 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return `raster_error_at` from exact twists, inside the raster's cells of a bilinear surface.
+    """Return the saturated error of the diamond split at (x, y) in a raster cell, metres before scaling.
 
-    Stored errors are rounded up, and an exact one may save triangles. (x, y): where the diamond is split.
+    It is for bilinear surfaces, whose cells deviate from planes by their twists, and does not include displacement.
+    Stored errors are rounded up; this one comes from exact twists, which may save triangles.
     """
     bits = domain.unit_bits - domain.levels
     i = x >> bits

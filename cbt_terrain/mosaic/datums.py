@@ -118,7 +118,7 @@ class DatumShifts:
     def _find_nodes(self, tile: SourceTile) -> ShiftNodes:
         """Return the nodes of a tile from PROJ's grids, with the widest of SPACINGS whose error is at most MAX_ERROR_M.
 
-        If there is none, those of the last spacing, whose error is larger. Raises TerrainError where a grid ends.
+        If no spacing is fine enough, the nodes have the last one. Raises TerrainError where a grid ends.
         """
         for spacing in SPACINGS:
             down, across = (  # every second one is a node, the others measure the error between nodes

@@ -159,7 +159,7 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, thr
         end = rows.shape[1 - axis]
         if end < count:
             line = np.moveaxis(target, 1 - axis, 0)
-            line[end] = 0.25 * line[end - 1]
+            line[end] = 0.25 * line[end - 1]  # saturated: a quarter of the neighbour
     errors[base[-2] :] = pages_of(target)
 
 
@@ -228,7 +228,10 @@ def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeT
 
 
 def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -> list[LargeError]:
-    """Return the errors of diamonds of cells as large as a tile or larger, over one tile. found: their triangles."""
+    """Return the errors over one tile of large diamonds, those of cells that are at least as large as a tile.
+
+    found: position, level and triangles of each such diamond.
+    """
     counted, errors = tile.inner(tile.measured), []
     for x, y, level, corners in found:
         largest = np.zeros(len(counted), np.float64)

@@ -49,10 +49,11 @@ def match_in_order(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """List runs of points that this and the last surface have in the same order.
+    """List runs of points that this surface and the last one, of the last frame, have in the same order. One thread.
 
-    One thread. It stops where more than LOOK points would have to be skipped. runs [k]: first point, first point of
-    the last surface, count. found [2]: number of runs, and the first point that `match_anywhere` still has to find.
+    The search stops where more than LOOK points would have to be skipped. last, last_count: the last surface's points
+    and their number. runs [k]: first point, first point of the last surface, count. found [2]: number of runs, and the
+    first point that `match_anywhere` still has to find.
     """
     v = wp.int32(0)
     last_v = wp.int32(0)

@@ -71,8 +71,8 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
 def _spread_excess(m: FitMesh, count: int):
     """Write to each vertex the largest excess over the bound of the `count` listed triangles around it.
 
-    In metres after vertical scaling, for `_max_excess_around`. It is stored in the vertex' sum of pushes, which is 0
-    and not needed then.
+    The excess, metres after vertical scaling, is for `_max_excess_around`. It is stored in the vertex' sum of pushes,
+    which is 0 and not needed then.
     """
     for k in range(count):
         t = m.active[k]

@@ -138,7 +138,7 @@ def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 @wp.func
 def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Estimate the largest squared ratio of a diamond to the limits of the criteria; `too_coarse` decides exactly."""
+    """Estimate the largest squared ratio of a diamond's errors and edges to their limits (`too_coarse` is exact)."""
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2
     largest2 = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2

@@ -24,7 +24,7 @@ from ..rasters.rounding import half_step
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_work import work_in
-from .earlier_import import finished_before, finished_import, source_digest
+from .earlier_import import finished_import, import_before, source_digest
 from .finer_import import add_finer_tiles
 from .finer_squares import finer_provenance
 from .height_range import fit_heights
@@ -33,6 +33,7 @@ from .import_report import report_of
 from .plausibility import ValueCheck
 from .read_ahead import remove_ahead
 from .refining import coarse_land, first_picture, refined
+from .source_list import absolute_source
 from .thinning import LOADED, REFINED, loaded_steps, thinned
 from .tile_import import (
     MEASURING,
@@ -225,7 +226,7 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
     Raises TerrainError if the store is of another source.
     """
     before, picture = dataclasses.replace(settings, loaded_tiles=(), loaded_finer=()), first_picture(path)
-    if finished_before(picture, source_digest(before, raster.sources, raster.method)) is None:
+    if import_before(picture, before, raster.sources, raster.method) is None:
         raise TerrainError(
             f"The store {path} has no first picture of {settings.name}",
             expected="one of the same files, with the same paths and times, and of the same options",
@@ -242,6 +243,7 @@ def _provenance(
     land: the coarse land around loaded tiles, of which LOADED has the step; None if all tiles are loaded.
     """
     values = dataclasses.asdict(settings)
+    values["source"], *values["more_sources"] = map(absolute_source, settings.sources)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
     loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
     if land is not None:

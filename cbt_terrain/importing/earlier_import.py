@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import TerrainError
@@ -13,7 +14,7 @@ from ..field.lands import LANDS
 from ..formats.sources import check_file, check_named
 from ..rasters.raster import ImportSettings, Raster
 from ..rasters.sidecars import sidecars
-from .source_list import file_stat, files_of, names_several
+from .source_list import absolute_source, file_stat, files_of, names_several
 
 METHOD = 2  # increased when the same source gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
@@ -31,10 +32,35 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
     complete = dataclasses.replace(settings, quick=0, loaded_tiles=(), loaded_finer=())
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
-        report = finished_before(path, source_digest(wanted, files, method))
+        report = import_before(path, wanted, files, method)
         if report is not None:
             return report
     return None
+
+
+def import_before(
+    path: str | os.PathLike, settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0
+) -> dict | None:
+    """Return the report of an earlier import with exactly these settings and files, None if there is none.
+
+    Older versions had the sources in a digest as they were written, often relative to an unknown folder. The paths of
+    the files are in it, too, so the recorded texts may stand for the sources. sources, method: as of `source_digest`.
+    """
+    report = finished_before(path, source_digest(settings, sources, method))
+    if report is None and (names := _recorded_sources(Path(path))) is not None:
+        if len(names) == len(settings.sources) and list(map(absolute_source, settings.sources)) != names:
+            report = finished_before(path, source_digest(settings, sources, method, names))
+    return report
+
+
+def _recorded_sources(path: Path) -> list[str] | None:
+    """Return the sources in the record of a store, None for a store without a valid one."""
+    try:
+        recorded = store.read_json(path)["provenance"]["settings"]
+        names = [recorded["source"], *recorded.get("more_sources", ())]
+    except (TerrainError, KeyError, TypeError):
+        return None
+    return names if all(isinstance(name, str) for name in names) else None
 
 
 def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
@@ -49,14 +75,18 @@ def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
         return None
 
 
-def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0) -> str:
+def source_digest(
+    settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0, names: Sequence[str] | None = None
+) -> str:
     """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
 
-    sources: files that the source names. method: version of the method that makes the samples, 0 for none. Raises
-    TerrainError for a missing source and for settings that cannot be used.
+    sources: files that the source names. method: version of the method that makes the samples, 0 for none. names: texts
+    for the sources in the digest; None for their absolute paths. Raises TerrainError for a missing source and for
+    settings that cannot be used.
     """
     settings.check()
     values = dataclasses.asdict(settings)
+    values["source"], *values["more_sources"] = names or map(absolute_source, settings.sources)
     for field in dataclasses.fields(settings):
         if field.name in ADDED_SETTINGS and values[field.name] == field.default:
             del values[field.name]

@@ -68,6 +68,25 @@ def file_stat(path: str | os.PathLike) -> tuple[str, int, int]:
     return str(path), stat.st_size, stat.st_mtime_ns
 
 
+def absolute_source(source: str) -> str:
+    """Return the absolute path of a source without `..`, unless these follow a link; the name of a built-in terrain.
+
+    An import thus has one path for a file, from whatever folder it is named.
+    """
+    if source in LANDS:
+        return source
+    path = Path(source).absolute()
+    parts = path.parts
+    if ".." not in parts:
+        return os.path.normpath(path)
+    last = len(parts) - parts[::-1].index("..")
+    before = Path(*parts[:last])
+    try:
+        return os.path.normpath(path) if os.path.samefile(before, os.path.normpath(before)) else str(path)
+    except (OSError, ValueError):
+        return str(path)
+
+
 def has_archives(settings: ImportSettings) -> bool:
     """Return whether one of the files that the sources name is an archive."""
     return any(_is_archive(_suffix(path.name)) for path in files_of(settings))
@@ -79,8 +98,9 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
     step: metres of a pixel that decides the zoom level of web map tiles; None for the finest. Raises TerrainError for a
     folder or a pattern without a height map.
     """
+    whole = absolute_source(source)
     if _is_folder(source):
-        found = _files_in(Path(source).absolute(), step)
+        found = _files_in(Path(whole), step)
         if not found:
             raise TerrainError(
                 f"The folder {shown(source)} holds no height map with a position",
@@ -90,13 +110,13 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
         return found
     if _is_pattern(source):
         _check_right(Path(*itertools.takewhile(lambda part: not glob.has_magic(part), Path(source).parts)))
-        names = sorted(glob.glob(source, recursive=True))
-        found = [Path(name).absolute() for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
+        names = sorted(glob.glob(whole, recursive=True))
+        found = [Path(name) for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
         if not found:
             what = f"No height map matches the pattern {shown(source)}"
             raise TerrainError(what, fix="check the folder and the suffix")
         return found
-    return [Path(source).absolute()]
+    return [Path(whole)]
 
 
 def _files_in(folder: Path, step: float | None) -> list[Path]:

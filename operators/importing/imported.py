@@ -4,12 +4,13 @@
 import dataclasses
 import functools
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.importing.source_list import absolute_source
 from ...cbt_terrain.importing.thinning import loaded_m, refined_m
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
@@ -169,10 +170,16 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
 def _same_file(path: str, before: object) -> bool:
     """Return whether a source is the one before: the same path or built-in land, or a file that may have moved.
 
-    A file that is missing at its old path may have moved with its .blend file, so its name has to be equal only.
+    A file that is missing at its old path may have moved with its .blend file, so its name has to be equal only. Older
+    versions recorded relative paths, of which the end has to be equal.
     """
     if path == before or not isinstance(before, str):
         return path == before
+    if before not in LANDS and not PurePath(before).is_absolute():
+        end = [part for part in PurePath(before).parts if part != ".."]
+        return path not in LANDS and list(PurePath(path).parts[-len(end) :] if end else ()) == end
+    if not {path, before} & set(LANDS) and absolute_source(path) == absolute_source(before):
+        return True
     return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()
 
 

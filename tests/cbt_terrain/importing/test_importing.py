@@ -6,16 +6,19 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
-from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
+from adaptive_terrain.cbt_terrain.importing.earlier_import import finished_import, source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, import_source
 from adaptive_terrain.cbt_terrain.importing.import_report import describe
+from adaptive_terrain.cbt_terrain.importing.source_list import absolute_source
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import child
 from rasters import hills, write_exr, write_raster
@@ -73,6 +76,51 @@ def test_a_digest_follows_the_settings_and_all_files(tmp_path):
     assert len(set(digests)) == len(digests) and source_digest(settings) in digests
     with pytest.raises(TerrainError, match="does not exist"):
         source_digest(ImportSettings(source=str(tmp_path / "c.tif")))
+
+
+def test_a_file_has_the_same_digest_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "far" / "below").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "below")
+    for path in (tmp_path / "inner", tmp_path / "far"):
+        write_raster(path / "a.tif", hills())
+    monkeypatch.chdir(tmp_path / "inner")
+    inner, far = str(tmp_path / "inner" / "a.tif"), str(tmp_path / "far" / "a.tif")
+    for written, whole in (
+        (("a.tif",), (inner,)),
+        (("../inner/a.tif", "../far/a.tif"), (inner, far)),
+        (("../inner",), (str(tmp_path / "inner"),)),
+        (("../inner/*.tif",), (str(tmp_path / "inner" / "*.tif"),)),
+    ):
+        digests = [source_digest(ImportSettings(names[0], more_sources=names[1:])) for names in (written, whole)]
+        assert digests[0] == digests[1], written
+    through = str(tmp_path / "link" / ".." / "a.tif")
+    assert absolute_source(through) == through, "it is in the folder above the link's target"
+    assert absolute_source("island") == "island" and absolute_source("../no.tif") == str(tmp_path / "no.tif")
+
+
+def test_stores_of_relative_paths_are_found_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_raster(tmp_path / "a.tif", hills())
+    write_raster(tmp_path / "b.tif", hills())
+    (tmp_path / "elsewhere").mkdir()
+    run_import(ImportSettings("a.tif"), "new")
+    with monkeypatch.context() as older:  # these versions recorded sources as they were written
+        for module in (earlier_import, build_store):
+            older.setattr(module, "absolute_source", lambda source: source)
+        run_import(ImportSettings("a.tif"), "old")
+        run_import(ImportSettings(str(tmp_path / "a.tif")), "absolute")
+    assert read_json(Path("new"))["provenance"]["settings"]["source"] == str(tmp_path / "a.tif")
+    assert read_json(Path("old"))["provenance"]["settings"]["source"] == "a.tif"
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for store in ("new", "old", "absolute"):
+        for source in (tmp_path / "a.tif", Path("../a.tif")):
+            assert finished_import(tmp_path / store, ImportSettings(str(source))) is not None, (store, source)
+        other = ImportSettings(str(tmp_path / "b.tif"))
+        assert finished_import(tmp_path / store, other) is None, "a file of another name"
+        assert finished_import(tmp_path / store, ImportSettings(str(tmp_path / "a.tif"), band=2)) is None
+    os.utime(tmp_path / "a.tif", (0, 0))
+    assert all(finished_import(tmp_path / store, ImportSettings("../a.tif")) is None for store in ("new", "old"))
 
 
 def test_undeclared_no_data_warns(tmp_path):

@@ -61,7 +61,8 @@ def shot(scene, add_terrain, tmp_path, monkeypatch):
     obj = add_terrain()
     settings = obj.adaptive_terrain
     settings.source, settings.source_path, settings.store = "FILE", str(source), str(tmp_path / "own.store")
-    run_import(replace(import_terrain.settings_of(obj), quick=600), tmp_path / "own.store")
+    monkeypatch.chdir(tmp_path)
+    run_import(replace(import_terrain.settings_of(obj), source="a.tif", quick=600), tmp_path / "own.store")
     settings.render.error_px = open_store(tmp_path / "own.store").max_height
     scene.camera.rotation_euler, scene.camera.data.angle = (0.0, 0.0, 0.0), 0.5
     for frame, (x, y) in enumerate(((-600.0, -300.0), (-200.0, 400.0), (300.0, -300.0), (700.0, 400.0)), start=1):

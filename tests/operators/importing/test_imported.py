@@ -144,6 +144,17 @@ def test_a_file_that_moved_is_the_same(tmp_path):
     assert changed_settings(moved, store) == [], "what was imported is gone from its place"
     (tmp_path / "dem.tif").touch()
     assert changed_settings(moved, store) == ["source"], "two files of one name"
+    for recorded, changed in (
+        ("dem.tif", []),
+        ("../dem.tif", []),
+        ("other/dem.tif", ["source"]),
+        ("island", ["source"]),
+    ):
+        older = dataclasses.replace(store, settings=kept | {"source": recorded})
+        assert changed_settings(asked, older) == changed, "of a version that recorded relative paths"
+    dotted = dataclasses.replace(asked, source=str(tmp_path / "x" / ".." / "dem.tif"))
+    (tmp_path / "x").mkdir()
+    assert changed_settings(dotted, store) == []
     del kept["band"]
     assert changed_settings(asked, store) == [], "a setting that an older store does not know has its default"
     assert changed_settings(dataclasses.replace(asked, band=2), store) == ["band"]

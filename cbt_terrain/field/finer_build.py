@@ -203,8 +203,7 @@ def _measured(
             change = _square_at(plain, bits, numbers, heights, corner).change
         for row, column, where in missing:
             limits[row, column] = pair = _limits(change[where], steps)
-            values = {"inputs": inputs[row, column], "limits": [float(value) for value in pair]}
-            records.note(LIMITED, (column, row), **values)
+            records.note(LIMITED, (column, row), inputs=inputs[row, column], limits=[float(value) for value in pair])
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
@@ -228,8 +227,8 @@ def _measured(
                 square = square or _square_at(plain, bits, numbers, heights, corner)
                 fill(square, tiles, array, threads)
             for row, column, tile, _where in tiles:
-                values = {"inputs": f"{inputs[row, column]} {coding}", "sums": digest_of([array[tile]])}
-                records.note(kind, (column, row), **values)
+                given, sums = f"{inputs[row, column]} {coding}", digest_of([array[tile]])
+                records.note(kind, (column, row), array=array[tile], inputs=given, sums=sums)
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)

@@ -37,15 +37,16 @@ class FinerBox(NamedTuple):
 class FinerRecords:
     """Records of finished windows and tiles, so that a killed computation can go on; here there are none."""
 
-    def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
+    def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the records of a place: of this computation with None, then of an earlier store with its arrays.
 
-        kind: FILLED, LIMITED, MEASURED or RANGED. place: column and row of a tile, or of a window.
+        kind: FILLED, LIMITED, MEASURED or RANGED. place: column and row of a tile, or of a window. inputs: digest of
+        all that determines the result; records with another entry "inputs" count as none.
         """
         return iter(())
 
-    def note(self, kind: str, place: Tile, **values: Any) -> None:
-        """Write a record."""
+    def note(self, kind: str, place: Tile, array: np.ndarray | None = None, **values: Any) -> None:
+        """Write a record. array: the errors or ranges of a tile, of the kinds MEASURED and RANGED."""
 
     def use(self, kind: str, place: Tile, record: dict[str, Any], is_earlier: bool) -> None:
         """Learn that the result of a record is used. is_earlier: it is of an earlier store."""
@@ -159,7 +160,7 @@ def _is_filled(
 ) -> bool:
     """Return whether a window has its heights, of this computation or copied from an earlier store."""
     place = window_of(tiles[0])[::-1]
-    for record, arrays in records.find(FILLED, place):
+    for record, arrays in records.find(FILLED, place, inputs):
         if record["inputs"] != inputs:
             continue
         if arrays is not None:

@@ -31,7 +31,7 @@ def inputs_of_tiles(
 
 def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float] | None:
     """Return the limits of a tile's change that an earlier attempt or store has; None without any."""
-    for record, arrays in records.find(LIMITED, tile):
+    for record, arrays in records.find(LIMITED, tile, inputs):
         if record["inputs"] == inputs:
             records.use(LIMITED, tile, record, arrays is not None)
             return record["limits"]
@@ -43,7 +43,7 @@ def is_measured(records: FinerRecords, kind: str, tile: Tile, inputs: str, array
 
     kind: MEASURED or RANGED.
     """
-    for record, arrays in records.find(kind, tile):
+    for record, arrays in records.find(kind, tile, inputs):
         if record["inputs"] != inputs:
             continue
         if arrays is not None:

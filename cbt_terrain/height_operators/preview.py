@@ -91,13 +91,12 @@ def preview(
     """Return the whole terrain with the coarsest level of a stack, at most MAX_PREVIEW_SAMPLES along a side.
 
     Leading entries that equal those of a recent preview of the same source are not applied again. A bound on a mesh of
-    the preview is relative to these heights.
+    the preview is relative to these heights, which are those of the raster without its finer tiles.
 
     images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators. Raises
-    TerrainError for a mask that reads a missing layer, and for a source with finer tiles.
+    TerrainError for a mask that reads a missing layer.
     """
     check_by_products(stack, source.layers)
-    source.raster.check_no_finer("Shaping of land")
     level = levels_of(source.lattice)[-1]
     states = _apply_entries(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)

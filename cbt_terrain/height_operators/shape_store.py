@@ -18,9 +18,11 @@ from ..field.heightfield import HeightField
 from ..field.store_layers import layer_name
 from ..importing.drafts import open_draft, store_bytes
 from ..importing.earlier_import import finished_before
+from ..importing.finer_import import finer_entries
 from ..importing.import_report import common_report_entries
 from ..importing.placing import rotation_of
 from ..run import launch
+from .finer_land import not_finite, raster_part, with_shaped_tiles
 from .level_plan import MAX_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
@@ -35,7 +37,7 @@ from .tiles import Wanted, levels_of, whole_land
 SHAPING = 0.8
 ROWS = 256
 RECORD = 1  # version of the provenance; raising it rebuilds older land
-BUILDING = "Measuring errors"
+BUILDING, FINER = "Measuring errors", "Shaping finer tiles"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
     f"beyond {MAX_WHOLE} x {MAX_WHOLE} samples a level is not made in one piece. Use a height map of at most that "
@@ -75,8 +77,10 @@ def run_shape(
     everywhere = wanted is None
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
-    with open_draft(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
-        room = store_bytes(heights.lattice, len(units))  # bytes that the cache of tiles leaves free for the store
+    size = heights.lattice, len(units)
+    num_finer = len(heights.raster.finer.heights) if heights.raster.finer is not None else 0
+    with open_draft(path, folder, *size, ROOM_ELSEWHERE, finer_tiles=num_finer) as draft:
+        room = store_bytes(*size, num_finer)  # bytes that the cache of tiles leaves free for the store
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
         images = {file: load_image(file, tiles) for file in mask_files(stack)}
@@ -90,7 +94,11 @@ def run_shape(
             on_progress=lambda fraction, message: on_progress(SHAPING * fraction, message),
             finish=finish,
         )
-        field = _build(heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (1 - SHAPING) * f, BUILDING))
+        end = SHAPING + (1.0 - SHAPING) * raster_part(heights)
+        field = _build(heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (end - SHAPING) * f, BUILDING))
+        field = with_shaped_tiles(
+            field, heights, threads, draft.allocate, lambda f: on_progress(end + (1.0 - end) * f, FINER), cache
+        )
         layers = _write_layers(heights, shaped, draft)
         field = field.with_raster(
             digest=key_with(field.raster.digest, layers),
@@ -111,13 +119,12 @@ def run_shape(
 def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightField:
     """Open the store to shape. Raises TerrainError if it is the target or lacks a layer that the stack's masks read.
 
-    Likewise if it is damaged or has finer tiles.
+    Likewise if it is damaged.
     """
     heights = store.open_store(source)
     if os.path.realpath(source) == os.path.realpath(path):
         raise TerrainError(f"The store {path} would be shaped into itself", fix="choose another folder to write")
     check_by_products(stack, heights.layers)
-    heights.raster.check_no_finer("Shaping of land")
     heights.raster.check_samples()
     return heights
 
@@ -160,7 +167,7 @@ def _build(
         with np.errstate(over="ignore", invalid="ignore"):
             samples[rows] = np.where(change == 0.0, before, before + change)
         if not np.isfinite(samples[rows]).all():
-            raise TerrainError("The stack's heights are not finite numbers", fix="switch its effects off one by one")
+            raise not_finite()
         if heights.valid is not None:
             holes = heights.valid[rows] == 0
             samples[rows][holes] = np.nan
@@ -243,6 +250,7 @@ def _shaping_report(
         "format": "shaped",
         "raster": [lattice.width, lattice.height],
         **common_report_entries(field),
+        **finer_entries(field),
         "rotation_deg": rotation_of(source),
         "bounds_against": "the surface as shaped",
         "effects": [entry.effect for entry in stack.active],

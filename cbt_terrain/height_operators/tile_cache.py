@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..errors import TerrainError
 from ..field.store_arrays import map_array as map_checked
@@ -50,17 +51,28 @@ class TileCache:
 
         It is read only. effect: name of the operator, for the counts. compute: makes the array.
         """
-        file = None if self.folder is None else self.folder / f"{key}.npy"
-        self._used.add(f"{key}.npy")
-        found = read_cached(file, shape) if file is not None else None
+        found = self.find(effect, key, shape)
         if found is not None:
-            self.kept[effect] += 1
             return found
         array = np.ascontiguousarray(compute(), np.float32)
-        self.made[effect] += 1
-        if file is not None:
-            _write_cached(file, array, self.room)
+        self.keep(effect, key, array)
         return array
+
+    def find(self, effect: str, key: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> np.ndarray | None:
+        """Return the array of that shape and type under `key`, read only; None if it is not cached.
+
+        effect: as in `take`.
+        """
+        self._used.add(f"{key}.npy")
+        found = None if self.folder is None else read_cached(self.folder / f"{key}.npy", shape, dtype)
+        self.kept[effect] += found is not None
+        return found
+
+    def keep(self, effect: str, key: str, array: np.ndarray) -> None:
+        """Cache a contiguous array that was computed. effect: as in `take`."""
+        self.made[effect] += 1
+        if self.folder is not None:
+            _write_cached(self.folder / f"{key}.npy", array, self.room)
 
     def trim(self, max_bytes: int = MAX_BYTES) -> None:
         """Remove least recently used tiles until the folder's files have at most `max_bytes`.
@@ -96,11 +108,11 @@ def compute_digest(*parts: object) -> str:
     return digest.hexdigest()
 
 
-def read_cached(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return a cached float32 array, mapped, or None if it is missing, damaged or not finite; it counts as used now."""
+def read_cached(file: Path, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> np.ndarray | None:
+    """Return a cached array, mapped, or None if it is missing, damaged or not finite; it counts as used now."""
     try:
-        verify_array(file, shape, np.float32)
-        found = map_checked(file, shape, np.float32)
+        verify_array(file, shape, dtype)
+        found = map_checked(file, shape, dtype)
         owned_files.touch(file)
     except (OSError, TerrainError):
         return None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..errors import TerrainError, unwritable
 from ..field import store
+from ..field.finer_tiles import TILE_BYTES
 from ..field.lattice import Lattice
 
 
@@ -22,6 +23,7 @@ def open_draft(
     is_begun: bool = False,
     by_tile: bool = False,
     sample_bytes: int = 4,
+    finer_tiles: int = 0,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
 
@@ -36,11 +38,12 @@ def open_draft(
         by_tile: whether the store is made by tile: this takes less room, and a block that fails leaves what can be
             completed later, unless the disk is the reason.
         sample_bytes: bytes of a sample of a store that is made by tile.
+        finer_tiles: number of finer tiles (field/finer_tiles.py) of a store that is made in one piece.
     """
     draft = None
     try:
         if not is_begun:
-            needed = work_bytes(lattice, sample_bytes) if by_tile else store_bytes(lattice, layers)
+            needed = work_bytes(lattice, sample_bytes) if by_tile else store_bytes(lattice, layers, finer_tiles)
             _check_room(path, lattice, needed, elsewhere + doubt)
         draft = store.Draft(path, folder, is_begun)
         yield draft
@@ -58,10 +61,14 @@ def work_bytes(lattice: Lattice, sample_bytes: int) -> int:
     return samples + lattice.node_count * 9 // 8 + 4 * lattice.range_count
 
 
-def store_bytes(lattice: Lattice, layers: int) -> int:
-    """Return the bytes that a store takes on the disk while it is made in one piece. layers: number of its layers."""
+def store_bytes(lattice: Lattice, layers: int, finer_tiles: int = 0) -> int:
+    """Return the bytes that a store takes on the disk while it is made in one piece.
+
+    layers, finer_tiles: numbers of its layers and finer tiles.
+    """
     # Heights are there as float32 and as 16-bit numbers, errors as float32 and as codes.
-    return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+    raster = (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+    return raster + TILE_BYTES * finer_tiles
 
 
 def _check_room(path: Path, lattice: Lattice, needed: int, elsewhere: str) -> None:

@@ -119,10 +119,11 @@ class _WorkRecords(FinerRecords):
         before = earlier.work if earlier is not None else None
         self._before = {kind: before.records(kind) if before is not None else {} for kind in (*FINER, SEAMS)}
 
-    def find(self, kind: str, place: Tile) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
+    def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the records of a kind for a tile or window: first that of this import, then that of the earlier store.
 
         Each comes with a function that returns the earlier store's arrays, or None. place: column and row.
+        inputs: is not used; the caller compares it.
         """
         earlier = self._earlier.array if self._earlier is not None else None
         for records, arrays in ((self._found, None), (self._before, earlier)):
@@ -130,10 +131,10 @@ class _WorkRecords(FinerRecords):
             if record is not None:
                 yield record, arrays
 
-    def note(self, kind: str, place: Tile, **values: Any) -> None:
+    def note(self, kind: str, place: Tile, array: np.ndarray | None = None, **values: Any) -> None:
         """Write a record of a kind for a tile or window; that of a window also has the figures of its reading.
 
-        place: column and row. values: content of the record.
+        place: column and row. array: is not used, the store has it. values: content of the record.
         """
         if kind == FILLED:
             values["figures"] = self._windows.figures

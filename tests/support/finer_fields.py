@@ -6,10 +6,11 @@ from unittest import mock
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.field import finer_build
-from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.store import Draft
 from fields import rough
 
 KNOWN = (2, 3), (3, 3), (3, 2)
@@ -21,6 +22,11 @@ def finer_field(
 ) -> HeightField:
     """Return rough land 32 m apart, with more relief in some tiles of 2 m or another fraction. Tests share it."""
     plain = rough(rows, columns, seed, relief=80.0, step=32.0)
+    return in_small_squares(plain, bits, known, relief_reader(plain, bits, seed, relief), block)
+
+
+def relief_reader(plain: HeightField, bits: int, seed: int = 7, relief: float = 6.0):
+    """Return the function that gives finer heights: waves on the raster's surface, and NaN at some samples."""
     rng = np.random.default_rng(seed)
     waves = rng.uniform(0.02, 0.3, (6, 2)), rng.uniform(0, 6, 6)
     coarse = dense_raster(plain, bits)
@@ -32,7 +38,22 @@ def finer_field(
         found[(x % 97 < 3) & (y % 61 < 2)] = np.nan  # only the raster is known there
         return found.astype(np.float32)
 
-    return in_small_squares(plain, bits, known, read, block)
+    return read
+
+
+def finer_store(path, rows: int, columns: int, bits: int, known, step: float = 32.0, hole=None):
+    """Write a store of rough land with finer tiles; return its path. hole: rows and columns without data, cut out."""
+    draft, land = Draft(path), rough(rows, columns, 7, relief=80.0, step=step)
+    samples = draft.allocate("samples", (rows, columns), np.float32)
+    samples[:] = land.heights()
+    if hole is not None:
+        samples[hole] = np.nan
+    missing = int(np.isnan(samples).sum())
+    plain = build(samples, step, step, missing=missing, holes=hole is not None, allocate=draft.allocate)
+    with mock.patch.object(finer_build, "BLOCK", 5):
+        field = finer_build.with_finer_tiles(plain, bits, known, relief_reader(plain, bits), allocate=draft.allocate)
+    draft.publish(field, "made by a test", {"warnings": []})
+    return path
 
 
 def in_small_squares(plain: HeightField, bits: int, known, read, block: int = 5) -> HeightField:

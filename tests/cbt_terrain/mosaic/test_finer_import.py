@@ -12,8 +12,6 @@ from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
-from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.mosaic import finer_plan
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
@@ -158,12 +156,7 @@ def test_a_damaged_store_of_finer_tiles_is_refused(country, tmp_path):
             open_store(tmp_path / "copy")
 
 
-def test_what_needs_one_step_says_how_to_get_it(country, tmp_path):
+def test_what_needs_one_step_says_how_to_get_it(country):
     _, _, store, _ = country
-    stack = Stack((Entry("thermal"),))
-    for action in (
-        lambda: interpolated(open_store(store), "bicubic"),
-        lambda: run_shape(store, stack, tmp_path / "land"),
-    ):
-        with pytest.raises(TerrainError, match="finer tiles.*--step"):
-            action()
+    with pytest.raises(TerrainError, match="finer tiles.*--step"):
+        interpolated(open_store(store), "bicubic")

@@ -9,10 +9,12 @@ from pathlib import Path
 from ..errors import TerrainError
 from ..field import store as stores
 from ..field import store_folder
+from ..field.finer_tiles import SIDE
 from ..field.lattice import Lattice, fit
 from ..view.linear import add_up
 from . import requested_tiles
 from .catalogue import RENAMED
+from .finer_land import COST
 from .land_folder import folder_beside, is_land_name
 from .level_plan import MAX_WHOLE, LevelPlan
 from .preview import Preview
@@ -84,8 +86,14 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
         return None
     # The preview's times are added: it is the coarsest level, where operators take many more steps than at finer ones.
     speed = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)  # 1 on one thread of the reference machine
-    building = lattice.width * lattice.height * BUILD_NS
+    building = (lattice.width * lattice.height + _finer_samples(source)) * BUILD_NS
     return add_up(preview.ms) / 1e3 + speed * (PLANNED_NS * plan.total + building) / 1e9
+
+
+def _finer_samples(source: str) -> float:
+    """Return the samples of a raster whose errors take as long as the finer tiles of a store. Raises TerrainError."""
+    tiles = stores.read_json(Path(source)).get("finer", {}).get("tiles", 0)
+    return COST * SIDE * SIDE * tiles
 
 
 def _plan_levels(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:

@@ -15,6 +15,7 @@ from adaptive_terrain.cbt_terrain.height_operators.preview import preview
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import all_tiles
+from finer_fields import KNOWN, finer_store
 from land_effects import bumpy
 
 FACTOR = 4.0  # between estimate and measurement
@@ -63,6 +64,17 @@ def shape(source: str, stack: Stack) -> tuple[str, float]:
 
 def test_the_preview_is_the_first_calibration(source):
     stack = Stack((Entry("scree"), Entry("relief")))
+    shown = preview(open_store(source), stack)
+    estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
+    _, seconds = shape(source, stack)
+    print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
+    assert seconds / FACTOR < estimate < seconds * FACTOR
+
+
+def test_finer_tiles_are_part_of_the_estimate(tmp_path):
+    """Their errors take most of the time."""
+    source = str(finer_store(tmp_path / "city", 97, 130, 4, KNOWN))
+    stack = Stack((Entry("scree"),))
     shown = preview(open_store(source), stack)
     estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
     _, seconds = shape(source, stack)

@@ -4,6 +4,7 @@
 import os
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -121,6 +122,20 @@ def test_unshaped_places_keep_their_bits(city, tmp_path):
         assert (one[part].view(np.uint32) == other[part].view(np.uint32)).all()
         counts += [part.sum(), (one != other).sum()]
     assert sum(counts[::2]) > 300_000 and sum(counts[1::2]) > 100_000
+
+
+def test_a_mask_image_leaves_the_city_as_it_is(city, tmp_path):
+    """It is black over all finer tiles and around them."""
+    image = np.full((97, 130), 255, np.uint8)  # the first row is in the north
+    image[96 - 85 :, :90] = 0
+    np.save(tmp_path / "mask.npy", image)
+    stack = Stack((Entry("rivers", STACK.entries[0].parameters), Entry("relief")))
+    masked = HeightMask(str(tmp_path / "mask.npy"))
+    run_shape(city, Stack(tuple(replace(entry, mask=masked) for entry in stack.entries)), tmp_path / "land")
+    before, after = open_store(city), open_store(tmp_path / "land")
+    assert np.abs(after.samples[:, 100:] - before.samples[:, 100:]).max() > 3.0
+    for name in ("heights", "errors", "limits"):
+        assert getattr(before.raster.finer, name).tobytes() == getattr(after.raster.finer, name).tobytes()
 
 
 @pytest.mark.parametrize("stack", [Stack(), Stack((Entry("relief", on=False),))])

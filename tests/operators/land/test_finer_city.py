@@ -2,6 +2,7 @@
 """Shaped land of a terrain with finer tiles in Blender: meshes, previews, exports, and the source again."""
 
 import json
+import time
 
 import bpy
 import numpy as np
@@ -10,11 +11,12 @@ import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators.cli import command_line
-from adaptive_terrain.operators.land import shaped_land
-from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.land import resting_land, shaped_land
+from adaptive_terrain.operators.session import live, session
 from fields import reference_heights
 from finer_fields import dense_field, dense_heights, dense_raster, finer_store
 from land_scenes import add
+from live_windows import show_window
 
 
 @pytest.fixture
@@ -112,3 +114,42 @@ def test_the_command_line_shapes_and_describes_the_tiles(city, tmp_path, capsys)
     one, other = open_store(store), open_store(out)
     change = dense_raster(other, 4) - dense_raster(one, 4)
     assert change.min() > 0.5 and np.abs(dense_heights(other) - dense_heights(one) - change).max() < 1e-4
+
+
+def test_a_farm_prepares_land_with_the_tiles(city, tmp_path, capsys):
+    add("snow", line=-900.0)
+    city.adaptive_terrain.live = False
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    assert command_line.main(["prepare", "--scene", str(tmp_path / "shot.blend"), "--only", "land"]) == 0
+    assert "its land is shaped" in capsys.readouterr().out
+    [made] = (tmp_path / "city_land").glob("*/store.json")
+    assert read_json(made.parent)["version"] == 7
+
+
+def test_a_resting_viewport_makes_the_tiles_in_view(scene, add_terrain, tmp_path, monkeypatch):
+    """A preview is shown first; other views then find the measured tiles."""
+    obj = add_terrain()
+    known = [(column, row) for column in (2, 3) for row in (2, 3)]
+    obj.adaptive_terrain.store = str(finer_store(tmp_path / "wide", 600, 650, 2, known, step=16.0))
+    derived_store.forget()
+    add("relief", wave=100.0, plains=0.3)
+    scene.camera.location, scene.camera.rotation_euler = (-2000.0, -1700.0, 460.0), (0.0, 0.0, 0.0)
+    show_window(monkeypatch)
+    for name in ("REST_S", "LOOK_S"):
+        monkeypatch.setattr(resting_land, name, 0.0)
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    end, shown = time.monotonic() + 300.0, []
+    while not shown or shown[-1] != "Shaped":
+        assert time.monotonic() < end, session.record_of(obj).status.error
+        live.tick()
+        shown.append(shaped_land.state_of(obj).shown)
+        time.sleep(0.005)
+    resting_land.stop()
+    assert "Preview" in shown
+    state, folder = shaped_land.state_of(obj), shaped_land.store_of(obj)
+    assert 0 < state.tiles[0] < state.tiles[1] and land_folder.is_of_views(folder)
+    source, shaped = open_store(obj.adaptive_terrain.store), open_store(folder)
+    expected = dense_heights(source) + dense_raster(shaped, 2) - dense_raster(source, 2)
+    assert np.abs(dense_heights(shaped) - expected).max() < 1e-4
+    assert session.record_of(obj).field.raster.finer is not None

@@ -44,9 +44,8 @@ def program() -> NoReturn:
 def _run(argv: list[str] | None) -> int:
     """Parse the arguments and run their verb; print errors as one line on stderr. Returns the exit code."""
     try:
-        arguments = _build_parser_without_gc().parse_args(
-            _with_negatives_joined(sys.argv[1:] if argv is None else argv)
-        )
+        words = _with_negatives_joined(sys.argv[1:] if argv is None else argv)
+        arguments = _build_parser_without_gc(words).parse_args(words)
         arguments.run(arguments)
         print(end="", flush=True)  # an error of stdout is raised here, not at the exit of Python
     except SystemExit as exit_:  # argparse has printed its message
@@ -71,11 +70,15 @@ def _error_text(error: TerrainError | OSError) -> object:
     return f"{error.filename} cannot be read or written ({error.strerror}); check the disk, or choose another place."
 
 
-def _build_parser_without_gc() -> argparse.ArgumentParser:
-    """Build the parser without garbage collection, which would search all imported modules for 0.1 s."""
+def _build_parser_without_gc(words: list[str]) -> argparse.ArgumentParser:
+    """Build the parser, with the options of the verb in `words` alone, the first word that is no option.
+
+    Garbage collection would search all imported modules for 0.1 s.
+    """
+    chosen = next((word for word in words if not word.startswith("-")), "")
     gc.disable()
     try:
-        return build_parser()
+        return build_parser(chosen)
     finally:
         gc.enable()
 

@@ -9,15 +9,14 @@ from .argument_types import MAX_ERROR_M, MAX_INT, argument, count_from_one, pair
 PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
 
 
-def add_import(add_verb, subparsers) -> None:
-    """Add the verb `import` and its arguments. add_verb: function that adds a verb and returns its parser."""
+def add_import(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `import`."""
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
     from ...cbt_terrain.rasters.raster import ENCODINGS
     from ...cbt_terrain.rasters.source_formats import FORMATS
 
-    verb = add_verb(subparsers, "import", "turn a height map into a store", import_verbs.run_import)
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
     source = f"height map ({kinds}), or a built-in land: {', '.join(LANDS)}"
     source += "; several files, folders and tile indexes (.gti) become one terrain"
@@ -71,9 +70,8 @@ def _add_parts(verb: argparse.ArgumentParser) -> None:
     )
 
 
-def add_info(add_verb, subparsers) -> None:
-    """Add the verb `info` and its arguments. add_verb: function that adds a verb and returns its parser."""
-    verb = add_verb(subparsers, "info", "describe a store, a height map or an exported .npz", import_verbs.run_info)
+def add_info(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `info`."""
     about = "a store, a height map or an .npz; several height maps or a folder of them are described as one terrain"
     verb.add_argument("paths", type=path_text, nargs="*", metavar="PATH", help=about)
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")

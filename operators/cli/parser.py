@@ -3,30 +3,28 @@
 
 import argparse
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from ..text.console import BAR, OPENJD
-from . import farm_verbs, import_options, tile_verbs, verbs
+from . import farm_options, farm_verbs, import_options, import_verbs, tile_verbs, verbs
 from .argument_types import (
     MAX_ERROR_M,
     add_settings,
     argument,
     count,
-    count_from_one,
     pair,
     parse_effects,
     path,
-    path_text,
     positive,
-    share,
 )
+from .farm_options import FRAMES, JOB_STORES
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
 MAX_ERROR_PX, MAX_DISPLACEMENT_M = 1e6, 1e6
-MAX_BUDGET_MB, MAX_MEMORY_GIB = 1e9, 1e6
-FRAMES = "A,B-C,D-E:STEP"
-CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
+MAX_BUDGET_MB = 1e9
 SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is below 900 m, and the result for QGIS
 
   {"version": 1, "entries": [{"effect": "rivers", "parameters": {"years": 3e5},
@@ -43,42 +41,87 @@ DISPLACEMENT = {
     "metavar": "AMPLITUDE,WAVELENGTH",
     "help": "metres of height and length of relief below the raster's cells",
 }
-JOB_STORES = {"type": path, "metavar": "DIR", "help": "a farm job's stores, for terrains with incomplete ones"}
 CAMERA = {"metavar": "NAME", "help": "a camera of the scene, instead of its active one"}
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Build the parser of all verbs. Each verb sets `run`, the function that carries it out."""
+class Verb(NamedTuple):
+    """A verb of the command line.
+
+    `summary`: its help. `run`: function that carries it out, called with the parsed arguments. `add_options`: function
+    that adds its options to its parser, and imports what they need.
+    """
+
+    summary: str
+    run: Callable[[argparse.Namespace], None]
+    add_options: Callable[[argparse.ArgumentParser], None]
+
+
+def _verbs() -> dict[str, Verb]:
+    """Return all verbs by name."""
+    found = {
+        "import": Verb("turn a height map into a store", import_verbs.run_import, import_options.add_import),
+        "info": Verb(
+            "describe a store, a height map or an exported .npz", import_verbs.run_info, import_options.add_info
+        ),
+        "bake": Verb("write one static mesh with a given largest vertical error", verbs.run_bake, _add_bake),
+        "export": Verb("write the terrain's mesh for each frame", verbs.run_export, _add_export),
+        "tiles": Verb("write height tiles and masks for game engines", tile_verbs.run_tiles, tile_verbs.add_tiles),
+        "tileset": Verb(
+            "write 3D Tiles with levels of detail and stated errors", tile_verbs.run_tileset, tile_verbs.add_tileset
+        ),
+        "map": Verb(
+            "render a terrain from straight above, with its position on Earth", tile_verbs.run_map, tile_verbs.add_map
+        ),
+        "maps": Verb("bake effects into images, as fine as what looks at them needs", verbs.run_maps, _add_maps),
+        "accuracy": Verb("measure errors, and what they cost in time and triangles", verbs.run_accuracy, _add_accuracy),
+        "effects": Verb(
+            "list the effects; what they take on a store, which a scene reads", verbs.run_effects, _add_effects
+        ),
+        "shape": Verb("apply a stack of effects on heights to a store, into another", verbs.run_shape, _add_shape),
+        "submit": Verb("write a job that a render farm runs", farm_verbs.run_submit, farm_options.add_submit),
+        "prepare": Verb(
+            "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare, farm_options.add_prepare
+        ),
+        "render": Verb(
+            "render frames of a scene, each refined or not rendered", farm_verbs.run_render, farm_options.add_render
+        ),
+        "verify": Verb(
+            "check that frames are there, whole and of one scene", farm_verbs.run_verify, farm_options.add_verify
+        ),
+        "query": Verb("heights, slopes and normals of a store at points, as CSV", verbs.run_query, _add_query),
+        "demo": Verb("the built-in island: 24 frames, pictures and a page", verbs.run_demo, _add_demo),
+    }
+    if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
+        found["bench"] = Verb(
+            "what everything costs on this machine, beside two baselines", verbs.run_bench, _add_bench
+        )
+    return found
+
+
+def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
+    """Build the parser of all verbs. Each verb sets `run`, the function that carries it out.
+
+    `chosen`: the only verb that gets its options, since the options of all import the whole engine; None: every verb.
+    """
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="A terrain at exactly the detail that the camera can see."
     )
     parser.add_argument("--json", dest="json_errors", action="store_true", help="print an error as JSON")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    import_options.add_import(_add_verb, subparsers)
-    import_options.add_info(_add_verb, subparsers)
-    _add_bake(subparsers)
-    _add_export(subparsers)
-    tile_verbs.add_tiles(_add_verb, subparsers)
-    tile_verbs.add_tileset(_add_verb, subparsers)
-    tile_verbs.add_map(_add_verb, subparsers)
-    _add_maps(subparsers)
-    _add_accuracy(subparsers)
-    _add_effects(subparsers)
-    _add_shape(subparsers)
-    _add_farm(subparsers)
-    _add_query(subparsers)
-    _add_demo(subparsers)
-    if importlib.util.find_spec("...benchmarks", __package__):  # they are no part of the extension
-        _add_bench(subparsers)
+    for name, (summary, run, add_options) in _verbs().items():
+        verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        verb.set_defaults(run=run)
+        if chosen in (None, name):
+            _add_progress(verb)
+            add_options(verb)
     return parser
 
 
-def _add_bake(subparsers) -> None:
-    """Add the verb `bake` and its arguments."""
+def _add_bake(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `bake`."""
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS
 
-    verb = _add_verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     metres = positive(MAX_ERROR_M)
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
@@ -89,12 +132,11 @@ def _add_bake(subparsers) -> None:
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
 
-def _add_export(subparsers) -> None:
-    """Add the verb `export` and its arguments."""
+def _add_export(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `export`."""
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS, parse_formats
 
-    verb = _add_verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
     _add_view_options(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
     verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
@@ -114,13 +156,10 @@ def _add_export(subparsers) -> None:
     verb.add_argument("--job-stores", **JOB_STORES)
 
 
-def _add_maps(subparsers) -> None:
-    """Add the verb `maps` and its arguments."""
+def _add_maps(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `maps`."""
     from ...cbt_terrain.attributes.coding import FORMS as MAP_FORMS
 
-    verb = _add_verb(
-        subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps
-    )
     _add_view_options(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
     verb.add_argument(
@@ -130,33 +169,24 @@ def _add_maps(subparsers) -> None:
     verb.add_argument("--format", choices=MAP_FORMS, help="png (8 and 16 bits) or exr (floats)")
 
 
-def _add_accuracy(subparsers) -> None:
-    """Add the verb `accuracy` and its arguments."""
-    verb = _add_verb(
-        subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy
-    )
+def _add_accuracy(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `accuracy`."""
     _add_view_options(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
 
 
-def _add_effects(subparsers) -> None:
-    """Add the verb `effects` and its arguments."""
-    verb = _add_verb(
-        subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
-    )
+def _add_effects(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `effects`."""
     source = verb.add_mutually_exclusive_group()
     source.add_argument("--scene", type=path, metavar="X.blend", help="readers of each, and why others are skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
     verb.add_argument("--camera", **CAMERA)
 
 
-def _add_shape(subparsers) -> None:
-    """Add the verb `shape` and its arguments."""
+def _add_shape(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `shape`."""
     from ..export.formats import parse_frames
 
-    verb = _add_verb(
-        subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape
-    )
     verb.epilog = SHAPE_EXAMPLE
     verb.formatter_class = argparse.RawDescriptionHelpFormatter
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="the store to be shaped")
@@ -177,9 +207,8 @@ def _add_shape(subparsers) -> None:
     )
 
 
-def _add_query(subparsers) -> None:
-    """Add the verb `query` and its arguments."""
-    verb = _add_verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
+def _add_query(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `query`."""
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
     verb.add_argument("--points", type=path, required=True, metavar="FILE.csv", help=columns)
@@ -189,68 +218,13 @@ def _add_query(subparsers) -> None:
     )
 
 
-def _add_demo(subparsers) -> None:
-    """Add the verb `demo` and its arguments."""
-    verb = _add_verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
+def _add_demo(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `demo`."""
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
 
-def _add_farm(subparsers) -> None:
-    """Add the verbs with which a render farm is used, `submit` and others, and their arguments."""
-    from ..export.formats import parse_formats, parse_frames
-
-    formats, frames = argument(parse_formats), argument(parse_frames)
-    scene = {"type": path, "metavar": "X.blend", "required": True}
-    verb = _add_verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
-    verb.add_argument("--scene", **scene, help="the .blend file, as it is on disk")
-    verb.add_argument("--frames", type=frames, metavar=FRAMES, help="the scene's, without")
-    verb.add_argument(
-        "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
-    )
-    verb.add_argument("--chunk", type=count_from_one, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
-    what = verb.add_mutually_exclusive_group()
-    what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
-    what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
-    verb.add_argument(
-        "--extension",
-        type=path_text,
-        metavar="ZIP",
-        help="install this zip for the job alone; installed: pack the one that runs",
-    )
-    memory = positive(MAX_MEMORY_GIB)
-    verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")
-    outside = "also bring files from outside the scene's folder that are no images, height maps or stores"
-    verb.add_argument("--allow-outside", action="store_true", help=outside)
-
-    verb = _add_verb(
-        subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare
-    )
-    verb.add_argument("--scene", **scene)
-    verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
-    only = "import stores, shape land and bake maps, find the tiles in view, or read some of these ahead"
-    verb.add_argument("--only", choices=("stores", "land", "view", "tiles"), help=only)
-    verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles in view, with --only tiles (all)")
-    verb.add_argument("--job-stores", **JOB_STORES)
-
-    verb = _add_verb(
-        subparsers, "render", "render frames of a scene, each refined or not rendered", farm_verbs.run_render
-    )
-    verb.add_argument("--scene", **scene)
-    verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
-    verb.add_argument("--out", type=path, required=True, metavar="DIR")
-    verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
-    verb.add_argument("--job-stores", **JOB_STORES)
-
-    verb = _add_verb(subparsers, "verify", "check that frames are there, whole and of one scene", farm_verbs.run_verify)
-    verb.add_argument("folder", type=path, help="where export or render has written them")
-    verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
-
-
-def _add_bench(subparsers) -> None:
-    """Add the verb `bench` and its arguments."""
-    verb = _add_verb(
-        subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench
-    )
+def _add_bench(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `bench`."""
     verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
     verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
@@ -258,20 +232,14 @@ def _add_bench(subparsers) -> None:
     verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its chart into this folder")
 
 
-def _add_verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
-    """Add a verb with its help and the option --progress; return its parser.
-
-    `run`: function that carries the verb out, called with the parsed arguments.
-    """
-    verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+def _add_progress(verb: argparse.ArgumentParser) -> None:
+    """Add the option --progress."""
     how = {"nargs": "?", "choices": (BAR, OPENJD), "const": BAR}
     verb.add_argument(
         "--progress",
         **how,
         help="show the bar even where no terminal is, or tell a farm that runs Open Job Description",
     )
-    verb.set_defaults(run=run)
-    return verb
 
 
 def _add_view_options(verb: argparse.ArgumentParser, store: str, frames_required: bool = False) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs that write a store in tiles for other programs."""
 
+import argparse
 from pathlib import Path
 
 from ..text.console import Progress, print_line
@@ -9,14 +10,13 @@ from .argument_types import MAX_INT, argument, count, count_from_one, pair, pars
 MAX_ERROR_M = 1e9
 
 
-def add_tiles(make_verb, subparsers) -> None:
-    """Add the verb `tiles`. `make_verb`: function that adds a verb and returns its parser."""
+def add_tiles(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `tiles`."""
     from ...cbt_terrain.exporting.height_tiles import PATTERN
     from ...cbt_terrain.exporting.tile_grid import UNREAL_SIZES
     from ...cbt_terrain.height_operators.export import FORMATS
 
     forms = [suffix[1:] for suffix in FORMATS]
-    verb = make_verb(subparsers, "tiles", "write height tiles and masks for game engines", run_tiles)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the tiles and NAME.json")
     verb.add_argument("--format", choices=forms, default="png", help="png and r16: 16 bits; others: float32 (png)")
@@ -64,11 +64,10 @@ def run_tiles(arguments) -> None:
     print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
 
 
-def add_tileset(make_verb, subparsers) -> None:
-    """Add the verb `tileset`. `make_verb`: function that adds a verb and returns its parser."""
+def add_tileset(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `tileset`."""
     from ...cbt_terrain.exporting.tileset import TRIANGLES
 
-    verb = make_verb(subparsers, "tileset", "write 3D Tiles with levels of detail and stated errors", run_tileset)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     error = "largest vertical error of the finest level"
     verb.add_argument("--max-error", type=positive(MAX_ERROR_M), required=True, metavar="METRES", help=error)
@@ -91,9 +90,8 @@ def run_tileset(arguments) -> None:
     print_line(tileset_line(str(arguments.out), report))
 
 
-def add_map(make_verb, subparsers) -> None:
-    """Add the verb `map`. `make_verb`: function that adds a verb and returns its parser."""
-    verb = make_verb(subparsers, "map", "render a terrain from straight above, with its position on Earth", run_map)
+def add_map(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `map`."""
     verb.add_argument("--scene", type=path, required=True, metavar="X.blend")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=".png, .jpg or .tif")
     verb.add_argument("--terrain", metavar="NAME", help="the object (the first terrain of the scene)")

@@ -62,8 +62,15 @@ def test_the_engine_is_imported_where_an_interruption_is_caught():
     assert subprocess.run([sys.executable, "-c", script]).returncode == 0
 
 
+@pytest.mark.parametrize("words", [[], ["--json"], ["verify"]], ids=["help", "option", "verb"])
+def test_help_imports_only_what_its_verb_needs(words):
+    script = "import sys; from adaptive_terrain.operators.cli.command_line import main; "
+    script += f"code = main({[*words, '--help']!r}); sys.exit(code or 'warp' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 0
+
+
 def test_an_interruption_is_one_line(monkeypatch, capsys):
-    def interrupted():
+    def interrupted(_chosen):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command_line, "build_parser", interrupted)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Options of the verbs with which a render farm is used."""
+
+import argparse
+
+from .argument_types import argument, count_from_one, path, path_text, positive, share
+
+MAX_MEMORY_GIB = 1e6
+FRAMES = "A,B-C,D-E:STEP"
+CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
+SCENE = {"type": path, "metavar": "X.blend", "required": True}
+JOB_STORES = {"type": path, "metavar": "DIR", "help": "a farm job's stores, for terrains with incomplete ones"}
+
+
+def add_submit(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `submit`."""
+    from ..export.formats import parse_formats, parse_frames
+
+    verb.add_argument("--scene", **SCENE, help="the .blend file, as it is on disk")
+    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="the scene's, without")
+    verb.add_argument(
+        "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
+    )
+    verb.add_argument("--chunk", type=count_from_one, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
+    what = verb.add_mutually_exclusive_group()
+    what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
+    formats = argument(parse_formats)
+    what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
+    verb.add_argument(
+        "--extension",
+        type=path_text,
+        metavar="ZIP",
+        help="install this zip for the job alone; installed: pack the one that runs",
+    )
+    memory = positive(MAX_MEMORY_GIB)
+    verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")
+    outside = "also bring files from outside the scene's folder that are no images, height maps or stores"
+    verb.add_argument("--allow-outside", action="store_true", help=outside)
+
+
+def add_prepare(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `prepare`."""
+    from ..export.formats import parse_frames
+
+    verb.add_argument("--scene", **SCENE)
+    frames = argument(parse_frames)
+    verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
+    only = "import stores, shape land and bake maps, find the tiles in view, or read some of these ahead"
+    verb.add_argument("--only", choices=("stores", "land", "view", "tiles"), help=only)
+    verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles in view, with --only tiles (all)")
+    verb.add_argument("--job-stores", **JOB_STORES)
+
+
+def add_render(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `render`."""
+    from ..export.formats import parse_frames
+
+    verb.add_argument("--scene", **SCENE)
+    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
+    verb.add_argument("--out", type=path, required=True, metavar="DIR")
+    verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
+    verb.add_argument("--job-stores", **JOB_STORES)
+
+
+def add_verify(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the verb `verify`."""
+    from ..export.formats import parse_frames
+
+    verb.add_argument("folder", type=path, help="where export or render has written them")
+    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)

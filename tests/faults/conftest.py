@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from flights import arguments, undisturbed  # noqa: F401
+from forked_children import fork_children  # noqa: F401
 
 # Only so that a hang ends.
 GUARD_S = 300

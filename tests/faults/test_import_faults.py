@@ -38,6 +38,7 @@ def assert_works(store):
 KILLS = [(0.001, signal.SIGKILL), (0.3, signal.SIGTERM), (0.3, signal.SIGSEGV), (0.6, signal.SIGKILL)]
 
 
+@pytest.mark.usefixtures("fork_children")
 @pytest.mark.parametrize(("fraction", "killed_by"), KILLS)
 def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
     store = tmp_path / "store"

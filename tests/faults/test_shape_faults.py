@@ -32,6 +32,7 @@ def without_tiles(contents, store):
     return {name: digest for name, digest in contents(store).items() if not name.startswith("tiles/")}
 
 
+@pytest.mark.usefixtures("fork_children")
 def test_a_killed_child_leaves_the_store_as_it_was(island, tmp_path, contents):
     run_shape(island, Stack((Entry("relief", seed=9),)), tmp_path / "out")
     before, killed = without_tiles(contents, tmp_path / "out"), 0

@@ -69,9 +69,8 @@ def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, 
     (j, t), (i, s) = sides
     nodes = raster_nodes(plain, bits, (int(x[0]), int(x[-1])), (int(y[0]), int(y[-1]))).astype(np.float64)
     j, i, t = j - j[0], i - i[0], t[:, None]
-    south = nodes[np.ix_(j, i)] * (1.0 - s) + nodes[np.ix_(j, i + 1)] * s
-    north = nodes[np.ix_(j + 1, i)] * (1.0 - s) + nodes[np.ix_(j + 1, i + 1)] * s
-    return south * (1.0 - t) + north * t
+    rows = nodes[:, i] * (1.0 - s) + nodes[:, i + 1] * s  # of samples of the raster, far fewer than finer rows
+    return rows[j] * (1.0 - t) + rows[j + 1] * t
 
 
 def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:

@@ -190,7 +190,7 @@ def join(
         wanted = [*exponents[:groups], exponents[-1]]
         if any(map(gt, record["exponents"], wanted)):  # a larger error is gone: rounded codes cannot be refined
             measure(work, number, limits, threads, record, wanted, coarse)
-            record = work.records(MEASURED)[number]
+            record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
             work.note(MEASURED, number)
             tables = borders.tables_between(record["exponents"], wanted)

@@ -245,20 +245,26 @@ class TileWork:
         with (self.folder / _log_name()).open("a", encoding="utf-8") as file:
             file.write(line)
 
-    def records(self, kind: str) -> dict[int, dict]:
-        """Return the last record of each part by its number. kind: READ for units, MEASURED for tiles, and others."""
+    def records(self, kind: str, number: int | None = None) -> dict[int, dict]:
+        """Return the last record of each part by its number.
+
+        kind: READ for units, MEASURED for tiles, and others. number: of the only part; None for all parts.
+        """
+        marks = [f'"{kind}"'.encode()] if number is None else [f'"{kind}"'.encode(), b'"number": %d,' % number]
         found: dict[int, dict] = {}
-        for record in sorted(self._all_records(), key=lambda record: record["at"]):
+        for record in sorted(self._records_with(marks), key=lambda record: record["at"]):
             if record["kind"] == kind:
                 found[record["number"]] = record
         return found
 
-    def _all_records(self) -> Iterator[dict]:
-        """Yield the whole records of all processes that worked on tiles; damaged lines are left out."""
+    def _records_with(self, marks: list[bytes]) -> Iterator[dict]:
+        """Yield the whole records of all processes that worked on tiles; damaged lines are left out.
+
+        marks: bytes that the lines have. The other lines are not parsed, which takes most of the time.
+        """
         for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
             for line in read_regular(file, MAX_RECORDS, links=False).split(b"\n"):
-                record = record_of(line, self.grid)
-                if record is not None:
+                if all(mark in line for mark in marks) and (record := record_of(line, self.grid)) is not None:
                     yield record
 
     def keep_records(self, kinds: Sequence[str] = (READ, MEASURED, *FINER, SEAMS)) -> None:

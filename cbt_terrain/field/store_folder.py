@@ -28,6 +28,7 @@ FIRST = "first"  # in the folder of arrays of loaded tiles: the store of the fir
 _ARRAY_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|borders|missing|kinds)\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json|work\.json|tiles(-[0-9a-f]{32})?\.jsonl"
+    r"|(read|measured)-[0-9]{1,12}\.part"  # of tiling/part_files.py
     r"|(effect_[a-z_]+|masks|mask_maxima)_[0-9a-f]{16}\.npy"
     r"|layer_[a-z][a-z0-9_]{0,40}\.npy|finer_(numbers|heights|errors|ranges|limits)\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0

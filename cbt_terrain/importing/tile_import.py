@@ -24,7 +24,7 @@ from ..field.store import Draft
 from ..rasters.raster import Raster
 from ..run import launch, owned_files, partial_files
 from ..sandbox.store_job import READING
-from ..tiling import tile_steps
+from ..tiling import part_files, tile_steps
 from ..tiling.tile_grid import TILE_BITS, TileGrid
 from ..tiling.tile_records import MEASURED, READ
 from ..tiling.tile_work import StoredHeights, TileWork, work_in
@@ -32,7 +32,17 @@ from . import refining
 from .drafts import open_draft
 from .height_reader import HeightReader, scaling_of
 from .read_ahead import find_ahead
-from .tile_tasks import TileSource, TileTask, in_file, is_loaded, perform, read_tile_ahead, unit_count
+from .tile_tasks import (
+    TileSource,
+    TileTask,
+    in_file,
+    is_loaded,
+    perform,
+    perform_apart,
+    read_tile_ahead,
+    unit_count,
+    write_read_parts,
+)
 
 TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
 MEASURING = "Measuring errors"
@@ -147,10 +157,11 @@ def do_part(
 ) -> dict:
     """Do a part of an import, and return a report. Raises TerrainError.
 
-    An import without parts then does the rest. The parts BEGIN and FILL need the work alone; several processes may
-    read, or measure, different tiles at a time. The report has the number of "tiles"; to read or to measure, also how
-    many of them were requested: "done". path: the store's folder. folder: name of the folder of arrays in it. digest:
-    of the settings and sources. doubt: a further remedy in errors if the store is implausibly large.
+    BEGIN and FILL need the work alone; several computers may read, or measure, different tiles at a time. Each tile
+    then has a separate file, which FILL, or the rest of the import, writes into the arrays. The report has the number
+    of "tiles"; to read or to measure, also how many of them were requested: "done". path: the store's folder. folder:
+    name of the folder of arrays in it. digest: of the settings and sources. doubt: a further remedy in errors if the
+    store is implausibly large.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
@@ -159,8 +170,9 @@ def do_part(
                 raise _not_begun(path)
             work = _started(work, draft, source, lattice, digest)
             if part.step == FILL:
-                while not _read_units(work, source, crew, lambda _share: None):
+                while not _read_all(work, source, crew, lambda _share: None):
                     work.start_again(draft)
+                part_files.remove_parts(work.folder, READ)
                 limits = tile_steps.limits_of(work)
                 _check_ground(work, limits, source.settings.source)
                 if limits.missing:
@@ -170,9 +182,11 @@ def do_part(
     if work is None:
         raise _not_begun(path)
     if part.step == READ_TILES:
-        _read_units(work, source, crew, lambda _share: None, numbers)  # if floats are needed, FILL reads all again
+        tasks = _tasks_to_read(work, source, numbers)
     else:
-        _measure_tiles(work, source, tile_steps.limits_of(work), crew, lambda _share: None, numbers)
+        tasks = _tasks_to_measure(work, tile_steps.limits_of(work), numbers)
+    for task in tasks:
+        perform_apart(work, source, task, launch.default_threads())
     return {"tiles": len(work.grid), "done": sum(int(number < len(work.grid)) for number in numbers)}
 
 
@@ -247,8 +261,9 @@ def build_by_tile(
         on_progress: gets 0 to 0.99 and a message.
     """
     work = _started(work, draft, source, lattice, digest)
-    while not _read_units(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
+    while not _read_all(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
         work.start_again(draft)
+    part_files.remove_parts(work.folder, READ)
     for record in work.records(READ).values():
         reader.add(record["figures"], record["missing"])
     limits = tile_steps.limits_of(work)
@@ -257,7 +272,9 @@ def build_by_tile(
         on_progress(READ_SHARE, MEASURING)
         tile_steps.fill(work, launch.default_threads())
     span = MEASURED_SHARE - FILLED_SHARE
+    tile_steps.write_parts(work)
     _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
+    part_files.remove_parts(work.folder, MEASURED)
     return _completed(work, draft, limits, source_max(reader), on_progress, source)
 
 
@@ -293,29 +310,31 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
     return work
 
 
-def _read_units(
-    work: TileWork,
-    source: TileSource,
-    crew: Crew,
-    on_progress: Callable[[float], None],
-    numbers: Collection[int] | None = None,
-) -> bool:
-    """Read the samples of the units (tiles, or rows of the file) that have changed since the last attempt.
+def _read_all(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:
+    """Read the units (tiles, or rows of the file) that have changed. Other computers may have read some into files.
 
-    Return False, before the rest is read, if heights have to be stored as floats. numbers: those of the units to read,
-    None for all. Raises TerrainError, and gives the work up, if a unit then has no record. crew: processes that read.
+    Return False, before the rest is read, if heights have to be stored as floats. Raises TerrainError, and gives the
+    work up, if a unit then has no record. crew: processes that read.
     """
+    count = unit_count(work.grid, source)
+    if not write_read_parts(work, lambda number: _inputs(work, source, number), count):
+        return False
+    tasks = _tasks_to_read(work, source)
+    if not crew.run(work, source, tasks, on_progress):
+        return False
+    if tasks and not work.records(READ).keys() >= set(range(count)):
+        raise _give_up(work)
+    return True
+
+
+def _tasks_to_read(work: TileWork, source: TileSource, numbers: Collection[int] | None = None) -> list[TileTask]:
+    """Return the tasks of the units that have changed. numbers: those of the units to read, None for all."""
     before, tasks = work.records(READ), []
-    chosen = _chosen(unit_count(work.grid, source), numbers)
-    for number in chosen:
+    for number in _chosen(unit_count(work.grid, source), numbers):
         inputs = _inputs(work, source, number)
         if number not in before or before[number]["inputs"] != inputs:
             tasks.append(TileTask(READ, number, inputs))
-    if not crew.run(work, source, tasks, on_progress):
-        return False
-    if tasks and not work.records(READ).keys() >= set(chosen):
-        raise _give_up(work)
-    return True
+    return tasks
 
 
 def _inputs(work: TileWork, source: TileSource, number: int) -> str:
@@ -351,20 +370,25 @@ def _measure_tiles(
     limits: tile_steps.TerrainLimits,
     crew: Crew,
     on_progress: Callable[[float], None],
-    numbers: Collection[int] | None = None,
 ) -> None:
     """Measure the tiles that have changed, which `tile_steps.measure` decides.
 
-    numbers: those of the tiles to measure, None for all. Raises TerrainError, and gives the work up, if a tile then has
-    no complete record. limits: of all heights. crew: processes that measure.
+    Raises TerrainError, and gives the work up, if a tile then has no complete record. limits: of all heights. crew:
+    processes that measure.
     """
+    crew.run(work, source, _tasks_to_measure(work, limits), on_progress)
+    measured = work.records(MEASURED)
+    if not all("errors" in measured.get(number, ()) for number in range(len(work.grid))):
+        raise _give_up(work)
+
+
+def _tasks_to_measure(
+    work: TileWork, limits: tile_steps.TerrainLimits, numbers: Collection[int] | None = None
+) -> list[TileTask]:
+    """Return the tasks to measure tiles. numbers: those of the tiles, None for all."""
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
-    tasks = [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
-    crew.run(work, source, tasks, on_progress)
-    measured = work.records(MEASURED)
-    if not all("errors" in measured.get(number, ()) for number in chosen):
-        raise _give_up(work)
+    return [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
 
 
 def _give_up(work: TileWork) -> TerrainError:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tasks of an import by tile: a unit of the source to read, or a tile to measure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..field.georeference import Georeference
 from ..field.lattice import Lattice
 from ..rasters.raster import ImportSettings, Raster
-from ..tiling import tile_steps
+from ..tiling import part_files, tile_steps
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TileBox, TileGrid
 from ..tiling.tile_records import MEASURED, READ
@@ -97,6 +97,67 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
     limits = None if reader.missing == found.size else [float(np.nanmin(found)), float(np.nanmax(found))]
     record = {"inputs": inputs, "missing": reader.missing, "limits": limits, "figures": reader.figures()}
     write_ahead(store, grid, number, record, found)
+
+
+def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: int) -> None:
+    """Do one task and write its result into a part file, which a step of one process joins to the others.
+
+    A task whose file is there is not done again, unless the file is of other sources. Raises OSError and TerrainError.
+    """
+    folder, number = work.folder, task.number
+    done = part_files.find_record(folder, work.grid, task.step, number)
+    if task.step == MEASURED:
+        low, high, missing = task.limits
+        limits = tile_steps.TerrainLimits(low, high, int(missing))
+        if done is not None and tile_steps.measured(work, number, limits, threads, done) is None:
+            return
+        found = tile_steps.measured(work, number, limits, threads, task.before)
+        if found is not None:
+            with part_files.writing_part(folder, MEASURED, number) as writer:
+                for name in ("codes", "border", "ranges"):
+                    if getattr(found, name) is not None:
+                        writer.add(name, (0, 0), getattr(found, name))
+                writer.record = found.record
+        return
+    if done is not None and done["inputs"] == task.inputs:
+        return
+    source.raster.moved = source.raster.shifted = 0.0
+    reader, limits_found = HeightReader(source.raster, source.settings), list[float]()
+    with part_files.writing_part(folder, READ, number) as writer:
+        for box, heights in _read_heights(work.grid, source, number, reader):
+            writer.add("heights", (box.x0, box.y0), heights)
+            known = heights[~np.isnan(heights)]
+            limits_found += [float(known.min()), float(known.max())] if known.size else []
+        ends = [min(limits_found), max(limits_found)] if limits_found else None
+        writer.record = {"inputs": task.inputs, "missing": reader.missing, "limits": ends, "figures": reader.figures()}
+
+
+def write_read_parts(work: TileWork, inputs_of: Callable[[int], str], count: int) -> bool:
+    """Write units that other processes have read into the arrays of a work; damaged ones and those of others are left.
+
+    Return False, before the rest is written, if heights have to be stored as floats. inputs_of: returns the digest of
+    the sources of a unit. count: number of units.
+    """
+    before, lattice = work.records(READ), work.grid.lattice
+    for number in part_files.numbers_of(work.folder, READ):
+        record = part_files.find_record(work.folder, work.grid, READ, number)
+        if record is None or number >= count or record["inputs"] != inputs_of(number):
+            continue
+        if number in before and before[number]["inputs"] == record["inputs"]:
+            continue
+        try:
+            for block in part_files.blocks_of(work.folder, record):
+                (x, y), shape = block.place, block.values.shape
+                if len(shape) != 2 or x + shape[1] > lattice.width or y + shape[0] > lattice.height:
+                    raise ValueError("it is not a part of the raster")
+                work.write_heights(x, y, block.values)
+        except NotNumberedError:
+            return False
+        except (ValueError, OSError):
+            continue
+        values = {name: record[name] for name in ("inputs", "missing", "limits", "figures")}
+        work.note(READ, number, **values)
+    return True
 
 
 def is_loaded(source: TileSource, number: int) -> bool:

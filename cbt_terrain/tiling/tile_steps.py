@@ -3,6 +3,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from operator import gt
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from ..field import cleaning, codes, hierarchy
 from ..field.holes import longest_edge
 from ..field.lattice import Lattice
-from . import borders
+from . import borders, part_files
 from .coarse_land import CoarseLand
 from .measure_tile import (
     LargeError,
@@ -25,7 +26,7 @@ from .measure_tile import (
     measure_ranges,
 )
 from .tile_grid import TileGrid, halved, put, translate
-from .tile_records import MEASURED, READ
+from .tile_records import MEASURED, READ, STATE
 from .tile_work import TileWork
 
 
@@ -73,7 +74,82 @@ def measure(
 ) -> bool:
     """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
 
-    Without a change nothing is written.
+    Without a change nothing is written. Arguments are as of `measured`.
+    """
+    found = measured(work, number, limits, threads, before, exponents, coarse)
+    if found is None:
+        return False
+    write_measured(work, number, found, has_record=before is not None)
+    return found.codes is not None
+
+
+class MeasuredTile(NamedTuple):
+    """Changes of a tile by its measuring.
+
+    Attributes:
+        record: its state.
+        codes: uint8, codes of its errors, in the layout of its lattice; None if they are as before.
+        border: uint8 [2, n], codes and kinds of cells near its border; None as `codes`.
+        ranges: uint16 [n, 2], ranges in the layout of its halved lattice; None if they are as before.
+    """
+
+    record: dict[str, Any]
+    codes: np.ndarray | None = None
+    border: np.ndarray | None = None
+    ranges: np.ndarray | None = None
+
+
+def write_measured(work: TileWork, number: int, found: MeasuredTile, has_record: bool) -> None:
+    """Write the changes of a tile into the arrays of a work, and its record. has_record: it has an earlier one."""
+    grid, box = work.grid, work.grid.box(number)
+    if has_record:
+        work.note(MEASURED, number)  # it is not measured while its arrays are written
+    if found.codes is not None:
+        put(grid, box, found.codes, work.open("error"))
+        work.open("borders")[number] = found.border
+    if found.ranges is not None:
+        half = TileGrid(halved(grid.lattice), grid.bits - 1)
+        put(half, half.box(number), found.ranges, work.open("ranges"))
+    work.note(MEASURED, number, **found.record)
+
+
+def write_parts(work: TileWork) -> None:
+    """Write the results of tiles that other processes have measured (part_files.py) into the arrays of a work.
+
+    Damaged ones are left out. Those of other samples are measured again later, as any tile that has changed.
+    """
+    before = work.records(MEASURED)
+    for number in part_files.numbers_of(work.folder, MEASURED):
+        record = part_files.find_record(work.folder, work.grid, MEASURED, number)
+        if record is None or "errors" not in record:
+            continue
+        with suppress(ValueError, OSError):
+            blocks = {block.name: block.values for block in part_files.blocks_of(work.folder, record)}
+            state = {name: record[name] for name in STATE}
+            found = MeasuredTile(state, blocks.get("codes"), blocks.get("border"), blocks.get("ranges"))
+            if _fits(work, number, found):
+                write_measured(work, number, found, has_record=number in before)
+
+
+def _fits(work: TileWork, number: int, found: MeasuredTile) -> bool:
+    """Return whether arrays of a tile have the shapes that it needs; border is there if codes are."""
+    local, near = work.grid.local(work.grid.box(number)), len(work.grid.near_border.x)
+    wanted = {"codes": (local.node_count,), "border": (2, near), "ranges": (local.range_count, 2)}
+    arrays = {name: getattr(found, name) for name in wanted}
+    is_paired = (found.codes is None) == (found.border is None)
+    return is_paired and all(array is None or array.shape == wanted[name] for name, array in arrays.items())
+
+
+def measured(
+    work: TileWork,
+    number: int,
+    limits: TerrainLimits,
+    threads: int,
+    before: dict | None,
+    exponents: Sequence[int] = (),
+    coarse: CoarseLand | None = None,
+) -> MeasuredTile | None:
+    """Measure the changed parts of a tile; None without a change. Nothing is written.
 
     Args:
         before: its last record, None for none.
@@ -103,25 +179,21 @@ def measure(
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == content and not is_rounded
     if is_measured and state["ranges"] == ranges and state["above"][0] == around:
-        return False
-    if before is not None:
-        work.note(MEASURED, number)  # it is not measured while its arrays are written
+        return None
+    stored, border, intervals = None, None, None
     tile = TileSamples(grid, box, window, work.decoded(raw), valid)
     if not is_measured:
         found = code_errors(tile, *_errors(tile, coarse, is_near, threads), threads)
-        put(grid, box, found.codes, work.open("error"))
-        border = work.open("borders")[number]
-        border[0], border[1] = found.border, 0 if found.kinds is None else found.kinds
+        stored = found.codes
+        border = np.stack([found.border, np.zeros_like(found.border) if found.kinds is None else found.kinds])
         state |= {"errors": content, "largest": found.largest, "climbs": hierarchy.climbs(tile.inner(tile.samples))}
         state["exponents"] = tile_exponents(work, number, found.largest)
     if state["ranges"] != ranges and grid.lattice.range_depth:
-        half = TileGrid(halved(grid.lattice), grid.bits - 1)
-        put(half, half.box(number), measure_ranges(tile, limits.scale, threads), work.open("ranges"))
+        intervals = measure_ranges(tile, limits.scale, threads)
     if state["above"] is None or state["above"][0] != around:
         large = large_errors(tile, triangles, threads)
         state["above"] = [around, large if coarse is None else large + list(coarse.large_errors(large))]
-    work.note(MEASURED, number, **state | {"ranges": ranges})
-    return not is_measured
+    return MeasuredTile(state | {"ranges": ranges}, stored, border, intervals)
 
 
 def _errors(

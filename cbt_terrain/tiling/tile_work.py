@@ -6,6 +6,7 @@
     missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed at the end
     borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
     finer_*.npy           of finer tiles, if the source has some
+    read-*.part, measured-*.part    results of a farm's tasks until they are joined (part_files.py)
     tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
     tiles.jsonl           all records of a store
 

@@ -2,8 +2,8 @@
 """Child processes that are forked from one process, which has imported their modules, instead of started.
 
 Each child would import numpy, Warp and the engine for a second of a processor: most of the time of the tests of the
-operators. So do faults that kill a child at a stage of its work. Tests of the engine, hard cases, other faults and the
-real program start real children.
+operators and the engine. So do faults that kill a child at a stage of its work. Tests of processes themselves, hard
+cases, other faults and the real program start real children.
 """
 
 import ctypes

@@ -46,7 +46,7 @@ smoke: $(READY)
 # The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`, in two
 # processes. A new room is in the second.
 # The two lists are meant to take about the same time.
-CORE_FIRST := $(addprefix tests/cbt_terrain/,field attributes fit refine tiling view mosaic)
+CORE_FIRST := $(addprefix tests/cbt_terrain/,field attributes fit refine tiling view)
 CORE_LEFT_OUT := $(addprefix --ignore=,$(CORE_FIRST)) $(addprefix --ignore=tests/cbt_terrain/,accuracy height_operators)
 CORE := $(PY) -m pytest -q -p no:cacheprovider -m "not thorough"
 test-core: $(READY)

@@ -17,7 +17,7 @@ from invariants import arrays
 VIEWS = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in np.linspace(0, 20, 12)]
 
 
-@pytest.mark.parametrize("meshlet", [0, 2])
+@pytest.mark.parametrize("meshlet", [0, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_warm_frame_allocates_nothing_that_grows_with_the_mesh(meshlet, eager_threads):
     terrain = Terrain(rough(129, 129), 2)
     criterion = Criterion(error_px=0.1, meshlet=meshlet)

@@ -27,6 +27,7 @@ FOOT = 1200 / 3937  # of EPSG:2263, metres
 EAST, NORTH = 980_000.0, 200_000.0  # feet, as all lengths of the files
 CITY, TOWN = (EAST + 1500.0, NORTH - 1200.0), (EAST + 2300.0, NORTH - 1400.0)  # corners in the north-west
 BITS = 5
+THOROUGH = pytest.mark.thorough
 
 
 def ground(west, north, step, columns, rows, seed):
@@ -168,7 +169,15 @@ def test_a_step_between_is_interpolated_by_other_code(land, finest, tmp_path):
     assert known.mean() > 0.9 and np.abs(found - expected)[known].max() < 1e-3
 
 
-@pytest.mark.parametrize(("form", "flip"), [("r32", True), ("r16", False), ("png", True), ("tif", False)])
+@pytest.mark.parametrize(
+    ("form", "flip"),
+    [
+        pytest.param("r32", True, marks=THOROUGH),
+        ("r16", False),
+        pytest.param("png", True, marks=THOROUGH),
+        pytest.param("tif", False, marks=THOROUGH),
+    ],
+)
 def test_tiles_hold_the_finest_heights(land, finest, tmp_path, form, flip, monkeypatch):
     monkeypatch.setattr(height_tiles, "MAX_COLUMNS", 1 << 13)
     settings = HeightTiles(form, size=2017, step=FOOT, is_flipped=flip)
@@ -206,6 +215,7 @@ def test_one_tile_without_a_step_has_the_raster_samples(land, finest, tmp_path):
     assert (found[known] == heights[known]).all()
 
 
+@pytest.mark.thorough
 def test_masks_have_the_finer_slope(land, tmp_path):
     """The town has steps of up to 3 feet between its pixels of 1 foot."""
     west, north = TOWN

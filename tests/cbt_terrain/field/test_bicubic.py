@@ -180,6 +180,7 @@ def test_a_plane_takes_the_triangles_that_it_takes_as_bilinear():
                 assert both[0].triangles == both[1].triangles
 
 
+@pytest.mark.thorough
 def test_edges_and_areas_are_within_their_bounds_below_the_cells():
     for kind in ("rough", "noise", "spike"):
         field = field_of(kind, (5, 9), relief=20.0, steps=(10.0, 10.0))

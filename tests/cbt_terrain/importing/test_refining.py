@@ -287,6 +287,7 @@ def test_views_that_tiles_satisfy_need_no_more(tmp_path, small_tiles, monkeypatc
     assert not refining.is_fine_enough(tmp_path / "first", [far]), "all of a smaller one are soon there"
 
 
+@pytest.mark.thorough
 def test_further_tiles_are_loaded_without_the_others(tmp_path, small_tiles, monkeypatch):
     settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0, 9))
     made = []

@@ -19,6 +19,7 @@ from adaptive_terrain.cbt_terrain.tiling.tile_records import FINER, line_of
 from finer_imports import BLOCK, WINDOW, assert_same, count_records, make_small
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
+THOROUGH = pytest.mark.thorough
 CITY = EAST + 1800.0, NORTH - 3200.0  # its corner in the north-west; its tiles meet four squares
 
 
@@ -57,7 +58,7 @@ def test_the_mosaic_has_several_windows_and_squares(whole):
     assert {kind: text.count(f'"{kind}"') for kind in FINER} == counts
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
+@pytest.mark.parametrize("share", [pytest.param(0.0, marks=THOROUGH), 0.3, pytest.param(0.8, marks=THOROUGH)])
 def test_a_stopped_import_makes_only_what_is_missing(settings, whole, tmp_path, monkeypatch, share):
     total = sum(whole[1].values())
     done = int(share * total)

@@ -126,6 +126,7 @@ def test_a_flight_over_loaded_squares_has_no_cracks(country, loaded):
         assert update.bound_px <= 1.0 + 1e-6
 
 
+@pytest.mark.thorough
 def test_some_squares_are_those_of_all(country, loaded, tmp_path):
     """One square alone has the same heights away from its border, where they blend to the coarser raster."""
     folder, _, settings = country

@@ -112,6 +112,7 @@ def test_blended_heights_have_no_step_at_the_border(inset):
     assert largest[0] < 0.01 and largest[1] > 4.5
 
 
+@pytest.mark.thorough
 def test_any_window_of_an_inset_has_the_same_bits(inset):
     files, _, _ = inset
     _, heights, _ = read(files)

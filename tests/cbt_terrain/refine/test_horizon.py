@@ -171,6 +171,7 @@ def test_without_an_error_or_with_holes_nothing_is_hidden():
         assert arrays(plain.surface) == arrays(hiding.surface)
 
 
+@pytest.mark.thorough
 def test_a_hidden_mesh_is_a_function_of_the_view_alone(eager_threads):
     """There and back, from one thread and from three: the same bytes; with a triangle limit, too."""
     for number, (field, criterion, views, placement, heights) in enumerate(scenes(5, 24, 2)):

@@ -11,6 +11,7 @@ import pytest
 TESTS = Path(__file__).parents[2] / "support"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are protected by mprotect")
 def test_no_kernel_reaches_beyond_its_arrays():
     """Flights over rough and level ground, in several squares, slices and sizes of arrays."""

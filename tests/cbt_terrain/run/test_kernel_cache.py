@@ -105,6 +105,7 @@ def unusable_caches(folder: Path):
     yield UNSET | {"HOME": "relative"}
 
 
+@pytest.mark.thorough
 @posix
 def test_an_unusable_cache_is_replaced_by_a_temporary_one(tmp_path):
     work = tmp_path / "work"
@@ -122,6 +123,7 @@ def test_a_relative_cache_home_is_ignored(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [".cache"]
 
 
+@pytest.mark.thorough
 @posix
 def test_a_cache_that_fails_later_is_replaced(tmp_path):
     file = Path(run(f"{SPOILT}\n{LOAD}", tmp_path, WARP_CACHE_PATH=str(tmp_path / "cache"), TMPDIR=str(tmp_path)))

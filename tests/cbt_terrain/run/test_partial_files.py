@@ -142,6 +142,7 @@ def test_files_of_killed_writers_beside_the_folder_are_removed(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [f".partial-{'0' * 32}-b.blend", "a.blend", "c.blend"]
 
 
+@pytest.mark.thorough
 def test_writers_and_removers_side_by_side(tmp_path):
     """Each write succeeds while other processes remove abandoned folders."""
     done = threading.Event()

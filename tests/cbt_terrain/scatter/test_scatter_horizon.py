@@ -82,6 +82,7 @@ def check_what_is_left_out(scene, **asked) -> tuple[int, int]:
     return len(left), len(whole)
 
 
+@pytest.mark.thorough
 def test_no_omitted_point_is_visible():
     """Views from low over the ground, from inside and below it, of terrains that are turned, stretched and sheared;
     meshes of any criterion, with hidden ground coarser, rising and within a triangle limit."""
@@ -103,6 +104,7 @@ def test_objects_that_reach_over_a_ridge_stay():
         assert 0 < fine < coarse < 0.99 * whole
 
 
+@pytest.mark.thorough
 def test_points_in_one_of_several_views_stay():
     counts = [check_what_is_left_out(scene) for views in (2, 3) for scene in low_scenes(170 + views, 6, views)]
     assert sum(a < b for a, b in counts) > 4, counts

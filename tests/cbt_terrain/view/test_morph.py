@@ -133,6 +133,7 @@ def a_flight(rng):
     return field, criterion, [View.look(eye + step * frame, (0, 0, 0), resolution=(960, 540)) for frame in range(4)]
 
 
+@pytest.mark.thorough
 def test_any_frame_alone_is_the_same_frame_in_a_flight(eager_threads):
     """12 random flights, from one to three threads: the bytes, the bounds; and after a frame without a morph."""
     for seed in range(ROUNDS):

@@ -269,6 +269,13 @@ def picture_tiles(picture: HeightField) -> int:
     return -(-picture.lattice.cells_x // side) * -(-picture.lattice.cells_y // side)
 
 
+def are_all_samples(picture: HeightField) -> bool:
+    """Return whether the tiles of a first picture have all samples of its source, and not a coarser step."""
+    full = _full_raster(picture)
+    assert full is not None, "it is a first picture"
+    return stride_of(*full, picture.provenance["settings"]["quick"]) <= FACTOR
+
+
 def _picture_side(picture: HeightField) -> int:
     """Return the number of cells of a quick import along a side of one of its tiles."""
     full = _full_raster(picture)

@@ -45,9 +45,10 @@ def add_prepare(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--scene", **SCENE)
     frames = argument(parse_frames)
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
-    only = "import stores, shape land and bake maps, find the tiles in view, or read some of these ahead"
-    verb.add_argument("--only", choices=("stores", "land", "view", "tiles"), help=only)
-    verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles in view, with --only tiles (all)")
+    only = "import stores, shape land and bake maps, or a step of a farm's job with incomplete stores"
+    parts = "stores", "land", "view", "tiles", "load", "read", "fill", "measure"
+    verb.add_argument("--only", choices=parts, help=only)
+    verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles, with --only tiles, read, measure (all)")
     verb.add_argument("--job-stores", **JOB_STORES)
 
 

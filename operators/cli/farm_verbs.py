@@ -17,11 +17,14 @@ def run_prepare(arguments) -> None:
 
     need_bpy("A .blend file")
     from ..export.blend_files import open_scene
-    from ..export.preparing import ALL, prepare
+    from ..export.preparing import ALL, IMPORTS, SHARED, prepare
     from ..session.shot import frames_of
 
-    if arguments.share and arguments.only != "tiles":
-        raise UsageError("--share belongs to --only tiles")
+    shared = "tiles", *SHARED
+    if arguments.share and arguments.only not in shared:
+        raise UsageError(f"--share belongs to --only {' and --only '.join(shared)}")
+    if arguments.only in ("load", *IMPORTS) and arguments.job_stores is None:
+        raise UsageError(f"--only {arguments.only} needs --job-stores")
     scene, objects = open_scene(arguments.scene)
     parts = [arguments.only] if arguments.only else ALL
     where = {"stores": arguments.job_stores, "share": arguments.share or (1, 1)}

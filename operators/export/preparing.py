@@ -14,10 +14,12 @@ from ...cbt_terrain.field.store import JSON_NAME, read_json
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.thinning import loaded_m
+from ...cbt_terrain.importing.tile_import import FILL, MEASURE, READ_TILES
 from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
+from ..importing.shot_import import begin_import, import_part, is_begun
 from ..importing.shot_tiles import can_load_tiles, job_store, load_tiles, plan_tiles, read_tiles, use_job_stores
 from ..land.request import land_of
 from ..land.shape_land import wanted_land
@@ -70,7 +72,7 @@ def import_store(obj, task: Preparation) -> None:
     Raises TerrainError, also for a damaged store.
     """
     store = store_folder_of(obj)
-    if can_load_tiles(store):
+    if can_load_tiles(store) and not is_begun(obj, task.stores):
         if text := load_tiles(obj, task.frames, task.stores, task.on_progress):
             task.say(f"{obj.name}: {text}")
             return
@@ -100,6 +102,26 @@ def read_view(obj, task: Preparation) -> None:
         task.say(f"{obj.name}: {read_tiles(obj, store, task.share, task.on_progress):,} tiles read")
 
 
+def load_view(obj, task: Preparation) -> None:
+    """Load the tiles that the frames see into a job's store; if that is not enough, begin the import of all samples.
+
+    `import_share` and `import_store` then do the rest. Raises TerrainError.
+    """
+    assert task.stores is not None, "the command line has checked it"
+    if not can_load_tiles(store_folder_of(obj)) or is_begun(obj, task.stores, task.frames):
+        return
+    text = load_tiles(obj, task.frames, task.stores, task.on_progress)
+    task.say(f"{obj.name}: {text or begin_import(obj, task.frames, task.stores)}")
+
+
+def import_share(step: str, obj, task: Preparation) -> None:
+    """Do this process's share of a step of the import that `load_view` has begun, if any. Raises TerrainError."""
+    assert task.stores is not None, "the command line has checked it"
+    if can_load_tiles(store_folder_of(obj)):
+        if text := import_part(obj, task.stores, step, task.share, task.on_progress):
+            task.say(f"{obj.name}: {text}")
+
+
 def shape_land(obj, task: Preparation) -> None:
     """Shape a terrain's land, and bake the maps that its materials show; existing ones are reused.
 
@@ -125,7 +147,16 @@ def shape_land(obj, task: Preparation) -> None:
         say(maps_summary(bake_maps(request, field, task.on_progress), obj.name))
 
 
-PARTS = {"stores": import_store, "land": shape_land, "view": find_view, "tiles": read_view}
+SHARED = READ_TILES, MEASURE  # parts of which each process does a share, as of "tiles"
+IMPORTS = READ_TILES, FILL, MEASURE  # parts of an import of all samples
+PARTS = {
+    "stores": import_store,
+    "land": shape_land,
+    "view": find_view,
+    "tiles": read_view,
+    "load": load_view,
+    **{step: partial(import_share, step) for step in IMPORTS},
+}
 ALL = "stores", "land"  # without a farm
 
 

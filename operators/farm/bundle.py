@@ -34,7 +34,7 @@ STORES_PARAMETER = """- name: StoresDir
   objectType: DIRECTORY
   dataFlow: INOUT
   description: Stores of this job, with the tiles that its frames see."""
-MAX_SHARES, SHARE_TILES = 16, 8  # tasks that read tiles in view, and tiles of one if all are in view
+MAX_SHARES, SHARE_TILES = 16, 8  # tasks that read tiles, and tiles in view of one if all are in view
 MAX_NAME, MAX_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
@@ -109,7 +109,7 @@ def job_template(job: FarmJob, guard: str) -> str:
     has_tiles = job.stores is not None
     shares = min(MAX_SHARES, -(-job.max_tiles // SHARE_TILES))
     view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(shares))
-    after_tiles = "  dependencies: [{dependsOn: Tiles}]\n"
+    after_tiles = "  dependencies: [{dependsOn: Measure}]\n"
     parts = {
         "@VIEW_STEPS@\n": view_steps if has_tiles else "",
         "  @AFTER_TILES@\n": after_tiles if has_tiles else "",

@@ -22,6 +22,7 @@ from ...cbt_terrain.importing.read_ahead import remove_ahead, share_of
 from ...cbt_terrain.importing.refining import (
     SeenLand,
     all_missing_tiles,
+    are_all_samples,
     first_picture,
     is_fine_enough,
     is_large,
@@ -38,11 +39,14 @@ from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.scene_paths import absolute_path, store_path
 from ..session.shot import visit_requests
 from .import_terrain import settings_of
+from .shot_import import forget_import, is_begun
 from .view_tiles import seen_land
 
 WANTED = "wanted.json"  # in the store's folder AHEAD: the tiles to load
 MAX_WANTED = 1 << 20  # bytes
 SUFFIX = ".store"
+NEARLY_ALL = 0.9  # of the tiles of a store: a complete import then reads little more
+ALL_SAMPLES = "the frames need all samples"
 
 
 def can_load_tiles(store: Path) -> bool:
@@ -93,15 +97,31 @@ def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, l
 def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     """Write the tiles that frames need and the store lacks, for `read_tiles`; return a text about them.
 
+    If the frames need nearly all tiles, and these have all samples, none is written: `load_tiles` then returns "".
     stores: as of `find_tiles`. Raises TerrainError, also if the store is not of the terrain's sources and settings.
     """
+    if is_begun(obj, stores, frames):
+        return ALL_SAMPLES
+    forget_import(obj, stores)
     store, _lands, tiles = find_tiles(obj, frames, stores)
+    if _needs_nearly_all(store, tiles, stores):
+        discard_store(store)
+        return ALL_SAMPLES
     if not tiles:
         remove_ahead(store)
         return "no further tiles are in view"
     report = import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
     _write_wanted(store, tiles)
     return f"{len(tiles):,} further tiles of {report['tiles']:,} are in view"
+
+
+def _needs_nearly_all(store: Path, tiles: Sequence[int], stores: Path | None) -> bool:
+    """Return whether to import all samples instead of tiles: these are nearly all, and no coarser than the source.
+
+    Several computers then share all of that work, and not only the reading of tiles. stores: as of `find_tiles`.
+    """
+    picture = open_store(first_picture(store))
+    return stores is not None and are_all_samples(picture) and len(tiles) >= NEARLY_ALL * picture_tiles(picture)
 
 
 def _copied(picture: Path, store: Path) -> Path:
@@ -158,6 +178,9 @@ def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Cal
     stores: as of `find_tiles`; a store of the job is removed if the frames need all samples. Raises TerrainError.
     """
     store, lands, tiles = find_tiles(obj, frames, stores)
+    if _needs_nearly_all(store, tiles, stores):
+        discard_store(store)
+        return ""
     if tiles:
         import_source(_settings_with(obj, store, tiles), store, lambda done, _text: on_progress(done))
     remove_ahead(store)

@@ -14,6 +14,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.tiling import tile_records
 from adaptive_terrain.operators.cli import parser
 from adaptive_terrain.operators.farm import bundle
 from adaptive_terrain.operators.importing import import_terrain, shot_tiles
@@ -22,31 +23,44 @@ from openjd.model import decode_job_template
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 from store_exports import run
+from tiled_stores import content
 
 # Stands for Blender: runs verbs with small tiles, and imports in its own process. It dies after its first tile if told.
 WORKER = """
-import os, sys
+import contextlib, os, sys
 if "--command" not in sys.argv:
     sys.exit(0)  # the guard
-from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_tasks
+from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_import, tile_tasks
+from adaptive_terrain.cbt_terrain.rasters import raster
+from adaptive_terrain.cbt_terrain.tiling import part_files
 from adaptive_terrain.operators.cli import command_line
 refining.FEWEST, refining.FACTOR, refining.BITS = 1, 2, 4
-write_ahead = tile_tasks.write_ahead
+tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 4
+raster.BLOCK_SAMPLES = 1
+write_ahead, writing_part = tile_tasks.write_ahead, part_files.writing_part
 
 def write_and_die(*tile):
     write_ahead(*tile)
-    if "DIE" in os.environ:
+    if os.environ.get("DIE") == "ahead":
         os._exit(9)
 
 def import_source(settings, store, _on_progress=None, part=None):
     return build_store.run_import(settings, store, part=part)
 
+@contextlib.contextmanager
+def write_part_and_die(folder, kind, number):
+    with writing_part(folder, kind, number) as writer:
+        yield writer
+    if os.environ.get("DIE") == kind:
+        os._exit(9)
+
 tile_tasks.write_ahead = write_and_die
+part_files.writing_part = write_part_and_die
 from adaptive_terrain.operators.blender import need_bpy
 need_bpy("A worker")
 from adaptive_terrain.operators.export import preparing
-from adaptive_terrain.operators.importing import shot_tiles
-preparing.import_source = shot_tiles.import_source = import_source
+from adaptive_terrain.operators.importing import shot_import, shot_tiles
+preparing.import_source = shot_tiles.import_source = shot_import.import_source = import_source
 sys.exit(command_line.main(sys.argv[3:]))
 """
 
@@ -93,6 +107,12 @@ def start(tmp_path):
     return started
 
 
+@pytest.fixture
+def two_shares(monkeypatch):
+    monkeypatch.setattr(bundle, "MAX_SHARES", 2)
+    monkeypatch.setattr(bundle, "SHARE_TILES", 1)
+
+
 def ended(process):
     report = process.communicate(timeout=600)[0]
     return process.returncode, report
@@ -102,9 +122,7 @@ def share(number):
     return "--tasks", json.dumps([{"Share": str(number)}])
 
 
-def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, monkeypatch):
-    monkeypatch.setattr(bundle, "MAX_SHARES", 2)
-    monkeypatch.setattr(bundle, "SHARE_TILES", 1)
+def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, two_shares):
     assert run("submit", "--scene", shot / "shot.blend", "--out", shot / "job", "--frames", "1-4") == 0
     total = shot_tiles.num_tiles(shot / "own.store")
     note = (
@@ -116,7 +134,7 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, monkeypat
     ahead = shot / "job" / "stores" / "Terrain.store" / "ahead"
     wanted = json.loads((ahead / "wanted.json").read_text())
     assert 2 < len(wanted) < total
-    killed, other = start("Tiles", *share(1), DIE="1"), start("Tiles", *share(2))
+    killed, other = start("Tiles", *share(1), DIE="ahead"), start("Tiles", *share(2))
     assert ended(killed)[0] != 0 and ended(other)[0] == 0, "two workers at the same time"
     there = {int(file.stem) for file in ahead.glob("*.tile")}
     assert there == {wanted[0], *wanted[1::2]}, "the killed one has read one tile"
@@ -140,6 +158,56 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, monkeypat
             assert all(np.array_equal(mesh[array], expected[array]) for array in arrays)
 
 
+def num_parts(store, kind):
+    """Return the number of units or tiles that workers have done in the work of a store."""
+    return len(list(store.glob(f"data-*/{kind}-*.part")))
+
+
+def whole_store(shot, name="whole.store"):
+    """Import all samples into another store, in one piece."""
+    run_import(import_terrain.settings_of(bpy.data.objects["Terrain"]), shot / name)
+    return shot / name
+
+
+def test_workers_share_the_import_of_all_samples(shot, start, two_shares):
+    bpy.data.objects["Terrain"].adaptive_terrain.render.error_px = 1.0
+    bpy.ops.wm.save_mainfile()
+    assert run("submit", "--scene", shot / "shot.blend", "--out", shot / "job", "--frames", "1-4") == 0
+    code, report = ended(start("Load", "--run-dependencies"))
+    assert code == 0 and "the frames need all samples, of which 130 tiles are imported by several" in report, report
+    for step, kind, total in (("Read", tile_records.READ, 8), ("Measure", tile_records.MEASURED, 130)):
+        killed, other = start(step, *share(1), DIE=kind), start(step, *share(2))
+        assert ended(killed)[0] != 0
+        code, report = ended(other)
+        assert code == 0 and f"Terrain: {step.lower()}, 65 of 130 tiles" in report, "two workers at the same time"
+        there = num_parts(shot / "own.store", kind)
+        assert there == total // 2 + 1, "the killed one has done one"
+        code, report = ended(start(step, *share(1)))
+        assert code == 0 and num_parts(shot / "own.store", kind) == total, report
+        if step == "Read":
+            assert ended(start("Fill"))[0] == 0
+    for step, line in (
+        ("Import", "Terrain: imported"),
+        ("MapsAndLand", ""),
+        ("Meshes", ""),
+        ("Verify", "4 frames are"),
+    ):
+        code, report = ended(start(step))
+        assert code == 0 and line in report, report
+    assert not (shot / "job" / "stores" / "Terrain.store").exists()
+    (arrays, text), (wanted, wanted_text) = content(shot / "own.store"), content(whole_store(shot))
+    assert all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
+    assert text == wanted_text
+    bpy.data.objects["Terrain"].adaptive_terrain.store = "//whole.store"
+    bpy.ops.wm.save_as_mainfile(filepath=str(shot / "local.blend"))
+    out = "--format", "npz", "--out", shot / "local"
+    assert run("export", "--scene", shot / "local.blend", "--frames", "1,4", *out) == 0
+    for name in ("Terrain_0001.npz", "Terrain_0004.npz"):
+        with np.load(shot / "job" / "frames" / name) as mesh, np.load(shot / "local" / name) as expected:
+            arrays = [array for array in expected.files if array != "info"]
+            assert all(np.array_equal(mesh[array], expected[array]) for array in arrays)
+
+
 def test_only_incomplete_stores_need_these_steps(shot, capsys):
     where = "--scene", shot / "shot.blend", "--out", shot / "job"
     assert run("submit", *where, "--render", "--min-memory", "2") == 0
@@ -148,10 +216,11 @@ def test_only_incomplete_stores_need_these_steps(shot, capsys):
 
     decode_job_template(template=yaml.safe_load(template), supported_extensions=["TASK_CHUNKING"])
     steps = yaml.safe_load(template)["steps"]
-    assert [step["name"] for step in steps] == ["View", "Tiles", "Import", "MapsAndLand", "Render", "Verify"]
+    first = ["View", "Tiles", "Load", "Read", "Fill", "Measure"]
+    assert [step["name"] for step in steps] == [*first, "Import", "MapsAndLand", "Render", "Verify"]
     assert all("hostRequirements" in step for step in steps)
     with_stores = [step["name"] for step in steps if "--job-stores" in step["script"]["actions"]["onRun"]["args"]]
-    assert with_stores == ["View", "Tiles", "Import", "MapsAndLand", "Render"]
+    assert with_stores == [*first, "Import", "MapsAndLand", "Render"]
     assets = json.loads((shot / "job" / bundle.ASSETS).read_text())["assetReferences"]
     assert str(shot / "own.store") in assets["inputs"]["directories"]
     assert str(shot / "a.tif") not in assets["inputs"]["filenames"], "workers share its disk"
@@ -175,5 +244,7 @@ def test_a_share_is_one_of_several(capsys):
         with pytest.raises(SystemExit):
             parse([*options, text])
     assert run("prepare", "--scene", "a.blend", "--share", "1/2") == 2
-    assert "--share belongs to --only tiles" in capsys.readouterr().err
+    assert "--share belongs to --only tiles and --only read and --only measure" in capsys.readouterr().err
+    assert run("prepare", "--scene", "a.blend", "--only", "load") == 2
+    assert "--only load needs --job-stores" in capsys.readouterr().err
     assert run("export", "--store", "a", "--job-stores", "b", "--frames", "1", "--format", "npz", "--out", "c") == 2

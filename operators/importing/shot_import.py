@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import of all samples of a terrain by several computers, for a farm's job whose frames need them.
+
+A file beside the job's stores records that a terrain needs all samples. The steps of its import (`import --only`) then
+write into the terrain's own store, and do nothing for a terrain without that record.
+"""
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import unwritable
+from ...cbt_terrain.field.store import read_json
+from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.importing.read_ahead import share_of
+from ...cbt_terrain.importing.refining import first_picture
+from ...cbt_terrain.importing.tile_import import BEGIN, TILED_PARTS, ImportPart
+from ...cbt_terrain.run.named_file import read_regular
+from ...cbt_terrain.run.owned_files import open_folder, remove_file
+from ...cbt_terrain.run.partial_files import written_beside
+from ..bridge.scene_paths import store_path
+from .import_terrain import settings_of
+
+SUFFIX = ".all.json"  # of the record of a terrain that needs all samples
+MAX_BYTES = 1 << 20
+TILES = "tiles"
+
+
+def begin_import(obj, frames: Sequence[int], stores: Path) -> str:
+    """Begin the import of all samples of a terrain that frames need, and record it; return a text about it.
+
+    stores: the folder of the job's stores. Raises TerrainError.
+    """
+    report = import_source(settings_of(obj), store_path(obj), part=ImportPart(BEGIN))
+    file = _record_of(obj, stores)
+    try:
+        with open_folder(file.parent, make=True):
+            pass
+        with written_beside(file) as partial:
+            partial.write_text(json.dumps(_state(obj, frames) | {TILES: report.get(TILES, 0)}), encoding="utf-8")
+    except OSError as reason:
+        raise unwritable(f"The folder {stores}", reason) from reason
+    return f"the frames need all samples, of which {report.get(TILES, 0):,} tiles are imported by several computers"
+
+
+def is_begun(obj, stores: Path | None, frames: Sequence[int] | None = None) -> bool:
+    """Return whether a job has begun to import all samples of a terrain whose store has a first picture.
+
+    frames: those that the job has begun it for, with the .blend file as it is now; None for any.
+    """
+    found = {} if stores is None else _read_record(obj, stores)
+    wanted = _state(obj, frames or ())
+    names = wanted if frames is not None else ("picture",)
+    return bool(found) and all(found.get(name) == wanted[name] for name in names)
+
+
+def import_part(obj, stores: Path, step: str, share: tuple[int, int], on_progress: Callable[[float], None]) -> str:
+    """Do a step of an import that `begin_import` has begun, and return a text about it; "" for none.
+
+    step: one of PARTS of tile_import.py. share: its number from 1 and the number of shares, of a step of TILED_PARTS.
+    Several computers may do different shares at the same time. Raises TerrainError.
+    """
+    if not is_begun(obj, stores):
+        return ""
+    total = _read_record(obj, stores)[TILES]
+    numbers = share_of(range(total), *share) if step in TILED_PARTS else ()
+    if numbers or step not in TILED_PARTS:
+        chosen = ImportPart(step, frozenset(numbers))
+        import_source(settings_of(obj), store_path(obj), lambda done, _text: on_progress(done), part=chosen)
+    return f"{step}, {len(numbers):,} of {total:,} tiles" if step in TILED_PARTS else step
+
+
+def forget_import(obj, stores: Path | None) -> None:
+    """Remove the record of an import, if there is one."""
+    if stores is not None and os.path.lexists(_record_of(obj, stores)):
+        remove_file(_record_of(obj, stores))
+
+
+def _state(obj, frames: Sequence[int]) -> dict:
+    """Return the picture, frames and file for which an import of all samples is begun, as JSON."""
+    picture = read_json(first_picture(Path(store_path(obj))))["digest"]
+    changed = os.stat(bpy.data.filepath).st_mtime_ns if bpy.data.filepath else 0
+    return {"picture": picture, "frames": sorted(frames), "blend_ns": changed}
+
+
+def _record_of(obj, stores: Path) -> Path:
+    """Return the file of the record of a terrain."""
+    return stores.absolute() / f"{bpy.path.clean_name(obj.name)}{SUFFIX}"
+
+
+def _read_record(obj, stores: Path) -> dict:
+    """Return the record of a terrain; {} for none, and for a damaged one."""
+    try:
+        found = json.loads(read_regular(_record_of(obj, stores), MAX_BYTES, links=False))
+        return found if type(found[TILES]) is int and found[TILES] >= 0 else {}
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return {}

@@ -80,9 +80,9 @@ def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) 
 
 @wp.func
 def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inner: wp.bool) -> wp.float64:
-    """Return four times the [1 2 1] / 4 mean along x at sample (x, y) of a level.
+    """Return four times the [1 2 1] / 4 mean along x at sample (x, y) of a level, metres before vertical scaling.
 
-    In metres before vertical scaling. inner: no sample is beyond the border, so that the fast reads are safe.
+    inner: no sample is beyond the border, so that the fast reads are safe.
     """
     west = wp.float64(0.0)
     here = wp.float64(0.0)

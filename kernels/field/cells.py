@@ -33,8 +33,8 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
     """Return the height and its slopes (per cell) in cell (i, j), bilinear between those of its samples.
 
-    Metres before vertical scaling. s, t: position in the cell, 0 .. 1. Slopes at samples are central differences,
-    one-sided at the border. Each of the twelve samples that it needs is read once.
+    The height is metres before vertical scaling. s, t: position in the cell, 0 .. 1. Slopes at samples are central
+    differences, one-sided at the border. Each of the twelve samples that it needs is read once.
     """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)

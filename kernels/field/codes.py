@@ -50,7 +50,7 @@ def height_at(s: Samples, i: wp.int64) -> wp.float64:
 def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
     """Return the heights at the corners of cell (i, j): south-west, south-east, north-west, north-east.
 
-    In metres before vertical scaling.
+    They are metres before vertical scaling.
     """
     south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
     north = south + wp.int64(s.columns)

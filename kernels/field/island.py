@@ -2,7 +2,8 @@
 """Kernel of the built-in island: a volcano, eroded ridges, valleys, beaches and a shelf under the sea.
 
 It uses only additions, multiplications, divisions, square roots and hashes of integers, so the same seed gives the same
-bits on every machine, and a point of the plane has the same height at every resolution.
+bits on every machine, and a point of the plane has the same height at every resolution. Lengths, heights and other
+numbers are chosen by their looks.
 """
 
 import warp as wp

@@ -115,8 +115,8 @@ def patches_around(
 ):
     """Compute the ranges of the finest diamonds in row `offset + tid` from the cells within REACH of each.
 
-    For a bicubic surface, whose cells have ranges. A row is two samples apart from the next; diamonds are where x + y
-    is odd. columns, rows: cells of the raster. cells, finest: layouts of both in `ranges`.
+    It is for bicubic surfaces, whose cells have ranges. A row is two samples apart from the next; diamonds are where x
+    + y is odd. columns, rows: cells of the raster. cells, finest: layouts of both in `ranges`.
     """
     y = offset + wp.tid()
     for x in range(1 - (y & 1), finest.columns + 1, 2):

@@ -3,7 +3,8 @@
 
 Heights are functions of the position by arithmetic alone: a seed gives the same bits on every machine, and a point has
 the same height at every resolution. `x`, `y`: metres from the centre of the square, to the east and north. `wx`, `wy`:
-the position moved by noise, so that forms are not straight.
+the position moved by noise, so that forms are not straight. Lengths, heights and other numbers are chosen by their
+looks.
 """
 
 import warp as wp

@@ -3,7 +3,8 @@
 
 The position of crests is phasor noise (Tricard, Efremov, Zanni, Neyret, Martinez and Lefebvre, "Procedural phasor
 noise", 2019): the phase of a sum of wave patches of one wavelength. Heights are functions of the position by arithmetic
-alone: the same bits on every machine, and the same height at every resolution.
+alone: the same bits on every machine, and the same height at every resolution. Lengths, heights and other numbers are
+chosen by their looks.
 """
 
 import warp as wp

@@ -35,9 +35,10 @@ def row_ranges(
 ):
     """Write to found[offset + tid] the lowest and highest height in row first_row + offset + tid of cells, in a box.
 
-    In metres after scaling; (infinity, -infinity) without ground. west .. north: sides of the box in cells from the
-    raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is exact and without
-    displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, displacement included.
+    They are metres after scaling, and (infinity, -infinity) without ground. west .. north: sides of the box in cells
+    from the raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is exact and
+    without displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, displacement
+    included.
     """
     n = offset + wp.tid()
     j = first_row + n

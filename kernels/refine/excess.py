@@ -127,7 +127,8 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
     """Return the plane through the surface at a triangle's corners: height at the apex, slopes along x and y.
 
-    Metres before scaling, and metres per lattice unit. The legs are perpendicular and equally long in lattice units.
+    The height is metres before scaling, slopes are metres per lattice unit. The legs are perpendicular and equally long
+    in lattice units.
     """
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base

@@ -249,9 +249,9 @@ def ground_near(
 ):
     """Return an upper bound of the ground's height in a square with the eye in its middle.
 
-    In metres after vertical scaling, with displacement. x, y: the eye, lattice units. reach: half of the square's side,
-    lattice units; the result is infinite if the square crosses the raster's border or is outside. margin_units: lattice
-    units to add on each side.
+    It is metres after vertical scaling, with displacement. x, y: the eye, lattice units. reach: half of the square's
+    side, lattice units; the result is infinite if the square crosses the raster's border or is outside. margin_units:
+    lattice units to add on each side.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)

@@ -142,10 +142,11 @@ def _crs(text: str) -> CRS | None:
 
 
 def _scales(mosaic: Mosaic, number: int, band: int, scale_of: ScaleOf) -> set[HeightScale]:
-    """Return the conversions to heights of the sources of band `band` of text `number`.
+    """Return the conversions to heights of the sources of a band.
 
-    A unit or a scale that a VRT has replaces that of its sources. Sources that the VRT scales are left out, because it
-    may have converted them, and so are unknown ones.
+    number: index of the VRT in the mosaic's texts, as VRTs may nest. A unit or a scale that a VRT has replaces that of
+    its sources. Sources that the VRT scales are left out, because it may have converted them, and so are unknown ones.
+    scale_of: returns the conversion of a file's band, None if it is unknown.
     """
     vrt_scale, found = _vrt_scale(mosaic, number, band), set()
     for source, source_band, scaling in sources_of(mosaic, number, band):

@@ -277,7 +277,7 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
 
 
 def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height) -> Corner:
-    """Return the part, towards `right` and `up`, of the diamond at the side's middle (x, y), a right triangle.
+    """Return one right triangle of the diamond at the middle (x, y) of a side: the part towards `right` and `up`.
 
     x, y: in units of `half` samples, half the side. right, up: 1 or -1. height: function of a sample (i, j), metres.
     """

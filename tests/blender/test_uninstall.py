@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stores survive an uninstall in the real program, including those of version 0.2.0 in the deleted folder."""
 
+import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,12 +11,14 @@ from real_program import EXTENSION, Program
 
 
 @pytest.fixture
-def fresh_program(program, extension_zip, tmp_path):
-    """Install the extension in a program with a separate user folder and compiled kernels."""
+def fresh_program(program, tmp_path):
+    """Copy the installed extension and the settings to a separate user folder; share compiled kernels and wheels."""
     fresh = Program(program.wrapper, tmp_path / "user")
     fresh.kernels = program.kernels
-    fresh.user.mkdir()
-    fresh.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
+    wheels = "extensions/.local"
+    for folder in ("config", "extensions/user_default"):
+        shutil.copytree(program.user / folder, fresh.user / folder)
+    shutil.copytree(program.user / wheels, fresh.user / wheels, copy_function=os.link)
     return fresh
 
 

@@ -3,6 +3,7 @@
 
 With `fit` its vertices may leave the surface: fewer triangles for the same vertical error. The bound is that of greedy
 insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; fitter.py fits the heights.
+Finer tiles count as a displacement: the raster's surface is fitted, and vertices get the change at their position.
 """
 
 import math
@@ -30,8 +31,9 @@ MAX_GAIN = 2.6
 class Fitted(Update):
     """The result of a fit, as `Update`.
 
-    `worst_m`: the exact largest distance of the delivered heights from the surface, metres; `bound_m` is the largest
-    that includes the rounding of plane coordinates and of the source. `rounds`: meshes it took; 0 if the interpolating
+    `worst_m`: the exact largest distance of the delivered heights from the surface, metres; with finer tiles a bound of
+    it, because the stored error of their change counts. `bound_m` includes the rounding of plane coordinates and of the
+    source. `rounds`: meshes it took; 0 if the interpolating
     mesh was best.
     """
 
@@ -54,11 +56,10 @@ def fit(
     Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
     of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
     vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. The error
-    may be exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for bicubic surfaces,
-    a detail or finer tiles.
+    may be exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for bicubic surfaces
+    or a detail.
     """
     check_interpolation(field.interpolation)
-    field.raster.check_no_finer("A fitted mesh")
     if field.detail:
         raise TerrainError(
             "A surface with detail cannot be fitted",

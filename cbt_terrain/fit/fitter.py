@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from ...kernels.fitting import binding, raising
+from ...kernels.fitting import binding
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.local_view import LocalView
 from ...kernels.refine.pixels import CriterionArrays, unlimited
-from ..field import codes
 from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
 from ..field.domain import box_of
 from ..field.heightfield import HeightField
@@ -35,16 +34,14 @@ from ..mesh.builder import SurfaceRequest, build_surface
 from ..mesh.surface import Surface
 from ..refine.refinement import MAX_TRIANGLES, refine
 from ..refine.request import RefinementRequest, refinable_domain
-from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, rounding
+from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, position_rounding, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
 from ..terrain import Update
 from ..view.linear import add_up
+from . import fit_codes
 from .sweeps import FEW, Sweeps
 
-# The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
-# more requires many splits, so that neighbours of triangles that need them are split as well.
-START = 1.7
 MAX_MESHES = 16
 # Nanoseconds that a sweep takes for a triangle, and for a sample of it.
 TRIANGLE_NS, SAMPLE_NS = 80.0, 1.2
@@ -60,7 +57,7 @@ class FittedMesh:
 
     surface: Surface  # of whole leaves, see `Fitter.end_at_borders`
     bound_m: float
-    worst_m: float  # largest measured distance, 0 if none was measured
+    worst_m: float  # largest measured distance, with the error of finer tiles' change; 0 if none was measured
     terms: Terms  # of the bound
     limited: str  # why the bound exceeds the requested error, "" if it does not
     rounds: int  # meshes that the fit walked, 0 for an interpolating mesh
@@ -77,7 +74,8 @@ class Fitter:
 
     `placement`: vertical scale and offset. `scale`: the vertical scale's magnitude. `source`: largest rounding of the
     source, metres after scaling. `depth`: deepest level of leaves. `plain`: domain of the field with its own errors.
-    `rounds`: finished rounds, for the progress.
+    `finer`: its finer tiles or None. `finest`: vertices are multiples of 2^-finest of a cell. `raised`: codes of errors
+    that splits raise. `rounds`: finished rounds, for the progress.
     """
 
     def __init__(
@@ -102,8 +100,10 @@ class Fitter:
         self.scale = abs(self.placement[0])
         self.source = field.source_max * self.scale
         self.depth = max(1, usual_depth(field))
+        self.finer = field.raster.finer
+        self.finest = FINEST + (self.finer.bits if self.finer else 0)
         # Triangles at this depth are not split: this is the largest number of halvings that `raise_cells` gets.
-        assert (self.depth - field.lattice.cell_depth) // 2 <= raising.MAX_HALVINGS
+        self.raised = fit_codes.raised_codes(self.finer, max(0, self.depth - field.lattice.cell_depth) // 2)
         self.plain = refinable_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:
@@ -120,7 +120,11 @@ class Fitter:
         domain = refinable_domain(replace(field, error=error), 0, *self.placement, Rounding())
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
-        m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()
+        m, known = self._mesh(error_m), self._nothing_known()
+        criterion = _vertical_criterion(error_m)
+        if self.finer is not None:  # no leaf in a tile's cells is beyond the bound, because the fit cannot split it
+            criterion, domain.source = _vertical_criterion(m.bound), 0.0
+            domain.enough = min(self.plain.enough, m.bound)
         m.codes, sweeps = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
             refine(field, RefinementRequest(domain, criterion, self.depth, MAX_TRIANGLES), history, self.threads)
@@ -180,25 +184,18 @@ class Fitter:
         The bound, which measured distances must not exceed, is the error without the rounding that is added to them.
         """
         m = mesh_kernels.FitMesh()
-        m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
+        m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
         left = left_of(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
-        m.error, m.bound = error_m, left - min(rounded, left / 2)
+        m.error, m.bound, m.raised = error_m, left - min(rounded, left / 2), self.raised
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group.
 
-        The errors are powers of a root of two around the requested error, rounded to the nearest, since the fit
-        measures its result.
+        See fit_codes.py.
         """
-        field, base = self.field, raising.MIN_ERROR * error_m / self.scale
-        values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
-        between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
-        new_codes = np.empty_like(field.error)
-        for group_errors, part in zip(field.table, codes.parts(field.lattice, len(new_codes)), strict=True):
-            codes.translate(field.error[part], np.searchsorted(between, group_errors / START), new_codes[part])
-        return new_codes, np.tile(values.astype(np.float32), len(field.table))
+        return fit_codes.make_codes(self.field, self.plain, self.raised, error_m / self.scale, self.threads)
 
     def _nothing_known(self) -> list[wp.array]:
         """Return empty heights and states of vertices, for every sample and its continuation into the padding.
@@ -249,12 +246,14 @@ class Fitter:
         """Return the metres by which a distance computed in float64 may be off.
 
         Where a border is cut afterwards, its new vertices are rounded to float32 besides, on a mesh that is
-        `far` metres off the surface.
+        `far` metres off the surface. With finer tiles, heights are rounded to float32 four times: those of the raster
+        where a tile holds them, at both ends of an edge, and those of vertices before and after the change is added.
         """
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
         reach = highest * self.scale + abs(self.placement[1])
         cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
-        return DISPLACEMENT_ERROR * reach + cut
+        finer = 4.0 * 2.0**-SINGLE_BITS * (reach + far) if self.finer is not None else 0.0
+        return DISPLACEMENT_ERROR * reach + cut + finer
 
     def _expected_plane_error(self, error_m: float) -> float:
         """Return the metres of error that rounded plane coordinates may add to a mesh that is yet to be fitted.
@@ -265,6 +264,8 @@ class Fitter:
         # In raster cells that are split only the corners of the cells are moved.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
+        if self.finer is not None:
+            finer = max(finer, 2.0 ** (self.finer.bits + 1))
         return self._plane_rounding_error(2.0 * error_m * finer)
 
     def _plane_rounding_error(self, steeper: float) -> float:
@@ -278,9 +279,12 @@ class Fitter:
             (lattice.cells_x, lattice.span[0], lattice.step_x, self.field.steepest_x),
             (lattice.cells_y, lattice.span[1], lattice.step_y, self.field.steepest_y),
         )
-        for cells, span, step, slope in axes:
-            positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
-            off = float(np.abs(positions.astype(np.float32) - positions).max())
+        largest = position_rounding(self.field, self.depth, *self.placement)
+        for axis, (cells, span, step, slope) in enumerate(axes):
+            off = largest[axis]
+            if self.finer is None:
+                positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
+                off = float(np.abs(positions.astype(np.float32) - positions).max())
             error += times * off * (slope * self.scale + steeper / step)
         return error
 

@@ -5,6 +5,8 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..unchecked import item_at, put
+from .facet import surface_height
+from .finer import change_at
 from .mesh import KNOWN, PINNED, FitMesh
 
 
@@ -26,6 +28,7 @@ def place_vertices(
 
     positions: metres; the height of a vertex that was in that mesh is replaced. heights (metres after vertical
     scaling), states: by `vertex_index`, from `store_heights`. A vertex that is no sample, inside a cell, is PINNED.
+    Heights of m are without the change of finer tiles, and `positions` have it.
     """
     v = offset + wp.tid()
     d = m.domain
@@ -37,13 +40,16 @@ def place_vertices(
     m.push[2 * v] = wp.float64(0.0)
     m.push[2 * v + 1] = wp.float64(0.0)
     bits = d.unit_bits - d.levels
+    if d.has_finer == 1:
+        p = wp.vec3f(p[0], p[1], wp.float32(surface_height(d, x, y) * d.height_scale + d.height_offset))
     state = PINNED  # inside a raster's cell
     if ((x | y) & ((1 << bits) - 1)) == 0:
         entry = vertex_index(d, x >> bits, y >> bits)
         state = item_at(states, entry)
         if (state & KNOWN) != wp.uint8(0):
             p = wp.vec3f(p[0], p[1], item_at(heights, entry))
-            positions[v] = p
+            delivered = wp.float32(wp.float64(p[2]) + change_at(d, x, y) * d.height_scale)
+            positions[v] = wp.vec3f(p[0], p[1], delivered)
     m.z[v] = p[2]
     m.state[v] = state & PINNED
 

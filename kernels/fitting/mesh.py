@@ -10,7 +10,7 @@ import warp as wp
 from ..field.domain import Domain
 from ..leb.halfway import middle_between
 from .facet import Facet, surface_height
-from .raising import RAISED, raise_ancestors
+from .raising import RaisedCodes, raise_ancestors
 
 # States of a vertex, bits.
 KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
@@ -43,6 +43,7 @@ class FitMesh:
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
     push: wp.array(dtype=wp.float64)  # [2 V] sums of pushes and of weights, 0 between sweeps
     movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
+    raised: RaisedCodes
     codes: wp.array(dtype=wp.uint8)  # errors that are raised with each split, see raising.py
     splitting: wp.array(dtype=wp.int32)  # scratch: triangles that are to be split
     climbing: wp.array(dtype=wp.vec3i)  # scratch: diamonds whose errors are to rise
@@ -184,7 +185,7 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
 
 @wp.func
 def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
-    """Bisect triangle t and those that a conforming mesh requires; raise the codes of their diamonds to RAISED.
+    """Bisect triangle t and those that a conforming mesh requires; raise the codes of their diamonds to `raised.split`.
 
     `size`: numbers of triangles and vertices; returns the new ones, for which the arrays must have room. New vertices
     are samples, on the surface and not pinned. The triangles around them, all new ones among them, are marked.
@@ -205,7 +206,7 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
             left = m.corner_verts[3 * triangle]
             right = m.corner_verts[3 * triangle + 2]
             p = middle_between(m.point[left], m.point[right])
-            raise_ancestors(d, p[0], p[1], m.level[triangle], wp.int32(RAISED), m.codes, m.climbing)
+            raise_ancestors(d, p[0], p[1], m.level[triangle], m.raised.split, m.codes, m.climbing)
             new_vertex = vertices
             vertices += 1
             m.point[new_vertex] = p

@@ -13,6 +13,7 @@ more than it was within the aim.
 import warp as wp
 
 from .facet import farthest
+from .finer import missed_change
 from .mesh import NOT_MEASURED, PINNED, FitMesh, facet_of, is_marked, list_marked, mark, mark_around
 from .push import Pushes, pushes_in_cell, pushes_of
 
@@ -30,7 +31,10 @@ def measure(offset: int, m: FitMesh):
     The distance is metres after vertical scaling; `m.seen` receives the corners' heights.
     """
     t = offset + wp.tid()
-    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
+    left = m.point[m.corner_verts[3 * t]]
+    right = m.point[m.corner_verts[3 * t + 2]]
+    change = missed_change(m.domain, left, right, m.level[t])
+    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale + change
     m.seen[t] = corner_heights(m, t)
     for c in range(3):
         m.pushes[3 * t + c] = wp.vec2f()
@@ -79,6 +83,8 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             m.awake[t] = m.round
             rise_left = (wp.float64(z[0]) - wp.float64(z[1])) * per_scale
             rise_right = (wp.float64(z[2]) - wp.float64(z[1])) * per_scale
+            change = missed_change(d, left, right, m.level[t])
+            aim = wp.max(aim - change, wp.float64(0.0))  # for the distance from the raster's surface
             q = Pushes()  # largest distance, then weight and push of the apex, the left and the right corner
             if m.level[t] <= 2 * d.levels + 1:
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
@@ -87,7 +93,7 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
             magnitude = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
-            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale
+            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale + change
             sum_weights = q[1] + q[3] + q[5]
             m.pushes[3 * t] = push_and_weight(q[4], q[3], sum_weights)
             m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], sum_weights)

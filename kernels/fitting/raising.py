@@ -9,13 +9,23 @@ from ..morph.lattice import half_edge
 from ..refine.stored_errors import error_index
 from ..unchecked import item_at, put
 
-# Codes of errors while a mesh is fitted: PER_OCTAVE in an octave, the first one stands for MIN_ERROR times the
-# requested error. A diamond with RAISED, twice the requested error, is split.
-PER_OCTAVE = wp.constant(16)
-MIN_ERROR = wp.constant(0.125)
-RAISED = wp.constant(1 + 4 * 16)
+# Codes of errors while a mesh without finer tiles is fitted: PER_OCTAVE in an octave. A diamond with RAISED, twice the
+# requested error, is split. The first code stands for an eighth of that error.
+PER_OCTAVE = 16
+RAISED = 1 + 4 * 16
 # Largest `halvings` of `raise_cells`: its highest code is 225 then, and a code is at most 255.
 MAX_HALVINGS = 5
+# ... with finer tiles. As many halvings have codes as the depth of leaves requires.
+FINER_PER_OCTAVE = 8
+
+
+@wp.struct
+class RaisedCodes:
+    """The codes of errors that splits raise."""
+
+    per_octave: wp.int32  # codes in an octave
+    split: wp.int32  # code of twice the requested error; a diamond with it is split
+    more: wp.int32  # further cells around those of `raise_cells` whose codes are raised
 
 
 @wp.func
@@ -72,17 +82,18 @@ def raise_cells(
     i: wp.int32,
     j: wp.int32,
     halvings: wp.int32,
+    raised: RaisedCodes,
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
     """Raise the codes of cell (i, j) and of cells around it, so that triangles after `halvings` of its sides are split.
 
     An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
-    cell more on every side is raised: a quarter of RAISED may split again; a sixteenth never does. halvings: at most
-    MAX_HALVINGS. codes: errors of all diamonds. stack: scratch.
+    cell more on every side is raised: a quarter of the code of splits may split again; a sixteenth never does, unless a
+    change is added (`raised.more`). halvings: at most MAX_HALVINGS. codes: errors of all diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
-    reach = halvings + 1
+    reach = halvings + 1 + raised.more
     for b in range(-reach, reach + 1):
         for a in range(-reach, reach + 1):
             steps_left = reach - wp.abs(a) - wp.abs(b)
@@ -90,6 +101,6 @@ def raise_cells(
             if steps_left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))
-                # RAISED with one step left; two octaves, a factor of four, more for each further one.
-                code = wp.int32(RAISED) + (steps_left - 1) * 2 * PER_OCTAVE
+                # The code of splits with one step left; two octaves, a factor of four, more for each further one.
+                code = raised.split + (steps_left - 1 - raised.more) * 2 * raised.per_octave
                 raise_ancestors(d, x, y, 2 * d.levels + 1, code, codes, stack)

@@ -6,6 +6,7 @@ import warp as wp
 from ..leb.halfway import halfway, middle_between
 from ..refine.diamond import metres2_of
 from ..refine.stored_errors import cell_error, error_at
+from .finer import in_tile, missed_change
 from .mesh import PINNED, FitMesh, list_marked, mark, mark_around, put_on_surface, split
 from .raising import raise_cells
 
@@ -17,9 +18,10 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     count: listed triangles. max_depth: level whose triangles are not split. min_share: split only triangles whose
     excess is at least this fraction of the largest among the triangles that they touch, since one split may help them
     all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place if there
-    is room, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed triangles,
-    of triangles and of vertices (the last two are also its input), of all splits, of vertices that are new on the
-    surface, of those splits that wait for the next walk, and of triangles too coarse at the deepest level. One thread.
+    is room, those in cells only in `m.codes`, for the next walk; not in finer tiles, where the walk has split what
+    interpolation would split. `found` [7] receives the numbers of listed triangles, of triangles and of vertices (the
+    last two are also its input), of all splits, of vertices that are new on the surface, of those splits that wait for
+    the next walk, and of triangles too coarse at the deepest level. One thread.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -39,10 +41,11 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, below, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
-                if m.level[t] < max_depth and (too_coarse or _needs_split_on_surface(m, t, error)):
+                can_split = m.level[t] < max_depth and not (below >= 0 and in_tile(d, cell[0], cell[1]))
+                if can_split and (too_coarse or _needs_split_on_surface(m, t, error)):
                     splits += 1
                     if below >= 0:
-                        raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.codes, m.climbing)
+                        raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.raised, m.codes, m.climbing)
                         later += 1
                     elif size[0] + 2 * m.level[t] + 2 < m.room:  # a split adds at most two triangles a level
                         size = split(m, t, size)
@@ -119,7 +122,12 @@ def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     if below < 0:
         middle = _middle(m, t)
         return error_at(m.domain, middle[0], middle[1], m.level[t])
-    return cell_error(m.domain, cell[0], cell[1]) / wp.float32(wp.int64(1) << wp.int64(below + (below & 1)))
+    error = cell_error(m.domain, cell[0], cell[1]) / wp.float32(wp.int64(1) << wp.int64(below + (below & 1)))
+    if m.domain.has_finer == 1:
+        left = m.point[m.corner_verts[3 * t]]
+        right = m.point[m.corner_verts[3 * t + 2]]
+        error += wp.float32(missed_change(m.domain, left, right, m.level[t]) / m.domain.error_scale)
+    return error
 
 
 @wp.func

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The codes of errors from which a fit walks its meshes (kernels/fitting/raising.py)."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field.domain import Domain
+from ...kernels.fitting import finer as finer_kernels
+from ...kernels.fitting import raising
+from ..field import codes, hierarchy
+from ..field.finer_tiles import FinerTiles
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat
+
+# The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
+# more requires many splits, so that neighbours of triangles that need them are split as well.
+START = 1.7
+
+
+def raised_codes(finer: FinerTiles | None, halvings: int) -> raising.RaisedCodes:
+    """Return the codes that splits raise. finer: tiles of the raster. halvings: of a cell's side, at most."""
+    raised = raising.RaisedCodes()
+    if finer is None:
+        assert halvings <= raising.MAX_HALVINGS
+        raised.per_octave, raised.split = raising.PER_OCTAVE, raising.RAISED
+    else:
+        per_cell = 2 * raising.FINER_PER_OCTAVE  # codes from a cell to the next
+        raised.per_octave, raised.split = raising.FINER_PER_OCTAVE, 254 - per_cell * halvings
+        assert raised.split > per_cell
+        raised.more = raised.split // per_cell
+    return raised
+
+
+def make_codes(
+    field: HeightField, plain: Domain, raised: raising.RaisedCodes, error: float, threads: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group.
+
+    The errors are powers of a root of two around the requested error, rounded to the nearest, since the fit measures
+    its result. With finer tiles, whose change is added, errors that are rounded to 0 would not be nested: they get the
+    first code, which stands for next to nothing. plain: domain of the field with its own errors. error: the requested
+    one, metres before scaling.
+    """
+    per_octave, steps = raised.per_octave, np.arange(255)
+    base = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)
+    values = np.concatenate([[0.0], np.ldexp(base * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
+    between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
+    found = np.empty_like(field.error)
+    for group_errors, part in zip(field.table, codes.parts(field.lattice, len(found)), strict=True):
+        new = np.searchsorted(between, group_errors / START)
+        codes.translate(field.error[part], np.maximum(new, plain.has_finer), found[part])
+    values = values.astype(np.float32)
+    if plain.has_finer:
+        _restore_in_tiles(field, plain, found, values, threads)
+    return found, np.tile(values, len(field.table))
+
+
+def _restore_in_tiles(field: HeightField, plain: Domain, found: np.ndarray, values: np.ndarray, threads: int) -> None:
+    """Raise the codes of cells in finer tiles to those of their own errors, rounded up, and others to stay nested.
+
+    So the walk splits what interpolation splits there: raised codes of a cell would split all of its finer cells.
+    found: codes of all diamonds. values: float32 [256], metres of the codes.
+    """
+    lattice, stack = field.lattice, wp.zeros(1024, wp.vec3i, device="cpu")
+    part = slice(lattice.cell_base, lattice.node_count)
+    cells = hierarchy.stored_at(lattice, lattice.cell_depth)
+    cells.base = 0
+    errors, metres = field.table[lattice.groups][field.error[part]], values[found[part]]
+    inputs = [plain, cells, flat(errors, wp.float32), flat(metres, wp.float32)]
+    cost = 2.0 * cells.columns
+    launch.spread(finer_kernels.restore_in_tiles, cells.rows, inputs, step="fit codes", threads=threads, cost=cost)
+    hierarchy.saturate_cells(cells, 0.25, flat(metres, wp.float32), "fit codes", threads)
+    cell_codes = np.zeros(len(metres), np.uint8)
+    codes.encode_part(metres, values, cell_codes, threads)
+    inputs = [plain, cells, flat(cell_codes, wp.uint8), flat(found, wp.uint8), stack]
+    launch.once(finer_kernels.raise_to_cells, inputs, step="fit codes")

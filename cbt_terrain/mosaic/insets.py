@@ -132,9 +132,11 @@ class InsetBlend:
     def reach(self) -> int:
         """Return the distance, samples of the grid, up to which tiles have a part in a blended sample.
 
-        It is the margin of the widest window of `_marks_around`.
+        It is the margin of the widest window of `_marks_around`, whose first and last cells are whole.
         """
-        return max(ring.cell * ((MAX_PART + 1) * max(ring.reach) + 2) for ring in self.rings)
+        wide = map(_widened, self.rings)
+        windows = [*zip(self.rings, [1] * len(self.rings), strict=True), *((ring, MAX_PART + 1) for ring in wide)]
+        return max(ring.cell * (rings * max(ring.reach) + 2) for ring, rings in windows)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
         """Blend the values of a level in `top` to those below it, in place, where both are known and inside a ring.
@@ -164,9 +166,8 @@ class InsetBlend:
         seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
             return None
-        # The same ring with cells `times` as wide, in which distances over several rings are cheap.
-        times = min(WIDER, BLOCK // ring.cell)
-        wide = BlendRing(times * ring.cell, (ring.width[0] / times, ring.width[1] / times))
+        wide = _widened(ring)
+        times = wide.cell // ring.cell
         widest = find_widest(self._marks_around(level, wide, piece, rings=MAX_PART + 1) >> lower & 1 != 0, wide)
         first = piece.row // ring.cell, piece.column // ring.cell
         last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
@@ -239,7 +240,7 @@ class InsetBlend:
 
     def digest_around(self, piece: GridPiece) -> str:
         """Return a hex digest of all marks that may change the blend in a piece; blocks are read if need be."""
-        reach = self.reach + 2 * WIDER * max(ring.cell for ring in self.rings)  # cells are whole
+        reach = self.reach
         content = hashlib.blake2b(digest_size=16)
         ranges = [
             range(max((first - reach) // BLOCK, low), min((first + count - 1 + reach) // BLOCK, high) + 1)
@@ -282,6 +283,12 @@ def _ring(steps: np.ndarray) -> BlendRing:
     while 2 * cell <= shortest:
         cell *= 2
     return BlendRing(cell, (RING * down / cell, RING * across / cell))
+
+
+def _widened(ring: BlendRing) -> BlendRing:
+    """Return a ring with cells up to WIDER times as wide, in which distances over several rings are cheap."""
+    times = min(WIDER, BLOCK // ring.cell)
+    return BlendRing(times * ring.cell, (ring.width[0] / times, ring.width[1] / times))
 
 
 def _pool(marks: np.ndarray, side: int) -> np.ndarray:

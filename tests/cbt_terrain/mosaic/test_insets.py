@@ -5,8 +5,12 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
+from adaptive_terrain.cbt_terrain.mosaic import insets
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
+from adaptive_terrain.cbt_terrain.mosaic.positions import BLOCK
+from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
+from adaptive_terrain.cbt_terrain.mosaic.windows import GridPiece
 from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
 
 
@@ -178,3 +182,29 @@ def test_the_report_names_the_ring_and_unblended_seams(inset, tmp_path):
     blended, sharp = open_store(tmp_path / "blended"), open_store(tmp_path / "plain")
     assert np.array_equal(np.isnan(blended.samples), np.isnan(sharp.samples))
     assert not np.array_equal(blended.samples, sharp.samples)
+
+
+@pytest.mark.parametrize("steps", [(4.0, 4.0), (4.2, 4.2), (1.03, 3.7), (9.1, 30.0), (300.0, 300.0)])
+def test_no_mark_beyond_the_reach_of_a_blend_is_read(steps, monkeypatch):
+    grid = TargetGrid("", 0.0, 0.0, 1.0, 1.0, 0, 0, 40 * BLOCK, 40 * BLOCK)
+    blend = insets.InsetBlend(np.array([0, 1]), np.array([steps, (1.0, 1.0)]), grid, None)
+    piece = GridPiece(20 * BLOCK + 13, 20 * BLOCK + 15, 7, 3)
+
+    def marked_beyond(row, column):
+        """Mark all samples of a block that are farther from the piece than the reach."""
+        y, x = (n * BLOCK + np.arange(BLOCK) for n in (row, column))
+        near_y = (y >= piece.row - blend.reach) & (y < piece.row + piece.rows + blend.reach)
+        near_x = (x >= piece.column - blend.reach) & (x < piece.column + piece.columns + blend.reach)
+        return {1: np.where(near_y[:, None] & near_x, 0, 1).astype(blend._kind)}
+
+    seen = []
+    around = insets.InsetBlend._marks_around
+
+    def noting(self, level, ring, *piece_and, **more):
+        seen.append(around(self, level, ring, *piece_and, **more))
+        return np.ones_like(seen[-1])
+
+    monkeypatch.setattr(blend, "_marks_of_block", marked_beyond)
+    monkeypatch.setattr(insets.InsetBlend, "_marks_around", noting)
+    blend._fractions(1, 0, piece)
+    assert len(seen) == 2 and not any(marks.any() for marks in seen)

@@ -3,19 +3,21 @@
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..errors import TerrainError
 from ..plain_numbers import keep_plain_numbers
+from ..run import launch
 from .attribute import Parameter, SamplePoints
 
 DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
 
 LARGEST = np.float32(1e9)  # limit of colours, so that sums and products of a few are finite
+BLOCK_VALUES = 1 << 16  # float32 of a block of rows: 256 KiB
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +37,40 @@ class DecalPicture:
         """Return the image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
         found = [self.values]
         while max(found[-1].shape[:2]) > 1:
-            rows, columns, _ = found[-1].shape
-            even = np.pad(found[-1], ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
-            south, north = even[0::2], even[1::2]
-            found.append((south[:, 0::2] + south[:, 1::2] + north[:, 0::2] + north[:, 1::2]) * np.float32(0.25))
+            found.append(_halve(found[-1]))
         return found
+
+
+def _halve(image: np.ndarray) -> np.ndarray:
+    """Return the means of 2 x 2 pixels of float32 [rows, columns, channels], whose last row and column count again."""
+    rows, columns, channels = image.shape
+    means = np.empty(((rows + 1) // 2, (columns + 1) // 2, channels), np.float32)
+
+    def fill(first: int, end: int) -> None:
+        part = image[2 * first : 2 * end]
+        if len(part) % 2 or columns % 2:
+            part = np.pad(part, ((0, len(part) % 2), (0, columns % 2), (0, 0)), "edge")
+        south, north, out = part[0::2], part[1::2], means[first:end]
+        np.add(south[:, 0::2], south[:, 1::2], out=out)
+        out += north[:, 0::2]
+        out += north[:, 1::2]
+        out *= np.float32(0.25)
+
+    blocks_of_rows(means.shape, fill)
+    return means
+
+
+def blocks_of_rows(shape: tuple[int, ...], work: Callable[[int, int], None]) -> None:
+    """Call `work(first, end)` for blocks of rows of an image that fit into a core's cache, on several threads."""
+    rows, length = shape[0], max(1, BLOCK_VALUES // max(1, math.prod(shape[1:])))
+    blocks = [(first, min(first + length, rows)) for first in range(0, rows, length)]
+
+    def run(part: tuple[int, int]) -> None:
+        for block in blocks[slice(*part)]:
+            work(*block)
+
+    pieces = launch.ranges(len(blocks), min(launch.default_threads(), len(blocks)))
+    launch.together([partial(run, part) for part in pieces])
 
 
 def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
@@ -48,15 +79,38 @@ def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
     tilts: the pixels are a normal map, of which slopes are stored; else linear colours, which may exceed 1. Values that
     are not finite become finite.
     """
-    finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
-    rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
+    return picture_of_rows(pixels.shape, lambda first, end: pixels[first:end], tilts)
+
+
+def picture_of_rows(shape: tuple[int, ...], read_rows: Callable[[int, int], np.ndarray], tilts: bool) -> DecalPicture:
+    """Return a picture as `picture` does, whose pixels are computed by blocks of rows.
+
+    shape: rows, columns and 4. read_rows: returns the pixels from one row up to another; called on several threads.
+    """
+    values = np.empty(shape, np.float32)
+
+    def fill(first: int, end: int) -> None:
+        values[first:end] = _premultiplied(read_rows(first, end), tilts)
+
+    blocks_of_rows(shape, fill)
+    content = hashlib.blake2b(repr((values.shape, tilts)).encode(), digest_size=16)
+    content.update(values)
+    return DecalPicture(values, tilts, content.hexdigest())
+
+
+def _premultiplied(pixels: np.ndarray, tilts: bool) -> np.ndarray:
+    """Return the values of a `DecalPicture` for pixels of some rows."""
+    finite = np.array(pixels, np.float32)
+    if not (finite.min() >= -LARGEST and finite.max() <= LARGEST):  # a NaN makes both comparisons false
+        np.clip(np.nan_to_num(finite, copy=False), -LARGEST, LARGEST, out=finite)
+    alpha = np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
-        normal = rgb * np.float32(2.0) - np.float32(1.0)
-        rgb = np.zeros_like(normal)
-        rgb[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], np.float32(0.05))
-    values = np.concatenate([rgb * alpha, alpha], axis=2)
-    content = repr((values.shape, tilts)).encode() + values.tobytes()
-    return DecalPicture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
+        rgb = finite[..., :3] * np.float32(2.0) - np.float32(1.0)
+        finite[..., :2] = -rgb[..., :2] / np.maximum(rgb[..., 2:], np.float32(0.05))
+        finite[..., 2] = 0.0
+    finite *= alpha  # all four values: numpy takes twice as long for three of four
+    finite[..., 3:] = alpha
+    return finite
 
 
 @dataclass(frozen=True)

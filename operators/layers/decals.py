@@ -6,7 +6,7 @@ An image whose colour space is data (Non-Color) is a normal map, any other shows
 
 import numpy as np
 
-from ...cbt_terrain.attributes.decals import Decal, DecalPicture, picture
+from ...cbt_terrain.attributes.decals import Decal, DecalPicture, picture_of_rows
 from ...cbt_terrain.view.linear import inverse, length, product
 from ..bridge.evaluated import evaluated_or_still
 from .images import cached_value
@@ -60,11 +60,27 @@ def _to_picture(image, pixels: np.ndarray) -> DecalPicture:
 
     One channel is grey; without an alpha channel, or if the image ignores it, alpha is 1.
     """
-    channels = pixels.shape[2]
-    alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])
-    colors = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    if image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL"):  # Blender holds its colours multiplied by alpha
-        colors = colors / np.maximum(alpha, np.float32(1e-6))
-    elif not image.is_float and image.colorspace_settings.name == "sRGB":
-        colors = LINEAR[(np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)]
-    return picture(np.concatenate([colors, alpha], axis=2), _is_normal_map(image))
+    has_alpha = pixels.shape[2] == 4 and image.alpha_mode != "NONE"
+    is_multiplied = image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL")  # as Blender holds float colours
+    is_srgb = not image.is_float and image.colorspace_settings.name == "sRGB"
+    shown = 3 if pixels.shape[2] >= 3 else 1  # grey is given to all three
+
+    def read_rows(first: int, end: int) -> np.ndarray:
+        """Return linear colours and alpha of some rows, float32 [rows, columns, 4]."""
+        part = pixels[first:end]
+        linear = np.empty((*part.shape[:2], 4), np.float32)
+        if is_srgb:
+            levels = np.clip(part, 0.0, 1.0)
+            levels *= np.float32(255.0)
+            levels += np.float32(0.5)
+            part = LINEAR.take(levels.astype(np.uint8), mode="clip")  # alpha, too: faster than colours alone
+        if part.shape[2] == 4:
+            linear[...] = part
+        else:
+            linear[..., :3] = part[..., :shown]
+        linear[..., 3:] = pixels[first:end, :, 3:] if has_alpha else 1.0
+        if is_multiplied:
+            linear[..., :3] /= np.maximum(linear[..., 3:], np.float32(1e-6))
+        return linear
+
+    return picture_of_rows((*pixels.shape[:2], 4), read_rows, _is_normal_map(image))

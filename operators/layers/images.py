@@ -33,7 +33,9 @@ def painted_of(image, user: str = "of a splat layer") -> Painted:
 
 def _to_painted(_image, pixels: np.ndarray) -> Painted:
     """Return the red channel of pixels, float32 [rows, columns, channels], limited to 0 .. 1."""
-    return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
+    values = pixels[..., 0].copy()
+    np.nan_to_num(values, copy=False)
+    return Painted(np.clip(values, 0.0, 1.0, out=values))
 
 
 def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.ndarray], T]) -> T:

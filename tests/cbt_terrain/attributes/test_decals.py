@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.attributes import decals as decals_module
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.attributes.examples import evaluate_on
@@ -83,3 +84,23 @@ def test_decals_are_known_by_their_content():
 def test_a_layer_without_a_colour_is_an_error():
     with pytest.raises(TerrainError, match="1 splat layers and 2 colours"):
         evaluate_on("color", FLAT, step=10.0, layers=(Layer("Grass"),), colors=(RED, BLUE))
+
+
+@pytest.mark.parametrize("tilts", [False, True])
+def test_a_picture_does_not_depend_on_its_blocks(monkeypatch, tilts):
+    pixels = np.random.default_rng(4).normal(0.5, 0.6, (37, 53, 4)).astype(np.float32)
+    pixels[3, 5], pixels[20, 7], pixels[30, 52] = np.nan, np.inf, -np.inf
+    given = pixels.copy()
+    whole = picture(pixels, tilts)
+    monkeypatch.setattr(decals_module, "BLOCK_VALUES", 53 * 4 * 3)  # three rows
+    parts = picture(pixels, tilts)
+    assert parts.digest == whole.digest and np.array_equal(pixels, given, equal_nan=True)
+    assert all(np.array_equal(a, b) for a, b in zip(parts.mips, whole.mips, strict=True))
+    finite = np.clip(np.nan_to_num(pixels), -1e9, 1e9)
+    alpha = np.clip(finite[..., 3:], 0, 1)
+    slopes = -(2 * finite[..., :2] - 1) / np.maximum(2 * finite[..., 2:3] - 1, np.float32(0.05))
+    expected = np.concatenate([slopes, np.zeros_like(alpha)], axis=2) if tilts else finite[..., :3]
+    assert np.allclose(parts.values, np.concatenate([expected * alpha, alpha], axis=2), rtol=1e-6, atol=0)
+    padded = np.pad(parts.values, ((0, 1), (0, 1), (0, 0)), "edge").astype(np.float64)
+    means = padded.reshape(19, 2, 27, 2, 4).mean(axis=(1, 3))
+    assert np.abs(parts.mips[1] - means).max() <= 1e-6 * np.abs(means).max()

@@ -94,7 +94,7 @@ def picture_of_rows(shape: tuple[int, ...], read_rows: Callable[[int, int], np.n
 
     blocks_of_rows(shape, fill)
     content = hashlib.blake2b(repr((values.shape, tilts)).encode(), digest_size=16)
-    content.update(values)
+    content.update(values.data)
     return DecalPicture(values, tilts, content.hexdigest())
 
 

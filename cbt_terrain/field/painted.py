@@ -26,6 +26,6 @@ class Painted:
                 fix="paint it again, or choose another",
             )
         content = hashlib.blake2b(repr(values.shape).encode(), digest_size=16)
-        content.update(values)
+        content.update(values.data)
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "digest", content.hexdigest())

@@ -3,9 +3,11 @@
 ended in which way.
 
 Kinds: a store of which one source has changed, the work of a killed import, a complete store, a store with loaded
-tiles, and the work of a killed load of tiles. Every mutant runs in a fork of one process. A mutant is at fault if its
-import hangs, crashes or ends with anything but a store or one sentence, if it changes a file outside of the store or a
-user's file in it, or if accidental damage gives other heights or errors than those of an undamaged store.
+tiles, the work of a killed load of tiles, works with results of a farm's tasks that have read and measured, a store
+with squares of finer tiles, and the work of a killed load of squares. Every mutant runs in a fork of one process. A
+mutant is at fault if its import hangs, crashes or ends with anything but a store or one sentence, if it changes a file
+outside of the store or a user's file in it, or if accidental damage gives other heights or errors than those of an
+undamaged store.
 """
 
 import hashlib
@@ -23,14 +25,17 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.importing import refining, tile_import
+from adaptive_terrain.cbt_terrain.importing import finer_import, refining, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.import_report import describe
+from adaptive_terrain.cbt_terrain.importing.tile_import import BEGIN, FILL, MEASURE, READ_TILES, ImportPart
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.cbt_terrain.tiling import tile_work
+from adaptive_terrain.cbt_terrain.tiling import part_files, tile_work
 from adaptive_terrain.cbt_terrain.tiling.tile_records import MEASURED, READ, line_of
 from adaptive_terrain.cbt_terrain.tiling.tile_work import RECORDS_NAME
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -43,7 +48,11 @@ from rasterio.transform import from_origin
 from rasters import hills, write_raster
 from tiled_stores import write_tiles
 
-KINDS = "changed", "killed", "complete", "loaded", "killed load"
+SQUARES = "squares", "killed squares"
+PARTS = "read parts", "measured parts"
+MOSAIC = "changed", "killed", "complete", *PARTS
+KINDS = "changed", "killed", "complete", "loaded", "killed load", *PARTS, *SQUARES
+ALL_TILES = range(100)
 QUICK, LOADED, FURTHER = 1000, (0, 4), (0, 4, 7)
 NUMBERS = -1, 0, 1, 2, 31, 63, 10**6, 2**31, 2**63, 10**30, 1e308, -1e-300, 0.5
 
@@ -70,6 +79,7 @@ class Project:
         self.folder = folder
         self.mosaic = ImportSettings(str(folder / "tiles"), holes=True)
         self.raster = ImportSettings(str(folder / "a.tif"), quick=QUICK)
+        self.country = ImportSettings(str(folder / "country"), quick=QUICK)
 
     def whole(self, kind: str) -> Path:
         return self.folder / kind
@@ -100,10 +110,62 @@ class Project:
                 except KeyboardInterrupt:
                     continue
                 raise AssertionError("an import was not stopped")
+        for name, steps in (
+            ("read parts", (BEGIN, READ_TILES)),
+            ("measured parts", (BEGIN, READ_TILES, FILL, MEASURE)),
+        ):
+            for step in steps:
+                numbers = ALL_TILES if step in (READ_TILES, MEASURE) else ()
+                run_mosaic_import(self.mosaic, self.whole(name), part=ImportPart(step, numbers))
+        self.make_squares()
+
+    def make_squares(self) -> None:
+        """Write a country with a city, and stores in which tiles and squares are loaded, one by a killed import."""
+        sheet(UTM32, EAST, NORTH, 32.0, 32.0, 200, 150).write(self.folder / "country" / "a.tif")
+        city = sheet(UTM32, EAST + 2000.0, NORTH - 1500.0, 1.0, 1.0, 300, 260, shift=3.0)
+        city.write(self.folder / "country" / "b.tif")
+        for name in (*SQUARES, "further squares"):
+            tile_import.TILED_SAMPLES = 1 << 60  # a first picture is imported in one piece
+            run_mosaic_import(self.country, self.whole(name))
+            tile_import.TILED_SAMPLES = 1
+            run_mosaic_import(replace(self.country, loaded_tiles=LOADED), self.whole(name))
+        squares = finer_squares(open_store(self.whole("squares")))
+        assert squares is not None and len(squares.there) > 1
+        self.squares = replace(self.country, loaded_tiles=LOADED, loaded_finer=tuple(sorted(squares.there)))
+        some = replace(self.squares, loaded_finer=self.squares.loaded_finer[:1])
+        for name in SQUARES:
+            run_mosaic_import(some, self.whole(name))
+        run_mosaic_import(self.squares, self.whole("further squares"))
+        note, left = finer_import._WorkRecords.note, 4
+
+        def stop(self, *record, **values):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+            note(self, *record, **values)
+
+        finer_import._WorkRecords.note = stop  # type: ignore[method-assign]
+        try:
+            run_mosaic_import(self.squares, self.whole("killed squares"))
+        except KeyboardInterrupt:
+            return
+        finally:
+            finer_import._WorkRecords.note = note  # type: ignore[method-assign]
+        raise AssertionError("an import was not stopped")
 
     def import_into(self, kind: str, store: Path, choice: int) -> Path | None:
         """Import into a store of one kind, and return the undamaged store that has its arrays."""
-        if kind in ("changed", "killed", "complete"):
+        if kind in SQUARES:
+            if choice % 3 == 1 and kind == "squares":
+                refining.missing_squares(store, [refining.SeenLand([VIEW], np.eye(4))])
+                return None
+            report = run_mosaic_import(self.squares, store)
+            return None if report.get("unchanged") else self.whole("further squares")
+        if kind in PARTS and choice % 3 < 2:
+            for step, numbers in ((READ_TILES, ALL_TILES), (FILL, ()), (MEASURE, ALL_TILES)):
+                run_mosaic_import(self.mosaic, store, part=ImportPart(step, numbers))
+        if kind in MOSAIC:
             run_mosaic_import(self.mosaic, store)
             return self.whole("complete")
         if choice % 3 == 0:
@@ -140,7 +202,13 @@ def damage(store: Path, precious: Path, rng: np.random.Generator) -> tuple[str, 
         files = sorted(path for path in store.rglob("*") if not path.is_symlink())
         texts = [path for path in files if path.suffix in (".json", ".jsonl") and path.is_file()]
         arrays = [path for path in files if path.suffix == ".npy" and path.is_file()]
+        parts = [path for path in files if path.suffix == ".part" and path.is_file()]
         how = str(rng.choice(["text", "text", "text", "value", "value", "value", "array", "array", "entry", "swap"]))
+        if parts and rng.random() < 0.6:
+            description, is_valid = damage_part(parts[rng.integers(len(parts))], rng)
+            done.append(description)
+            accidental &= not is_valid
+            continue
         if how in ("text", "value") and texts:
             file = texts[rng.integers(len(texts))]
             if how == "text":
@@ -162,6 +230,25 @@ def damage(store: Path, precious: Path, rng: np.random.Generator) -> tuple[str, 
             done.append(replace_entry(random.choice([store, *files]), precious, random))
             accidental &= "gone" in done[-1]
     return "; ".join(done), accidental
+
+
+def damage_part(file: Path, rng: np.random.Generator) -> tuple[str, bool]:
+    """Change the file of a farm's task; return a description, and whether its checksum is valid."""
+    raw = bytearray(file.read_bytes())
+    how, end = str(rng.choice(["bits", "cut", "record", "record"])), len(raw) - part_files.LENGTH_BYTES
+    if how == "record":
+        try:
+            length = int.from_bytes(raw[end:], "little")
+            line = line_of(changed(json.loads(raw[end - length : end])["record"], rng)).encode()
+            raw = raw[: max(end - length, 0)] + line + len(line).to_bytes(part_files.LENGTH_BYTES, "little")
+        except (ValueError, TypeError, KeyError):
+            how = "bits"
+    if how == "cut":
+        raw = raw[: rng.integers(len(raw) + 1)]
+    elif how == "bits" and raw:
+        raw[rng.integers(len(raw))] ^= 1 << int(rng.integers(8))
+    file.write_bytes(raw)
+    return f"{file.name} {how}", how == "record"
 
 
 def damage_array(file: Path, rng: np.random.Generator) -> tuple[str, bool]:
@@ -240,7 +327,8 @@ def changed(value, rng: np.random.Generator):
 def arrays_of(store: Path) -> dict[str, np.ndarray]:
     folder = store_folder.named_folder(store)
     assert folder is not None
-    names = "samples", "error", "ranges", "valid"
+    finer = "finer_numbers", "finer_heights", "finer_errors", "finer_ranges"
+    names = "samples", "error", "ranges", "valid", *finer
     return {name: np.load(folder / f"{name}.npy") for name in names if (folder / f"{name}.npy").exists()}
 
 
@@ -270,7 +358,10 @@ def try_import(project: Project, kind: str, store: Path, choice: int, is_acciden
 
 
 def contents(folder: Path, store: Path) -> dict:
-    """Return kinds, links and bytes of all files outside of a store, and of the user's in it."""
+    """Return kinds, links and bytes of all files outside of a store, and by name of the user's in it.
+
+    These may move with the folder of arrays that an import gives its final name.
+    """
     found = {}
     for at, folders, files in os.walk(folder):
         for path in (Path(at) / name for name in (*folders, *files)):
@@ -279,7 +370,8 @@ def contents(folder: Path, store: Path) -> dict:
             if path != store:
                 status = path.lstat()
                 content = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
-                found[path] = status.st_mode, content
+                place = path.name if store in path.parents else str(path)
+                found.setdefault(place, []).append((status.st_mode, content))
     return found
 
 
@@ -287,6 +379,7 @@ def switch_to_tiles() -> None:
     """Make tiles of 32 x 32 cells, and let this process's kernels run in one thread."""
     tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
     refining.BITS, refining.FACTOR, refining.FEWEST = 5, 4, 1
+    finer_plan.FEWEST = 1 << 20
     launch.default_threads = lambda: 1
 
 

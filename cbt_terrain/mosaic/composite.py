@@ -10,19 +10,14 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-import warp as wp
 
-from ...kernels.mosaic import resample
 from ..errors import TerrainError
 from ..formats.archives import UnpackedFiles
 from ..formats.gdal_source import open_overview
 from ..importing.source_list import file_stat
 from ..rasters.raster import NEWEST, RESOLUTION, ImportSettings, Raster
-from ..run import launch
-from ..run.buffers import flat
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
@@ -30,6 +25,7 @@ from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
+from .resampling import FoundLattice, resample_levels
 from .seam_records import SeamRecords
 from .target_grid import Footprints, TargetGrid
 from .windows import (
@@ -60,14 +56,6 @@ def rank_tiles(tiles: Sequence[SourceTile], footprints: Footprints, settings: Im
     if settings.priority == NEWEST:
         return np.argsort([tile.changed_ns for tile in tiles], kind="stable")
     return np.arange(len(tiles))
-
-
-class FoundLattice(NamedTuple):
-    """A lattice with tiles near a piece: its level, the positions of the piece's block, and its samples there."""
-
-    level: int
-    nodes: BlockNodes
-    window: LatticeWindow
 
 
 class Composite:
@@ -265,7 +253,7 @@ class Composite:
         moved = 0.0
         for part, levels, found in self._parts(piece):
             result = empty_values(part)
-            for level, below in _overlay(part, levels, found, result):
+            for level, below in resample_levels(part, levels, found, result):
                 if below is not None and self.insets is not None:
                     self.insets.blend(level, part, below, result)
             if found and (result.ranks == UNCOVERED).any():
@@ -319,7 +307,7 @@ class Composite:
         if self.levels[self._meets(block)].any():
             for part, levels, found in self._parts(block):
                 result = empty_values(part)
-                for level, below in _overlay(part, levels, found, result):
+                for level, below in resample_levels(part, levels, found, result):
                     if below is not None:
                         yield part, level, below, result
 
@@ -407,47 +395,3 @@ class Composite:
                 self._open.popitem(last=False)[1].close()
         self._open.move_to_end(rank)
         return self._open[rank]
-
-
-def _overlay(
-    piece: GridPiece, levels: np.ndarray, found: Sequence[FoundLattice], result: PieceValues
-) -> Iterator[tuple[int, PieceValues | None]]:
-    """Write the tiles of one level after the other over `result`, and yield each level with the values before it.
-
-    These are None for level 0, the coarsest. found: the lattices with tiles in the piece.
-    """
-    for level in map(int, levels):
-        below = result.copy() if level > 0 else None
-        for lattice in found:
-            if lattice.level == level:
-                _resample(piece, lattice.nodes, lattice.window, result)
-        yield level, below
-
-
-def _resample(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
-    """Write to `result` the samples of a piece for which a lattice has a tile of a higher rank than those so far.
-
-    nodes: positions of the lattice at the nodes of the piece's block.
-    """
-    height, width = window.values.shape
-    inputs = [
-        piece.columns,
-        piece.column % BLOCK,
-        piece.row % BLOCK,
-        nodes.spacing,
-        flat(nodes.u, wp.float64),
-        flat(nodes.v, wp.float64),
-        nodes.u.shape[1],
-        nodes.error_u,
-        nodes.error_v,
-        flat(window.values, wp.float64),
-        flat(window.ranks, wp.int32),
-        width,
-        height,
-        window.left,
-        window.top,
-        flat(result.values, wp.float64),
-        flat(result.ranks, wp.int32),
-        flat(result.moved, wp.float64),
-    ]
-    launch.spread(resample.resample_rows, piece.rows, inputs, step="resample", threads=None, cost=2.0 * piece.columns)

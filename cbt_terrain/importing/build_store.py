@@ -30,6 +30,7 @@ from .finer_squares import finer_provenance
 from .height_range import fit_heights
 from .height_reader import HeightReader, scaling_of
 from .import_report import report_of
+from .import_work import open_work
 from .plausibility import ValueCheck
 from .read_ahead import remove_ahead
 from .refining import coarse_land, first_picture, refined
@@ -43,7 +44,6 @@ from .tile_import import (
     check_tiled,
     do_part,
     is_tiled,
-    open_work,
     read_ahead,
 )
 from .tile_tasks import TileSource

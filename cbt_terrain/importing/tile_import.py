@@ -6,31 +6,27 @@ are measured, and their borders are joined. A unit or a tile that was finished b
 import, and if only a part of the sources has changed.
 """
 
-import os
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import codes, store_folder
+from ..field import store_folder
 from ..field.build import content_key, no_ground, no_heights
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.holes import holes_leave_ground
 from ..field.lattice import Lattice
 from ..field.store import Draft
 from ..rasters.raster import Raster
-from ..run import launch, owned_files, partial_files
+from ..run import launch, owned_files
 from ..sandbox.store_job import READING
 from ..tiling import part_files, tile_steps
-from ..tiling.tile_grid import TILE_BITS, TileGrid
 from ..tiling.tile_records import MEASURED, READ
-from ..tiling.tile_work import StoredHeights, TileWork, work_in
-from . import refining
-from .drafts import open_draft
+from ..tiling.tile_work import StoredHeights, TileWork
 from .height_reader import HeightReader, scaling_of
+from .import_work import find_work, open_work, start_work, work_of
 from .read_ahead import find_ahead
 from .tile_tasks import (
     TileSource,
@@ -98,60 +94,6 @@ class Crew:
         """End the processes."""
 
 
-@contextmanager
-def open_work(
-    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, by_tile: bool, doubt: str
-) -> Iterator[tuple[Draft, TileWork | None]]:
-    """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
-
-    That work is moved into the new folder. path: the store's folder. folder: name of the new folder of arrays in it.
-    by_tile: whether work is continued, and left by a block that fails or does not publish. doubt: a further remedy in
-    errors if the store is implausibly large. Raises TerrainError as `open_draft`.
-    """
-    work = _continued(_work_of(path / folder, source, lattice, digest)) if by_tile else None
-    if by_tile and path.exists():
-        store_folder.remove_abandoned(path, with_work=work is None)
-    begun = work is not None
-    with open_draft(
-        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=_sample_bytes_of(source)
-    ) as draft:
-        yield draft, work
-
-
-def _work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return the description of an import's work before anything is done. folder: of its arrays."""
-    bits = TILE_BITS if source.coarse is None else refining.BITS
-    return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest)
-
-
-def _continued(wanted: TileWork) -> TileWork | None:
-    """Return the unfinished work of a killed import with the same tiles, moved to the wanted folder; None for none."""
-    work = _find_work(wanted)
-    if work is None:
-        return None
-    os.rename(work.folder, wanted.folder)
-    return work_in(wanted.folder)
-
-
-def _find_work(wanted: TileWork) -> TileWork | None:
-    """Return work of the same import in the store, which can be continued and no process has locked; None for none."""
-    path = wanted.folder.parent
-    for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
-        with suppress(OSError):
-            if store_folder.is_array_folder(found) and found != store_folder.named_folder(path):
-                work = None if partial_files.is_in_use(found) else work_in(found)
-                if work is not None and work.digest == wanted.digest and _has_same_tiles(work, wanted):
-                    if work.can_be_continued():
-                        return work
-    return None
-
-
-def _has_same_tiles(work: TileWork, wanted: TileWork) -> bool:
-    """Return whether a work has the tiles and the kind of samples of another, or floats instead of these."""
-    is_same = (work.grid, work.holes) == (wanted.grid, wanted.holes)
-    return is_same and (work.steps is None or work.steps == wanted.steps)
-
-
 def do_part(
     part: ImportPart, path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
 ) -> dict:
@@ -168,7 +110,7 @@ def do_part(
         with open_work(path, folder, source, lattice, digest, True, doubt) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
-            work = _started(work, draft, source, lattice, digest)
+            work = start_work(work, draft, source, lattice, digest)
             if part.step == FILL:
                 while not _read_all(work, source, crew, lambda _share: None):
                     work.start_again(draft)
@@ -178,7 +120,7 @@ def do_part(
                 if limits.missing:
                     tile_steps.fill(work, launch.default_threads())
             return {"tiles": len(work.grid)}
-    work = _find_work(_work_of(path / folder, source, lattice, digest))
+    work = find_work(work_of(path / folder, source, lattice, digest))
     if work is None:
         raise _not_begun(path)
     if part.step == READ_TILES:
@@ -206,7 +148,7 @@ def read_ahead(
     """
     if part.step != READ_TILES:
         raise TerrainError(f"No part {part.step!r} of tiles in view can be done", expected=repr(READ_TILES))
-    work, folder = _work_of(path, source, lattice, digest), store_folder.named_folder(path)
+    work, folder = work_of(path, source, lattice, digest), store_folder.named_folder(path)
     numbers = [number for number in _chosen(len(work.grid), part.numbers) if is_loaded(source, number)]
     if not numbers and folder is not None:
         source.raster.finish(folder)
@@ -224,19 +166,6 @@ def _not_begun(path: Path) -> TerrainError:
         f"No import of these sources and settings was begun in {path}",
         fix="begin it (--only begin), with the same sources and options",
     )
-
-
-def _started(work: TileWork | None, draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return an earlier work, attached to a draft in its folder, or a new one.
-
-    digest: of the settings and sources.
-    """
-    if work is None:
-        work = _new_work(draft, source, lattice, digest)
-    else:
-        work.attach(draft)
-    source.raster.finish(draft.folder)  # other processes read the catalogue of a mosaic there
-    return work
 
 
 def build_by_tile(
@@ -260,7 +189,7 @@ def build_by_tile(
         crew: does the tasks.
         on_progress: gets 0 to 0.99 and a message.
     """
-    work = _started(work, draft, source, lattice, digest)
+    work = start_work(work, draft, source, lattice, digest)
     while not _read_all(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
         work.start_again(draft)
     part_files.remove_parts(work.folder, READ)
@@ -276,38 +205,6 @@ def build_by_tile(
     _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
     part_files.remove_parts(work.folder, MEASURED)
     return _completed(work, draft, limits, source_max(reader), on_progress, source)
-
-
-def _sample_bytes_of(source: TileSource) -> int:
-    """Return the bytes of a sample as it will probably be stored."""
-    return 4 if _steps_of(source) is None else 2
-
-
-def _steps_of(source: TileSource) -> codes.Steps | None:
-    """Return the conversion of 16-bit samples to heights; None for heights that are stored as floats.
-
-    Interpolated heights of coarse land need floats.
-    """
-    if source.coarse is not None:
-        return None
-    return codes.steps_of(np.dtype(source.raster.stored), *scaling_of(source.raster, source.settings))
-
-
-def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles.
-
-    digest: of the settings and sources.
-    """
-    work = _work_of(draft.folder, source, lattice, digest)
-    folder = store_folder.named_folder(draft.path)
-    before = None if folder is None else work_in(folder)
-    if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
-        with suppress(OSError, ValueError):  # then everything is made anew
-            work.copy(before)
-    work.attach(draft)
-    work.make_sparse("missing")
-    work.describe()
-    return work
 
 
 def _read_all(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:

@@ -25,7 +25,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.importing import finer_import, refining, tile_import
+from adaptive_terrain.cbt_terrain.importing import finer_import, import_work, refining, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.import_report import describe
@@ -377,7 +377,7 @@ def contents(folder: Path, store: Path) -> dict:
 
 def switch_to_tiles() -> None:
     """Make tiles of 32 x 32 cells, and let this process's kernels run in one thread."""
-    tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
+    tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
     refining.BITS, refining.FACTOR, refining.FEWEST = 5, 4, 1
     finer_plan.FEWEST = 1 << 20
     launch.default_threads = lambda: 1

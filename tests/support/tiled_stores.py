@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.importing import tile_import
+from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
 ARRAYS = "samples", "error", "ranges", "valid"
@@ -19,7 +19,7 @@ def tiled(monkeypatch):
 
     def switch(bits):
         monkeypatch.setattr(tile_import, "TILED_SAMPLES", 1 if bits else 1 << 60)
-        monkeypatch.setattr(tile_import, "TILE_BITS", bits or 11)
+        monkeypatch.setattr(import_work, "TILE_BITS", bits or 11)
 
     return switch
 

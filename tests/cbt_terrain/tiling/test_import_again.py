@@ -94,11 +94,11 @@ def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled):  # noqa: F811
 KILLED = """
 import os, sys
 from adaptive_terrain.cbt_terrain.rasters import raster
-from adaptive_terrain.cbt_terrain.importing import tile_import
+from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 raster.BLOCK_SAMPLES = 2000
-tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
+tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
 class Crew(tile_import.Crew):
     left = int(sys.argv[3])
     def run(self, work, source, tasks, on_progress):

@@ -21,9 +21,9 @@ from tiled_stores import assert_same, tiled  # noqa: F401
 # Stands for Blender: imports in its own process, with small tiles.
 WORKER = """
 import sys
-from adaptive_terrain.cbt_terrain.importing import build_store, import_process, tile_import
+from adaptive_terrain.cbt_terrain.importing import build_store, import_process, import_work, tile_import
 from adaptive_terrain.operators.cli import command_line
-tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 5
+tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
 
 def import_source(settings, store, on_progress, _on_preview, part):
     return build_store.run_import(settings, store, on_progress, part=part)

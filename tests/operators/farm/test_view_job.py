@@ -30,12 +30,12 @@ WORKER = """
 import contextlib, os, sys
 if "--command" not in sys.argv:
     sys.exit(0)  # the guard
-from adaptive_terrain.cbt_terrain.importing import build_store, refining, tile_import, tile_tasks
+from adaptive_terrain.cbt_terrain.importing import build_store, import_work, refining, tile_import, tile_tasks
 from adaptive_terrain.cbt_terrain.rasters import raster
 from adaptive_terrain.cbt_terrain.tiling import part_files
 from adaptive_terrain.operators.cli import command_line
 refining.FEWEST, refining.FACTOR, refining.BITS = 1, 2, 4
-tile_import.TILED_SAMPLES, tile_import.TILE_BITS = 1, 4
+tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 4
 raster.BLOCK_SAMPLES = 1
 write_ahead, writing_part = tile_tasks.write_ahead, part_files.writing_part
 

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The unfinished work of an import by tile in a store's folder: a new one, or that of a killed import, found again."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from ..field import codes, store_folder
+from ..field.lattice import Lattice
+from ..field.store import Draft
+from ..run import partial_files
+from ..tiling.tile_grid import TILE_BITS, TileGrid
+from ..tiling.tile_work import TileWork, work_in
+from . import refining
+from .drafts import open_draft
+from .height_reader import scaling_of
+from .tile_tasks import TileSource
+
+
+@contextmanager
+def open_work(
+    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, by_tile: bool, doubt: str
+) -> Iterator[tuple[Draft, TileWork | None]]:
+    """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
+
+    That work is moved into the new folder. path: the store's folder. folder: name of the new folder of arrays in it.
+    by_tile: whether work is continued, and left by a block that fails or does not publish. doubt: a further remedy in
+    errors if the store is implausibly large. Raises TerrainError as `open_draft`.
+    """
+    work = _continued(work_of(path / folder, source, lattice, digest)) if by_tile else None
+    if by_tile and path.exists():
+        store_folder.remove_abandoned(path, with_work=work is None)
+    begun = work is not None
+    with open_draft(
+        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=_sample_bytes_of(source)
+    ) as draft:
+        yield draft, work
+
+
+def work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return the description of an import's work before anything is done. folder: of its arrays."""
+    bits = TILE_BITS if source.coarse is None else refining.BITS
+    return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest)
+
+
+def _continued(wanted: TileWork) -> TileWork | None:
+    """Return the unfinished work of a killed import with the same tiles, moved to the wanted folder; None for none."""
+    work = find_work(wanted)
+    if work is None:
+        return None
+    os.rename(work.folder, wanted.folder)
+    return work_in(wanted.folder)
+
+
+def find_work(wanted: TileWork) -> TileWork | None:
+    """Return work of the same import in the store, which can be continued and no process has locked; None for none."""
+    path = wanted.folder.parent
+    for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
+        with suppress(OSError):
+            if store_folder.is_array_folder(found) and found != store_folder.named_folder(path):
+                work = None if partial_files.is_in_use(found) else work_in(found)
+                if work is not None and work.digest == wanted.digest and _has_same_tiles(work, wanted):
+                    if work.can_be_continued():
+                        return work
+    return None
+
+
+def _has_same_tiles(work: TileWork, wanted: TileWork) -> bool:
+    """Return whether a work has the tiles and the kind of samples of another, or floats instead of these."""
+    is_same = (work.grid, work.holes) == (wanted.grid, wanted.holes)
+    return is_same and (work.steps is None or work.steps == wanted.steps)
+
+
+def start_work(work: TileWork | None, draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return an earlier work, attached to a draft in its folder, or a new one.
+
+    digest: of the settings and sources.
+    """
+    if work is None:
+        work = _new_work(draft, source, lattice, digest)
+    else:
+        work.attach(draft)
+    source.raster.finish(draft.folder)  # other processes read the catalogue of a mosaic there
+    return work
+
+
+def _sample_bytes_of(source: TileSource) -> int:
+    """Return the bytes of a sample as it will probably be stored."""
+    return 4 if _steps_of(source) is None else 2
+
+
+def _steps_of(source: TileSource) -> codes.Steps | None:
+    """Return the conversion of 16-bit samples to heights; None for heights that are stored as floats.
+
+    Interpolated heights of coarse land need floats.
+    """
+    if source.coarse is not None:
+        return None
+    return codes.steps_of(np.dtype(source.raster.stored), *scaling_of(source.raster, source.settings))
+
+
+def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
+    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles.
+
+    digest: of the settings and sources.
+    """
+    work = work_of(draft.folder, source, lattice, digest)
+    folder = store_folder.named_folder(draft.path)
+    before = None if folder is None else work_in(folder)
+    if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
+        with suppress(OSError, ValueError):  # then everything is made anew
+            work.copy(before)
+    work.attach(draft)
+    work.make_sparse("missing")
+    work.describe()
+    return work

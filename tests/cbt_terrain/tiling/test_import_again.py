@@ -303,8 +303,8 @@ def test_a_replaced_inset_is_read_as_far_as_its_ring_reaches(tmp_path, tiled):  
 
     write_inset(4.0)
     crew = import_twice(tmp_path, tiled, lambda: write_inset(-3.0))
-    # The ring and the distances by which its width is found reach 5 x 64 samples and two cells of 2 beyond the inset.
-    reached = (20 + 60 + 5 * 64 + 2 * 2) // 32
+    # The ring and the distances by which its width is found reach 5 x 64 samples and two cells of 8 beyond the inset.
+    reached = (20 + 60 + 5 * 64 + 2 * 8) // 32
     columns = {number % 27 for number in crew.read}
     assert max(columns) <= reached < 26 and {0, 1, 2} <= columns
 

@@ -65,7 +65,8 @@ class TileCache:
         """
         self._used.add(f"{key}.npy")
         found = None if self.folder is None else read_cached(self.folder / f"{key}.npy", shape, dtype)
-        self.kept[effect] += found is not None
+        if found is not None:
+            self.kept[effect] += 1
         return found
 
     def keep(self, effect: str, key: str, array: np.ndarray) -> None:

@@ -243,7 +243,8 @@ def _provenance(
     land: the coarse land around loaded tiles, of which LOADED has the step; None if all tiles are loaded.
     """
     values = dataclasses.asdict(settings)
-    values["source"], *values["more_sources"] = map(absolute_source, settings.sources)
+    values["source"], *more = map(absolute_source, settings.sources)
+    values["more_sources"] = tuple(more)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
     loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
     if land is not None:

@@ -86,7 +86,8 @@ def source_digest(
     """
     settings.check()
     values = dataclasses.asdict(settings)
-    values["source"], *values["more_sources"] = names or map(absolute_source, settings.sources)
+    values["source"], *more = names or map(absolute_source, settings.sources)
+    values["more_sources"] = tuple(more)
     for field in dataclasses.fields(settings):
         if field.name in ADDED_SETTINGS and values[field.name] == field.default:
             del values[field.name]

@@ -96,7 +96,7 @@ class BackgroundJob:
 
     @property
     def text(self) -> str:
-        """Return what the job does, for places that show jobs of all kinds."""
+        """Return the name and the current step of the job, for places that show jobs of all kinds."""
         title = phrase(self.kind.title)
         return f"{title}: {phrase(self.message)}" if self.message else title
 
@@ -348,7 +348,7 @@ class CancelJob(bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """Return the tooltip of a cancel button: what stays of the job's work."""
+        """Return the tooltip of a cancel button, which says which part of the work stays."""
         return f"Cancel; {KINDS[properties.kind].stays}"
 
     @classmethod

@@ -47,7 +47,7 @@ def with_shaped_tiles(
         shaped: bilinear, on the source's lattice, without finer tiles.
         source: before shaping; without finer tiles the result is `shaped`.
         allocate, on_progress: as in `with_finer_tiles`.
-        cache: keeps what was measured, so that neither a killed run nor another stack that leaves a tile as it is
+        cache: keeps measured tiles, so that neither a killed run nor another stack that leaves a tile as it is
             measures it again.
 
     Raises TerrainError for heights that are not finite.

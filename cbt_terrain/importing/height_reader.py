@@ -54,7 +54,7 @@ class HeightReader:
         return heights
 
     def figures(self) -> dict:
-        """Return what was found in all values so far as JSON, for `add`.
+        """Return the findings of all values so far as JSON, for `add`.
 
         These are the largest height, the largest errors by conversion, and the marks of missing samples.
         """

@@ -273,7 +273,7 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     """Return the bound of the largest triangle, square pixels; None without that criterion.
 
     The search uses the square root of twice the area: the leg of a right triangle of two equal legs. So bounds are
-    computed as lengths, pixels. spans: pixel footprints of the views. outcome: what the refinement has reached.
+    computed as lengths, pixels. spans: pixel footprints of the views. outcome: result of the refinement.
     """
     if not criterion.area_px:
         return None

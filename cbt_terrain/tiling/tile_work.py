@@ -169,7 +169,7 @@ class TileWork:
         return self._is_array(name, *self.arrays()[name])
 
     def allocate(self, draft: Draft, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray:
-        """Allocate an array of a draft in the same folder; what an earlier attempt has left is used if it is one."""
+        """Allocate an array of a draft in the same folder; the array of an earlier attempt is used if it fits."""
         if os.path.lexists(self.folder / f"{name}.npy") and not self._is_array(name, shape, dtype):
             self.remove(name)
         return draft.allocate(name, shape, dtype)

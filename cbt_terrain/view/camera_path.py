@@ -114,7 +114,7 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def _path_error(path: Path, what: str, expected: str) -> TerrainError:
-    """Return the error that names a camera path's file. what: the fault. expected: what is right."""
+    """Return the error that names a camera path's file. what: the fault. expected: clause about the right content."""
     return TerrainError(f"In the camera path {path}, {what}", expected=expected)
 
 

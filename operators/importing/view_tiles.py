@@ -156,7 +156,7 @@ def suffice(obj, depsgraph) -> bool:
 
 
 def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
-    """Return what a terrain's views see of it in a mode, VIEWPORT or RENDER. Raises TerrainError."""
+    """Return the land that a terrain's views see in a mode, VIEWPORT or RENDER. Raises TerrainError."""
     return seen_land(request.gather(obj, depsgraph, mode, about_middle=True))
 
 

@@ -106,6 +106,7 @@ def test_children_compile_under_the_name_of_their_parent(prepared):
     assert first["fractions"][0] == 0.0 and len(first["fractions"]) > 3, "the panel shows how far it is"
 
 
+@pytest.mark.thorough
 def test_a_full_cache_needs_no_child(prepared):
     first, second, _ = prepared
     assert second["compiled_here"] == [] and second["loaded"] == second["modules"]
@@ -114,6 +115,7 @@ def test_a_full_cache_needs_no_child(prepared):
     assert second["seconds"] < first["seconds"] / 2, "of the processor, children included"
 
 
+@pytest.mark.thorough
 def test_what_another_processor_left_is_compiled_by_children_too(prepared):
     first, _, elsewhere = prepared
     assert elsewhere["compiled_here"] == [] and elsewhere["missing"] == []

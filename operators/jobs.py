@@ -37,8 +37,8 @@ Steps = Generator[None, None, object]
 class JobKind:
     """A kind of job.
 
-    `title`: its name for the user. `stays`: clause about what a cancelled job leaves unchanged. `alone`: only one job
-    of the kind runs at a time, instead of one a terrain.
+    `title`: its name for the user. `stays`: clause about the things that a cancelled job leaves unchanged. `alone`:
+    only one job of the kind runs at a time, instead of one a terrain.
     """
 
     name: str

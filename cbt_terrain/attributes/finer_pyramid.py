@@ -109,8 +109,9 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
         with launch.timed("prefilter"):
             launch.together([partial(_fill_levels, raster, tiles, where, levels, slice(*ends)) for ends in ranges])
 
-    in_store = size >= derived_arrays.MIN_CACHED
-    derive = derived_arrays.derive if in_store else derived_arrays.derive_large
+    # derive_large caches them in the store only if the raster itself is large.
+    is_large = size >= derived_arrays.MIN_CACHED
+    derive = derived_arrays.derive if is_large else derived_arrays.derive_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
     numbers = np.full(tiles.numbers.shape, -1, np.int32)
     numbers[tuple(where.T)] = np.arange(len(where))

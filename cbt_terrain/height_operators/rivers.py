@@ -246,7 +246,10 @@ def grow(
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a skerry of one sample loses F / (1 + F) of its height in every step, over a side or a corner."""
+    """Assert that an islet of one sample loses what erosion over a corner takes at least, over a side at most.
+
+    That is F / (1 + F) of its height in every step, with F of kernels/land/fluvial.py. Nothing else changes.
+    """
     heights = np.full((9, 9), -5.0, np.float32)
     heights[4, 4] = 8.0
     values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}

@@ -86,11 +86,13 @@ def water_surface(
     min_depth: float = MIN_DEPTH,
     threads: int = 1,
 ) -> Surface:
-    """Return the surface of water of `min_depth` metres or MIN_DISCHARGE, with its depth and speed as attributes.
+    """Return the surface of water, with its depth and speed as attributes.
 
-    Each cell with water at a corner gives two triangles, which are cut at the shore and face up. Without water the
-    surface is empty. heights, depth: float32 [rows, columns], metres. speed, discharge: float32 likewise, m/s and
-    m^3/s, None for still water. missing: bool likewise, holes that no triangle touches, or None. min_depth: metres.
+    There is water where it is at least `min_depth` deep or flows with at least MIN_DISCHARGE. Each cell with water at a
+    corner gives two triangles, which are cut at the shore and face up. Without water the surface is empty. heights,
+    depth: of the ground and of the water on it, float32 [rows, columns], metres. speed, discharge: float32 likewise,
+    m/s and m^3/s, None for still water. missing: bool likewise, holes that no triangle touches, or None. min_depth:
+    metres.
     """
     wet = depth >= min_depth
     if discharge is not None:

@@ -67,7 +67,10 @@ def common_report_entries(field: HeightField) -> dict:
 
 
 def _value_warnings(source: TileSource, report: dict, check: ValueCheck) -> list[str]:
-    """Return warnings about values that are probably no heights in metres. report: figures of the import."""
+    """Return warnings about values that may be marks of missing samples; without any, about a relief that is too large.
+
+    The second is left out where the extent is in doubt already. report: figures of the import. check: of all values.
+    """
     raster, settings, place, _ = source
     if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
         return []

@@ -96,7 +96,7 @@ class DatumShifts:
 
         counts: rows and columns of the tile or of its overview. Raises TerrainError where a grid ends.
         """
-        nodes = self._nodes_of(tile)
+        nodes = self._shifts_of(tile)
         return 0.0 if nodes is None else nodes.window(row, rows, column, columns, counts)
 
     def error_of(self, tile: SourceTile) -> float:
@@ -104,11 +104,14 @@ class DatumShifts:
 
         Raises TerrainError where a grid of PROJ ends.
         """
-        nodes = self._nodes_of(tile)
+        nodes = self._shifts_of(tile)
         return 0.0 if nodes is None else nodes.error_m
 
-    def _nodes_of(self, tile: SourceTile) -> ShiftNodes | None:
-        """Return the nodes of a tile, None for a tile that needs no shift."""
+    def _shifts_of(self, tile: SourceTile) -> ShiftNodes | None:
+        """Return the metres to add to a tile's heights, at nodes spread over it; None for a tile that needs no shift.
+
+        They are computed once for each path.
+        """
         if tile.datum in ("", self.reference.datum):
             return None
         if tile.path not in self._nodes:

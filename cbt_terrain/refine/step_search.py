@@ -43,8 +43,8 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
     """Find the finest step at which at most `max_splits` triangles are split, MAX_STEP + 1 if there is none.
 
     splits: function that counts them at steps; the numbers fall as steps rise. start: the last frame's result, None
-    without one; it changes the time only. Without it, step 0 is returned before it is counted if it may fit. low: the
-    finest step that is allowed.
+    without one; it changes the time only. Without it, step 0 is returned uncounted if it may fit, since the refinement
+    that follows shows that as soon as counting would. low: the finest step that is allowed.
     """
     search = _Search(splits, max_splits, low)
     if start:

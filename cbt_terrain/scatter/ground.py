@@ -118,9 +118,11 @@ class ScatterGround:
         return runs
 
     def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
-        """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays.
+        """Compute positions, normals and densities of candidates.
 
-        Raises TerrainError for heights that are not finite.
+        The density is the product of the pattern's, the boundary's and that of attributes. runs: numbers of the
+        candidates of each square. where: their slice of the candidates' arrays. Raises TerrainError for heights that
+        are not finite.
         """
         inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(

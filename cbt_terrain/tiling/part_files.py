@@ -54,7 +54,11 @@ class PartWriter:
 
 @contextmanager
 def writing_part(folder: Path, kind: str, number: int) -> Iterator[PartWriter]:
-    """Yield the writer of a part, whose file appears when the block has ended without an error. Raises OSError."""
+    """Yield the writer of a part: the file with the results of one task.
+
+    The file appears when the block has ended without an error. kind, number: of the task, as in its record
+    (tile_records.py). Raises OSError.
+    """
     with partial_files.written_beside(_file_of(folder, kind, number)) as partial, partial.open("wb") as file:
         writer = PartWriter(file)
         yield writer

@@ -76,7 +76,8 @@ class Spans:
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: PlanUnits) -> Spans:
     """Return the spans (pixel footprints in the kernels' measure) of views of a terrain at `placement`.
 
-    plan: units of the plan, for limits of edges and areas on screen.
+    Without limits of edges or areas each view has one scale: its largest slant times its widening. With them
+    all views share one for edges. plan: units of the plan, for these limits.
     """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]

@@ -64,9 +64,10 @@ class PatchDistances:
 
 @wp.kernel
 def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
-    """Compute the distances of the samples in each whole block of row `offset + tid` from the block's patch.
+    """Compute the largest distance of the samples in each whole block of row `offset + tid` from the block's patch.
 
-    measured: samples, NaN where they do not count. A block with a corner that is NaN gets any number.
+    The patch is the bilinear surface through the block's corners. Distances are metres, rounded up. measured: samples,
+    NaN where they do not count. A block with a corner that is NaN gets any number.
     """
     row = offset + wp.tid()
     h = measured.floats

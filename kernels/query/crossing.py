@@ -167,10 +167,10 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 def half_curvature_along(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
 ) -> wp.float64:
-    """Bound half of the second derivative of the surface along the ray in cell (i, j), displacement included.
+    """Return an upper bound of half the second derivative of the surface along the ray in cell (i, j).
 
-    Its unit is metres per squared metre of t. finer_twist: of a finer cell there, metres a squared raster cell;
-    negative without one.
+    Displacement is included. The unit is metres per squared metre of t. finer_twist: |h00 + h11 - h10 - h01| of the
+    finer cell that the ray is in, metres, scaled to a squared raster cell; negative without a finer cell.
     """
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)

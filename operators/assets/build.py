@@ -71,7 +71,7 @@ def _mark(item, catalog: str, about: str) -> None:
 
 
 def _add_materials(studio: Studio) -> None:
-    """Add the terrain's material with a preview, its node group, and materials of each default layer and of water."""
+    """Add the terrain's material, its node group, and materials of each default layer and of water, with previews."""
     layers = [(layer.name, color) for layer, color in zip(DEFAULT, DEFAULT_COLORS, strict=True)]
     ground = studio.new_ground(len(layers))
     terrain = dress(ground, LayerSources(layers))

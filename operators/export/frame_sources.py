@@ -278,7 +278,10 @@ def counts(surface: Surface) -> dict:
 
 
 def bounds_of(bounds: ReportedBounds) -> dict:
-    """Return bounds, or those of an Update, and their terms for JSON; one that was not requested is None."""
+    """Return the bounds of a mesh and their terms for JSON; a bound that was not requested is None.
+
+    bounds: also an Update, which has them.
+    """
     return {
         **{name: getattr(bounds, name) for name in BOUNDS},
         "terms_px": bounds.terms_px and asdict(bounds.terms_px),

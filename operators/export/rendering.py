@@ -103,7 +103,10 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
 
 
 def _check_land(objects: list, frame: int) -> None:
-    """Raise TerrainError if a link replaces a terrain's land, before the render starts, which may take long."""
+    """Raise TerrainError if a symbolic link or a user's file has the name of a file of a terrain's land.
+
+    This is checked before the render, which may take long. Other errors are left to the render.
+    """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for obj in objects:
         try:

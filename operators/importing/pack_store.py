@@ -40,7 +40,10 @@ class PackStore(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Return whether there are stores to pack and no job uses them; otherwise set the reason that Blender shows."""
+        """Return whether there are stores to pack and no job uses them.
+
+        Otherwise set the reason that Blender shows; a job that packs is shown in a row.
+        """
         if not bpy.data.filepath:
             cls.poll_message_set("Save the file first")
             return False

@@ -221,14 +221,15 @@ def _draw_mask(column, mask) -> None:
 
 
 class LandLayersPanel(TerrainSubpanel):
-    """Layers that the stack leaves, and their readers."""
+    """Layers that the stack leaves, and the number of materials and nodes that read each."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
     bl_label = "By-Products"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
 
     def draw(self, context):
-        """Draw a row for each layer that the stack leaves, with the number of its readers."""
+        """Draw a row for each layer: its name and unit, and the number of its readers."""
+        # Of all attributes by name; layers are among them.
         statuses = session.record_of(session.shown_terrain(context)).status.effects
         column = self.layout.column(align=True)
         layers = shaped_land.layers_left_by(session.shown_terrain(context).adaptive_terrain.land)

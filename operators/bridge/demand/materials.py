@@ -37,9 +37,11 @@ class Shading:
 
 
 def shading_of(scene, layers, preview: bool) -> Shading:
-    """Return how a scene shows materials; by all outputs if its engine is unknown.
+    """Return how a scene shows materials.
 
-    layers: view layers whose AOVs count. preview: include EEVEE, which a viewport may show at any time.
+    The result has the material outputs that its engine uses (none of Workbench, all of an unknown engine), the names of
+    its AOVs, and whether Cycles runs OSL scripts. layers: view layers whose AOVs count. preview: include EEVEE, which a
+    viewport may show at any time.
     """
     engine = scene.render.engine
     targets = set() if engine == WORKBENCH else {ENGINES[engine]} if engine in ENGINES else {"ALL", "CYCLES", "EEVEE"}

@@ -62,6 +62,7 @@ def writing_part(folder: Path, kind: str, number: int) -> Iterator[PartWriter]:
     with partial_files.written_beside(_file_of(folder, kind, number)) as partial, partial.open("wb") as file:
         writer = PartWriter(file)
         yield writer
+        # "at" is the time at which other records were written; a part has none.
         line = line_of({"kind": kind, "number": number, "at": 0, **writer.record, "blocks": writer.blocks}).encode()
         file.write(line + len(line).to_bytes(LENGTH_BYTES, "little"))
 
@@ -122,4 +123,5 @@ def remove_parts(folder: Path, kind: str) -> None:
 
 
 def _file_of(folder: Path, kind: str, number: int) -> Path:
+    """Return the file of a part. folder: of the work. kind, number: of the task."""
     return folder / f"{kind}-{number}.part"

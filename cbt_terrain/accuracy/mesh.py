@@ -91,7 +91,7 @@ class MeshGround:
         packed = self.packed = kernels.Reference()
         packed.bits = self.bits
         packed.bicubic = int(field.interpolation == "bicubic")
-        finer = field.raster.finer
+        finer = field.finer
         packed.curved = int(packed.bicubic or bool(field.parts) or finer is not None)
         packed.max_detail = field.max_change
         if finer is not None:

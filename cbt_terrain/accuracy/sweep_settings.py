@@ -71,23 +71,23 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
     """Return the settings of a whole sweep.
 
     They are pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and every other error with
-    the other interpolation, which finer tiles do not have. A fit has a bilinear surface without detail under it. If a
+    the other interpolation. A fit has a bilinear surface without detail under it. If a
     frame follows, some errors have the other transitions: `morph` is that of the swept criterion.
     """
     same = partial(Setting, interpolation=heights.interpolation)
     other = partial(Setting, interpolation=next(name for name in INTERPOLATIONS if name != heights.interpolation))
-    settings, has_other = [], heights.raster.finer is None
+    settings = []
     if frame.views:
         settings += [same("px", error) for error in PIXELS]
         depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
         settings += [same("px", 1.0, max_depth=depth) for depth in depths if depth >= 1]
         settings += [same("px", 1.0, meshlet=meshlet) for meshlet in MESHLETS]
-        settings += [other("px", error) for error in PIXELS[::2] if has_other]
+        settings += [other("px", error) for error in PIXELS[::2]]
         changed = SMOOTH if morph == 1 else 1.0
         settings += [same("px", error, morph=changed) for error in BOTH_WAYS_PX if frame.after]
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
     settings += [same("m", error) for error in metres]
-    settings += [other("m", error) for error in metres[::2] if has_other]
+    settings += [other("m", error) for error in metres[::2]]
     return settings + [Setting("m", error, fitted=True) for error in metres if not heights.detail]
 
 

@@ -37,6 +37,7 @@ from ..run.buffers import flat
 from ..run.locks import cached
 from . import bicubic_errors, codes, derived_arrays, hierarchy
 from .codes import MAX_EXPONENT, MIN_EXPONENT
+from .finer_bicubic import bicubic_tiles
 from .heightfield import INTERPOLATIONS, HeightField, SurfaceSpec, with_detail
 from .hierarchy import ranges_at
 from .lattice import Lattice
@@ -51,13 +52,12 @@ def interpolated(field: HeightField, name: str) -> HeightField:
     """Return a field with the same samples and another surface between them; `field` itself if it has that surface.
 
     A detail of the field stays. name: one of INTERPOLATIONS. The surface is computed once and cached in the field's
-    store, if it has one. Raises TerrainError for another name, finer tiles, or a sample that is not finite.
+    store, if it has one. Raises TerrainError for another name or a sample that is not finite.
     """
     if name not in INTERPOLATIONS:
         raise TerrainError(f"The interpolation is {name!r}", expected=" or ".join(INTERPOLATIONS))
     if name == field.interpolation:
         return field
-    field.raster.check_no_finer("Bicubic interpolation")
     plain, surfaces = with_detail(field, None), field.cache.surfaces
     surfaces.setdefault(plain.surface, plain)  # so a bilinear field is always found here, never computed
     return with_detail(cached(surfaces, SurfaceSpec(name), lambda: bicubic(plain)), field.detail)
@@ -66,12 +66,13 @@ def interpolated(field: HeightField, name: str) -> HeightField:
 def bicubic(field: HeightField) -> HeightField:
     """Return the bicubic surface through the samples of a bilinear field, cached in its store, if it has one.
 
-    field: without detail and finer tiles. Raises TerrainError for a sample that is not finite.
+    field: without detail. Its finer tiles become those of finer_bicubic.py. Raises TerrainError for a sample that is
+    not finite.
     """
     arrays = derived_arrays.derive(
         field.raster, arrays_of(field.lattice), lambda arrays: build(field, arrays), _are_valid
     )
-    return replace(
+    smooth = replace(
         field,
         surface=SurfaceSpec("bicubic"),
         error=arrays["error_c"],
@@ -79,6 +80,20 @@ def bicubic(field: HeightField) -> HeightField:
         source_max=LEVERAGE * field.source_max,
         **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),  # the exponents follow
         exponents=[int(exponent) for exponent in arrays["numbers_c"][len(NUMBERS) :]],
+    )
+    return smooth if field.raster.finer is None else _with_finer(smooth)
+
+
+def _with_finer(smooth: HeightField) -> HeightField:
+    """Return the bicubic surface with its finer tiles. smooth: without them, of a raster that has some."""
+    tiles, low, high = bicubic_tiles(smooth)
+    return replace(
+        smooth,
+        bicubic_finer=tiles,
+        min_height=min(smooth.min_height, low),
+        max_height=max(smooth.max_height, high),
+        steepest_x=smooth.steepest_x + tiles.max_slope,
+        steepest_y=smooth.steepest_y + tiles.max_slope,
     )
 
 

@@ -43,7 +43,7 @@ def rectangle_ranges(
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         found = np.stack([low, high], axis=-1)
-    change = field.raster.finer.max_change if field.raster.finer is not None else 0.0
+    change = field.finer.max_change if field.finer is not None else 0.0
     return field.range_base + found * field.range_step + (-change, change)
 
 

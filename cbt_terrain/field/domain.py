@@ -41,7 +41,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.error_scale = abs(height_scale)
     domain.source = field.source_max * abs(height_scale)
     fill_layers(domain, field.detail, field.finest_edge, lattice, meshlet)
-    finer = field.raster.finer
+    finer = field.finer
     if finer is not None:
         domain.has_finer, domain.finer, domain.detailed = 1, finer.packed, 1
     domain.max_change = field.max_change

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,14 +27,15 @@ from .finer_heights import (
     raster_heights,
     window_of,
 )
+from .finer_measures import Part, Square, fill_errors, fill_ranges, limits_of
 from .finer_reuse import inputs_of_tiles, is_measured, limits_before
-from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
+from .finer_tiles import MAX_BITS, SIDE, STRIDE, FinerTiles, tile_shape
 from .heightfield import HeightField
-from .lattice import PAGE, Lattice
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
-GROUPS = 3  # of depths with stored errors
-UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
+# Functions of a raster, bits, finer columns and rows: heights of a surface, and distances from it.
+SurfaceAt = Callable[[HeightField, int, np.ndarray, np.ndarray], np.ndarray]
+OffAt = SurfaceAt
 
 
 def with_finer_tiles(
@@ -122,21 +122,7 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
     return low, high
 
 
-class _Square(NamedTuple):
-    """A square of tiles that is measured at a time.
-
-    Attributes:
-        column, row: its first tile.
-        heights, change: at its finer samples, float32 metres; both 0 outside of tiles.
-    """
-
-    column: int
-    row: int
-    heights: np.ndarray
-    change: np.ndarray
-
-
-def _corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
+def corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
     """Yield the first tile of each square of BLOCK x BLOCK tiles, in a margin of one tile, that meets any tile."""
     rows, columns = numbers.shape
     first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
@@ -151,28 +137,51 @@ def _part_of(numbers: np.ndarray, corner: Tile) -> np.ndarray:
     return numbers[max(row, 0) : row + BLOCK + 2, max(column, 0) : column + BLOCK + 2]
 
 
-def _square_at(plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray, corner: Tile) -> _Square:
+def square_at(
+    plain: HeightField,
+    bits: int,
+    numbers: np.ndarray,
+    heights: np.ndarray,
+    corner: Tile,
+    surface: SurfaceAt = raster_heights,
+    off: OffAt | None = None,
+) -> Square:
     """Return a square of BLOCK x BLOCK tiles with a margin of one tile on each side.
 
-    Beyond the raster's border heights and change are those at the border. bits: a raster cell has 2^bits finer cells a
-    side.
+    Beyond the raster's border all values are those at the border.
+
+    Args:
+        plain: the raster; bits: a raster cell has 2^bits finer cells a side.
+        numbers, heights: those of the tiles. corner: column and row of the square's first tile.
+        surface: returns the heights of the raster's surface, as `raster_heights`.
+        off: returns bounds of the distance, metres, from the bilinear surface between heights; None if there is none.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     count, (column, row), part = (BLOCK + 2) * SIDE + 1, corner, _part_of(numbers, corner)
-    whole, change = np.zeros((2, count, count), np.float32)
+    change, low, high = (np.zeros((count, count), np.float32) for _ in range(3))
     for down, across in np.argwhere(part >= 0):
         y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
         finer = heights[part[down, across], 1:-1, 1:-1]
-        coarse = raster_heights(plain, bits, x + np.arange(SIDE + 1), y + np.arange(SIDE + 1))
+        at = x + np.arange(SIDE + 1), y + np.arange(SIDE + 1)
+        coarse = surface(plain, bits, *at)
         # The rounding of the raster's surface to float32 is no change.
         difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
         i, j = x - SIDE * column, y - SIDE * row
-        whole[j : j + SIDE + 1, i : i + SIDE + 1] = finer
-        change[j : j + SIDE + 1, i : i + SIDE + 1] = difference
+        inside = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
+        change[inside], low[inside] = difference, finer
+        if off is not None:
+            low[inside], high[inside] = outward(finer, off(plain, bits, *at))
     for axis, first, end in ((1, SIDE * column, last[0]), (0, SIDE * row, last[1])):
-        inside = np.clip(first + np.arange(count), 0, end) - first
-        whole, change = (np.take(values, np.clip(inside, 0, count - 1), axis) for values in (whole, change))
-    return _Square(column, row, np.ascontiguousarray(whole), np.ascontiguousarray(change))
+        inside = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
+        change, low, high = (np.take(values, inside, axis) for values in (change, low, high))
+    change, low, high = map(np.ascontiguousarray, (change, low, high))
+    return Square(column, row, low, low if off is None else high, change)
+
+
+def outward(heights: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
+    low, high = (heights - off).astype(np.float32), (heights + off).astype(np.float32)
+    return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
 
 
 def _measured(
@@ -190,19 +199,19 @@ def _measured(
     lattice, part = plain.lattice, 1.0 / (1 << bits)
     steps = lattice.step_x * part, lattice.step_y * part
     limits = np.zeros((*numbers.shape, 2), np.float32)
-    corners, inputs = list(_corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
+    corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
     for corner in corners:
         missing = []
-        for row, column, _tile, where in _tiles_of(corner, numbers):
+        for row, column, _tile, where in tiles_of(corner, numbers):
             found = limits_before(records, (column, row), inputs[row, column])
             if found is None:
                 missing.append((row, column, where))
             else:
                 limits[row, column] = found
         if missing:
-            change = _square_at(plain, bits, numbers, heights, corner).change
+            change = square_at(plain, bits, numbers, heights, corner).change
         for row, column, where in missing:
-            limits[row, column] = pair = _limits(change[where], steps)
+            limits[row, column] = pair = limits_of(change[where], steps)
             records.note(LIMITED, (column, row), inputs=inputs[row, column], limits=[float(value) for value in pair])
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
@@ -211,20 +220,20 @@ def _measured(
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
     outputs = (
-        (MEASURED, errors, str(exponent), partial(_fill_errors, steps=steps, table=table)),
-        (RANGED, ranges, str(scale), partial(_fill_ranges, steps=steps, scale=scale)),
+        (MEASURED, errors, str(exponent), partial(fill_errors, steps=steps, table=table)),
+        (RANGED, ranges, str(scale), partial(fill_ranges, steps=steps, scale=scale)),
     )
     for corner in corners:
         on_progress((corner[1] + 1) / len(numbers))
         square = None
         for kind, array, coding, fill in outputs:
             tiles = []
-            for each in _tiles_of(corner, numbers):
+            for each in tiles_of(corner, numbers):
                 row, column, tile, _where = each
                 if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[tile]):
                     tiles.append(each)
             if tiles:
-                square = square or _square_at(plain, bits, numbers, heights, corner)
+                square = square or square_at(plain, bits, numbers, heights, corner)
                 fill(square, tiles, array, threads)
             for row, column, tile, _where in tiles:
                 given, sums = f"{inputs[row, column]} {coding}", digest_of([array[tile]])
@@ -239,83 +248,10 @@ def _measured(
     return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
 
 
-Part = tuple[int, int, int, tuple[slice, slice]]  # row, column and number of a tile, and its samples in a square
-
-
-def _fill_errors(
-    square: _Square,
-    tiles: list[Part],
-    errors: np.ndarray,
-    threads: int,
-    *,
-    steps: tuple[float, float],
-    table: np.ndarray,
-) -> None:
-    """Fill the errors of some tiles of a square. steps: of finer samples, metres. table: metres of the codes."""
-    small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
-    metres = np.zeros(small.node_count, np.float32)
-    hierarchy.build_errors(square.change, small, metres, threads)
-    images = list(_images(small.layout(), metres * UP))
-    for _row, _column, tile, where in tiles:
-        stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
-        errors[tile] = 0  # an earlier attempt may have left others, and zeros are not written
-        codes.encode_part(stored, table, errors[tile], threads)
-
-
-def _fill_ranges(
-    square: _Square,
-    tiles: list[Part],
-    ranges: np.ndarray,
-    threads: int,
-    *,
-    steps: tuple[float, float],
-    scale: tuple[float, float],
-) -> None:
-    """Fill the ranges of heights of some tiles of a square. steps: as of `_fill_errors`. scale: metres of the codes."""
-    small = Lattice(BLOCK + 2, BLOCK + 2, TILE_BITS, *steps)
-    found = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(square.heights, small, *scale, found, threads)
-    images = list(_images(small.range_layout(), found, False))
-    for _row, _column, tile, where in tiles:
-        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in images])
-
-
-def _tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[Part]:
+def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[Part]:
     """Yield row, column and number of each tile inside a square's margin, and its samples in the square."""
     for down, across in product(range(1, BLOCK + 1), range(1, BLOCK + 1)):
         row, column = corner[1] + down, corner[0] + across
         if row < numbers.shape[0] and column < numbers.shape[1] and numbers[row, column] >= 0:
             where = slice(SIDE * down, SIDE * (down + 1) + 1), slice(SIDE * across, SIDE * (across + 1) + 1)
             yield row, column, int(numbers[row, column]), where
-
-
-def _limits(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float32, np.float32]:
-    """Return the largest change of a tile, metres, and its largest slope along an axis, rounded up."""
-    slopes = [float(np.abs(np.diff(change, axis=axis)).max()) / step for axis, step in ((1, steps[0]), (0, steps[1]))]
-    return np.float32(float(np.abs(change).max()) * UP), np.float32(max(slopes) * UP)
-
-
-def _images(
-    layout: tuple[np.ndarray, np.ndarray], values: np.ndarray, with_cells: bool = True
-) -> Iterator[tuple[np.ndarray, int]]:
-    """Yield the values of each stored group as rows of vertices, and log2 of the distance of two in those of group 0.
-
-    layout: of the values (lattice.py). with_cells: also yield those of the cells.
-    """
-    base, pages = layout
-    for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):
-        wide, rest = int(pages[group]), values.shape[1:]
-        image = values[base[group] : base[group + 1]].reshape(-1, wide, 8, 8, 4, 4, *rest)
-        rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * wide, *rest)
-        yield rows, 2 * group if group < GROUPS else 0
-
-
-def _pages(image: np.ndarray, where: tuple[slice, slice], shift: int) -> np.ndarray:
-    """Return the entries of a tile as pages, [n, ...]; `image`: rows of vertices, 2^shift cells apart."""
-    y, x = (slice(at.start >> shift, at.stop - 1 >> shift) for at in where)
-    part, rest = image[y, x], image.shape[2:]
-    side = max(len(part), PAGE)
-    full = np.zeros((side, side, *rest), image.dtype)
-    full[: len(part), : len(part)] = part
-    full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)
-    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)

@@ -16,6 +16,7 @@ from ..errors import TerrainError
 from .finer_tiles import SIDE, STRIDE
 from .heightfield import HeightField, HeightRaster
 
+MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
 WINDOW = 4  # tiles along a side of the windows that are read together
 LOOKED = 0.3  # of the progress, when it is known which windows are read
 # Kinds of records: the heights of a window, the limits of the change of a tile, its errors, and its ranges.
@@ -82,6 +83,33 @@ def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int
     return plain.heights(*index)
 
 
+def border_margin(bits: int) -> int:
+    """Return the finer samples, inside the border of all known tiles, in which heights change from the raster's.
+
+    bits: a raster cell has 2^bits finer cells a side.
+    """
+    return min(MARGIN << bits, SIDE // 2)
+
+
+def border_weights(tile: Tile, known: set[Tile], margin: int, last: tuple[int, int], around: int = 0) -> np.ndarray:
+    """Return the weights of the finer heights at the samples of a tile, 0 .. 1: float64 [SIDE + 1, SIDE + 1].
+
+    They are 0 where a tile without finer heights begins, and 1 from `margin` samples on. The raster's border does not
+    count. known: the tiles with finer heights, (column, row) each. last: finer cells of the raster along x and y.
+    around: 1 to include the samples next to the tile, on each side.
+    """
+    at = np.arange(-around, SIDE + 1 + around)
+    distances = {-1: np.maximum(at, 0), 0: np.maximum(np.maximum(-at, at - SIDE), 0), 1: np.maximum(SIDE - at, 0)}
+    distances = {step: distance / margin for step, distance in distances.items()}
+    weights = np.ones((len(at), len(at)))
+    for across, up in product((-1, 0, 1), (-1, 0, 1)):
+        column, row = tile[0] + across, tile[1] + up
+        inside = column >= 0 and row >= 0 and column * SIDE < last[0] and row * SIDE < last[1]
+        if inside and (column, row) not in known:
+            np.minimum(weights, np.maximum(distances[up][:, None], distances[across]), out=weights)
+    return weights
+
+
 def window_of(tile: Tile) -> tuple[int, int]:
     """Return row and column of the window that holds a tile."""
     return tile[1] // WINDOW, tile[0] // WINDOW
@@ -134,7 +162,7 @@ def fill_heights(
             sums = digest_of(map(inner_heights, tiles))
             records.note(FILLED, window_of(tiles[0])[::-1], inputs=wanted[number], sums=sums)
     for row, column in np.argwhere(numbers >= 0):
-        _extend(heights[numbers[row, column]], column, row, last)
+        extend_beyond(heights[numbers[row, column]], column, row, last)
 
 
 def _inputs_of_window(plain: HeightField, bits: int, tiles: list[Tile], known: set[Tile], records: FinerRecords) -> str:
@@ -208,7 +236,7 @@ def _lay(found: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: i
         np.copyto(target, part, where=~np.isnan(part))
 
 
-def _extend(tile: np.ndarray, column: int, row: int, last: tuple[int, int]) -> None:
+def extend_beyond(tile: np.ndarray, column: int, row: int, last: tuple[int, int]) -> None:
     """Continue a tile's heights beyond the raster's border: a line there has the slope of the border, then they stay.
 
     So differences across the border are those inside of it. last: finer cells of the raster along x and y.

@@ -77,6 +77,11 @@ class FinerTiles:
         return {"tiles": len(self.heights)} | numbers
 
     @property
+    def known(self) -> list[tuple[int, int]]:
+        """Return columns and rows of the tiles with known heights (`known_tiles`)."""
+        return known_tiles(self.numbers)
+
+    @property
     def max_change(self) -> float:
         """Return the largest change of a height, metres."""
         return float(self.limits[-1, 0])
@@ -143,6 +148,28 @@ def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
     """
     rows, columns = (((cells << bits) + REACH >> TILE_BITS) + 1 for cells in (lattice.cells_y, lattice.cells_x))
     return rows, columns
+
+
+def known_tiles(numbers: np.ndarray) -> list[tuple[int, int]]:
+    """Return columns and rows of the tiles inside the ring of a table of tiles: all around each are in the table.
+
+    Finer heights are known in no others. Together with the tiles around them they are all tiles of the table. numbers:
+    `FinerTiles.numbers`.
+    """
+    rows, columns = numbers.shape
+    there = np.pad(numbers >= 0, 1, constant_values=True)
+    parts = [there[down : down + rows, across : across + columns] for down in range(3) for across in range(3)]
+    return [(int(column), int(row)) for row, column in np.argwhere(np.logical_and.reduce(parts))]
+
+
+def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
+    """Return shape and type of each array of the tiles of a bicubic surface (finer_bicubic.py), by name.
+
+    bits: a raster cell has 2^bits finer cells a side. tiles: their number.
+    """
+    shapes = array_shapes(lattice, bits, tiles)
+    arrays = {f"{name}_c": shapes[name] for name in ("finer_heights", "finer_errors", "finer_ranges", "finer_limits")}
+    return arrays | {"finer_values_c": ((5,), np.float64)}
 
 
 def pyramid_sides(bits: int) -> list[int]:

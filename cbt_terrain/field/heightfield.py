@@ -127,14 +127,6 @@ class HeightRaster:
         name = f"The store {self.path}" if self.path else "The height field"
         return TerrainError(f"{name} is damaged ({what})", fix="import it again")
 
-    def check_no_finer(self, what: str) -> None:
-        """Raise TerrainError for a raster with finer tiles. what: subject of the error, a feature that lacks them."""
-        if self.finer is not None:
-            raise TerrainError(
-                f"{what} is not supported for a terrain with finer tiles",
-                fix="import it with one step (--step)",
-            )
-
     def check_samples(self) -> None:
         """Raise TerrainError if a sample or a height of a finer tile is not finite. 16-bit samples always are.
 
@@ -158,6 +150,7 @@ class HeightField:
         min_height, max_height: limits of the surface, metres, with the detail.
         steepest_x, steepest_y: largest slopes of the surface along each axis, with finer tiles and without the detail.
         source_max: largest distance, metres, by which the rounding of the source has moved the surface.
+        bicubic_finer: the finer tiles of a bicubic surface (finer_bicubic.py).
     """
 
     raster: HeightRaster
@@ -172,6 +165,7 @@ class HeightField:
     steepest_y: float
     source_max: float = 0.0
     surface: SurfaceSpec = SurfaceSpec()
+    bicubic_finer: FinerTiles | None = field(default=None, repr=False)
 
     samples = property(attrgetter("raster.samples"))
     steps = property(attrgetter("raster.steps"))
@@ -220,9 +214,14 @@ class HeightField:
         return bound_terms(self.detail, self.finest_edge, self.lattice)
 
     @property
+    def finer(self) -> FinerTiles | None:
+        """Return the finer tiles of this surface, whose change is that of the surface between samples; None if none."""
+        return self.bicubic_finer or self.raster.finer
+
+    @property
     def max_change(self) -> float:
         """Return the largest height of the displacement, with the change of finer tiles, metres."""
-        return highest(self.parts) + (self.raster.finer.max_change if self.raster.finer else 0.0)
+        return highest(self.parts) + (self.finer.max_change if self.finer else 0.0)
 
     @property
     def table(self) -> np.ndarray:

@@ -195,7 +195,8 @@ def is_intact(field: HeightField) -> bool:
     layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
-    arrays += field.raster.finer.arrays if field.raster.finer is not None else ()
+    finer = {id(surface.finer): surface.finer for surface in surfaces if surface.finer is not None}
+    arrays += [array for tiles in finer.values() for array in tiles.arrays]
     if any(array is not None and is_cut_off(array) for array in arrays):
         return False
     return all(map(is_intact, field.cache.anchored.values()))

@@ -39,8 +39,11 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     derived = {f"{name}.npy": like for name, like in derived_shapes(field.lattice).items()}
     derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
-    if field.raster.finer is not None:
-        derived[f"{finer_tiles.PYRAMID}.npy"] = (field.raster.finer.pyramid_size(field.lattice),), np.float32
+    finer = field.raster.finer
+    if finer is not None:
+        derived[f"{finer_tiles.PYRAMID}.npy"] = (finer.pyramid_size(field.lattice),), np.float32
+        shapes_of_tiles = finer_tiles.bicubic_shapes(field.lattice, finer.bits, len(finer.heights))
+        derived |= {f"{name}.npy": like for name, like in shapes_of_tiles.items()}
     shapes = samples_by_level(field.lattice)
     for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
         derived[file.name] = _shape_of(file, shapes), np.float32

@@ -66,7 +66,7 @@ def with_shaped_tiles(
             raise not_finite()
         return found
 
-    known, records = known_tiles(finer.numbers), CachedRecords(cache)
+    known, records = finer.known, CachedRecords(cache)
     return with_finer_tiles(shaped, finer.bits, known, read, threads, allocate, on_progress, records)
 
 
@@ -90,18 +90,6 @@ def move_heights(heights: np.ndarray, before: np.ndarray, after: np.ndarray) -> 
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.where(heights == before.astype(np.float32), after, heights + (after - before)).astype(np.float32)
     return np.where(after == before, heights, moved)
-
-
-def known_tiles(numbers: np.ndarray) -> list[Tile]:
-    """Return columns and rows of the tiles inside the ring of a table of tiles: all around each are in the table.
-
-    Finer heights are known in no others. Together with the tiles around them they are all tiles of the table. numbers:
-    `FinerTiles.numbers`.
-    """
-    rows, columns = numbers.shape
-    there = np.pad(numbers >= 0, 1, constant_values=True)
-    parts = [there[down : down + rows, across : across + columns] for down in range(3) for across in range(3)]
-    return [(int(column), int(row)) for row, column in np.argwhere(np.logical_and.reduce(parts))]
 
 
 class CachedRecords(FinerRecords):

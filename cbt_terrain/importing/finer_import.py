@@ -9,7 +9,6 @@ is the same. Files are read only where they have changed, also for the rings ins
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,17 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import store_folder
 from ..field.finer_build import with_finer_tiles
-from ..field.finer_heights import FILLED, WINDOW, Arrays, FinerBox, FinerRecords, Tile, raster_heights
+from ..field.finer_heights import (
+    FILLED,
+    WINDOW,
+    Arrays,
+    FinerBox,
+    FinerRecords,
+    Tile,
+    border_margin,
+    border_weights,
+    raster_heights,
+)
 from ..field.finer_tiles import SIDE, FinerTiles, tile_shape
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
@@ -28,8 +37,6 @@ from ..tiling.tile_records import FIGURES, FINER, SEAMS
 from ..tiling.tile_work import TileWork, work_in
 from .finer_squares import is_in_squares
 from .height_reader import HeightReader, scaling_of
-
-MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
 
 
 def add_finer_tiles(
@@ -47,7 +54,7 @@ def add_finer_tiles(
     """
     bits, lattice = source.bits, plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
-    margin = min(MARGIN << bits, SIDE // 2)
+    margin = border_margin(bits)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
     windows = _Windows(source, reader, last)
@@ -195,23 +202,6 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
         first_y, end_y = max(last[1] - south - margin, 0) // SIDE, min(last[1] - north + margin, last[1] - 1) // SIDE
         there[first_y : end_y + 1, first_x : end_x + 1] = True
     return {(int(column), int(row)) for row, column in np.argwhere(there)}
-
-
-def border_weights(tile: Tile, known: set[Tile], margin: int, last: tuple[int, int]) -> np.ndarray:
-    """Return the weights of the finer heights at the samples of a tile, 0 .. 1: float64 [SIDE + 1, SIDE + 1].
-
-    They are 0 where a tile without finer heights begins, and 1 from `margin` samples on. The raster's border does not
-    count. last: finer cells of the raster along x and y. known: the tiles with finer heights, (column, row) each.
-    """
-    from_west = np.arange(SIDE + 1) / margin
-    distances = {-1: from_west, 0: np.zeros(SIDE + 1), 1: from_west[::-1]}
-    weights = np.ones((SIDE + 1, SIDE + 1))
-    for across, up in product((-1, 0, 1), (-1, 0, 1)):
-        column, row = tile[0] + across, tile[1] + up
-        inside = column >= 0 and row >= 0 and column * SIDE < last[0] and row * SIDE < last[1]
-        if inside and (column, row) not in known:
-            np.minimum(weights, np.maximum(distances[up][:, None], distances[across]), out=weights)
-    return weights
 
 
 class _Windows:

@@ -14,7 +14,7 @@ from ..field.lattice import Lattice
 from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
-from .surface import height_ranges_of, pack_surface
+from .surface import height_ranges_of, pack_surface, rounded_more
 
 
 def box_range(
@@ -52,9 +52,11 @@ def box_range(
     rows = min(int(high[1]), lattice.cells_y - 1) - first_row + 1
     row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
+    ranges = height_ranges_of(field, surface)
+    ranges.more = rounded_more(field, surface, highest(field.parts))  # cells with finer tiles have ranges of these
     inputs = [
         surface,
-        height_ranges_of(field, surface),
+        ranges,
         first_column,
         first_row,
         *corners,

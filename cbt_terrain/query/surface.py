@@ -39,8 +39,8 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     s.bicubic = int(field.interpolation == "bicubic")
     s.samples = codes.pack_samples(field.samples, field.steps)
     s.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
-    if field.raster.finer is not None:
-        s.has_finer, s.finer = 1, field.raster.finer.packed
+    if field.finer is not None:
+        s.has_finer, s.finer = 1, field.finer.packed
     s.holed = int(field.valid is not None)
     s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
     return s
@@ -56,8 +56,7 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
     b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
-    # The ranges leave out the detail; float64 rounds their heights.
-    b.more = field.max_change * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
+    b.more = rounded_more(field, surface, field.max_change)
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)
@@ -67,3 +66,12 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
     b.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
     return b
+
+
+def rounded_more(field: HeightField, surface: kernels.QueriedSurface, change: float) -> float:
+    """Return the metres by which ranges of heights are widened, since they leave out the detail and are rounded.
+
+    change: largest displacement, metres before the scaling of `surface`.
+    """
+    ends = (abs(height * surface.scale + surface.offset) for height in (field.min_height, field.max_height))
+    return change * abs(surface.scale) + ROUNDED_HEIGHT * max(ends)

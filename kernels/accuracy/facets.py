@@ -155,11 +155,36 @@ def finer_height(finer: PackedTiles, tile: wp.int32, u: wp.float64, v: wp.float6
 
 
 @wp.func
+def cubic_off_corners(
+    samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, finer_cells: wp.float64
+) -> wp.float64:
+    """Return the bicubic surface minus its bilinear interpolation between the corners of a finer cell, metres.
+
+    (i, j): the raster cell, which has `finer_cells` finer cells a side. s, t: position in the raster cell, 0 .. 1.
+    """
+    one = wp.float64(1.0)
+    west = wp.min(wp.floor(s * finer_cells), finer_cells - one)
+    south = wp.min(wp.floor(t * finer_cells), finer_cells - one)
+    x = s * finer_cells - west
+    y = t * finer_cells - south
+    z = cubic_at(samples, i, j, s, t)
+    k = wp.int32(0)
+    while k < 4:  # Warp does not unroll this loop
+        across = wp.float64(k & 1)
+        up = wp.float64(k >> 1)
+        weight = (across * x + (one - across) * (one - x)) * (up * y + (one - up) * (one - y))
+        z -= weight * cubic_at(samples, i, j, (west + across) / finer_cells, (south + up) / finer_cells)
+        k += 1
+    return z
+
+
+@wp.func
 def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the reference surface at (u, v), metres, with displacement and vertical scale.
 
     (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner. A finer tile there
-    replaces the cell's surface.
+    replaces the cell's surface. A bicubic surface goes through the tile's samples: between them it is the patch plus
+    the differences at the samples, interpolated bilinearly.
     """
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
@@ -175,6 +200,8 @@ def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64
         tile = tile_at(ground.finer[0], wp.int32(wp.floor(u * a_cell)), wp.int32(wp.floor(v * a_cell)))
         if tile >= 0:
             z = finer_height(ground.finer[0], tile, u * a_cell, v * a_cell)
+            if ground.bicubic == 1:
+                z += cubic_off_corners(ground.samples, i, j, s, t, a_cell)
     z += detail_in(ground, u, v)
     return z * ground.scale + ground.offset
 

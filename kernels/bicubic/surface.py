@@ -5,11 +5,14 @@ In each direction it is the cubic convolution of Keys (1981), "Cubic convolution
 processing", with a = -1/2: at a sample its slope is the central difference. Beyond the border heights are extrapolated,
 h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there. Heights are metres before vertical
 scaling.
+
+In finer tiles (kernels/field/finer.py) the surface is the bilinear one between finer heights plus `off_corners`. It has
+the finer heights at finer samples, and continues the patches around the tiles.
 """
 
 import warp as wp
 
-from ..field.codes import Samples, sample_at
+from ..field.codes import Samples, sample_at, sample_index
 
 
 @wp.func
@@ -67,22 +70,62 @@ def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
     wy = border_weights(weights(t), j, samples.rows)
     dx = border_weights(slopes(s), i, samples.columns)
     dy = border_weights(slopes(t), j, samples.rows)
-    row = wp.int64(samples.columns)
-    west = wp.int64(wp.max(i - 1, 0))
-    here = wp.int64(i)
-    east = wp.int64(i + 1)
-    far = wp.int64(wp.min(i + 2, samples.columns - 1))
     # Relative to a height of the cell, so a constant map stays constant to the last bit.
-    base = wp.float64(sample_at(samples, wp.int64(j) * row + here))
+    base = wp.float64(sample_at(samples, sample_index(samples, i, j)))
     found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
     for b in range(4):
-        at = wp.int64(wp.clamp(j + b - 1, 0, samples.rows - 1)) * row
-        h = wp.vec4d(
-            wp.float64(sample_at(samples, at + west)) - base,
-            wp.float64(sample_at(samples, at + here)) - base,
-            wp.float64(sample_at(samples, at + east)) - base,
-            wp.float64(sample_at(samples, at + far)) - base,
-        )
+        h = row_around(samples, i, j + b - 1, base)
         z = wp.dot(wx, h)
         found += wp.vec3d(wy[b] * z, wy[b] * wp.dot(dx, h), dy[b] * z)
+    return found
+
+
+@wp.func
+def row_around(samples: Samples, i: wp.int32, j: wp.int32, base: wp.float64) -> wp.vec4d:
+    """Return the samples i - 1 .. i + 2 of row j minus `base`, metres; beyond the border those at the border."""
+    at = wp.int64(wp.clamp(j, 0, samples.rows - 1)) * wp.int64(samples.columns)
+    west = wp.int64(wp.max(i - 1, 0))
+    far = wp.int64(wp.min(i + 2, samples.columns - 1))
+    return wp.vec4d(
+        wp.float64(sample_at(samples, at + west)) - base,
+        wp.float64(sample_at(samples, at + wp.int64(i))) - base,
+        wp.float64(sample_at(samples, at + wp.int64(i + 1))) - base,
+        wp.float64(sample_at(samples, at + far)) - base,
+    )
+
+
+@wp.func
+def off_corners(samples: Samples, bits: wp.int32, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
+    """Return the bicubic surface minus its bilinear interpolation between the corners of a finer cell.
+
+    The result is a height (metres) and its slopes (metres a raster cell, east and north), and 0 at the corners to the
+    last bit. bits: a raster cell has 2^bits finer cells a side. (i, j): the finer cell. s, t: position in it, 0 .. 1.
+    """
+    x = wp.min(i >> bits, samples.columns - 2)  # at the border the finer cell is one beyond, and s is 0
+    y = wp.min(j >> bits, samples.rows - 2)
+    count = wp.float64(wp.int32(1) << bits)
+    part = wp.float64(1.0) / count  # exact: a power of two
+    west = wp.float64(i - (x << bits)) * part
+    south = wp.float64(j - (y << bits)) * part
+    one = wp.float64(1.0)
+    w0 = weights(west)
+    w1 = weights(west + part)
+    v0 = weights(south)
+    v1 = weights(south + part)
+    wx = border_weights(weights(west + s * part), x, samples.columns)
+    wy = border_weights(weights(south + t * part), y, samples.rows)
+    dx = border_weights(slopes(west + s * part), x, samples.columns)
+    dy = border_weights(slopes(south + t * part), y, samples.rows)
+    # The same weights of the bilinear interpolation.
+    bx = border_weights(w0 * (one - s) + w1 * s, x, samples.columns)
+    by = border_weights(v0 * (one - t) + v1 * t, y, samples.rows)
+    ex = border_weights((w1 - w0) * count, x, samples.columns)
+    ey = border_weights((v1 - v0) * count, y, samples.rows)
+    base = wp.float64(sample_at(samples, sample_index(samples, x, y)))
+    found = wp.vec3d()
+    for b in range(4):
+        h = row_around(samples, x, y + b - 1, base)
+        z = wp.dot(wx, h)
+        c = wp.dot(bx, h)
+        found += wp.vec3d(wy[b] * z - by[b] * c, wy[b] * wp.dot(dx, h) - by[b] * wp.dot(ex, h), dy[b] * z - ey[b] * c)
     return found

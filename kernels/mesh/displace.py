@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..bicubic.surface import in_patch
+from ..bicubic.surface import in_patch, off_corners
 from ..field.cells import in_cell, on_sample
 from ..field.codes import prefetch_sample
 from ..field.domain import Domain
@@ -177,6 +177,9 @@ def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
         s = wp.float64(x - (i << shift)) * part
         t = wp.float64(y - (j << shift)) * part
         g = finer_at(domain.finer[0], tile, i, j, s, t)
+        if domain.bicubic == 1:
+            more = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
+            g = wp.vec3d(g[0] + more[0], g[1], g[2])
     elif ((x | y) & (cell - 1)) == 0:
         g = on_sample(domain.samples, x >> bits, y >> bits)
     else:

@@ -6,7 +6,7 @@ import warp as wp
 from ..field.codes import bilinear, corners_of
 from ..field.finer import finer_corners
 from ..field.layout import tile_index
-from .crossing import HeightRanges, range_at
+from .crossing import HeightRanges, cell_curvature, range_at
 from .surface import QueriedSurface, finer_cell, finer_tile, is_ground
 
 
@@ -18,6 +18,20 @@ def heights_in(surface: QueriedSurface, p: wp.vec4d, s0: wp.float64, t0: wp.floa
     """
     z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1)) * surface.scale
     return wp.min(z) + surface.offset, wp.max(z) + surface.offset
+
+
+@wp.func
+def distance_from_corners(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
+    """Bound the distance, metres, of the surface from the bilinear one between finer samples of raster cell (i, j).
+
+    It is 0 for a bilinear surface. Of a bicubic one it is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side
+    h, and it includes the displacement.
+    """
+    off = wp.float64(0.0)
+    if surface.bicubic == 1:
+        finer_cells = wp.float64(wp.int64(1) << wp.int64(2 * surface.finer[0].bits))
+        off = cell_curvature(blocks, i, j) / finer_cells * wp.abs(surface.scale) + blocks.more
+    return off
 
 
 @wp.kernel
@@ -37,8 +51,8 @@ def row_ranges(
 
     They are metres after scaling, and (infinity, -infinity) without ground. west .. north: sides of the box in cells
     from the raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is exact and
-    without displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, displacement
-    included.
+    without displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, or those of finer
+    cells with a bound of its distance from them, displacement included.
     """
     n = offset + wp.tid()
     j = first_row + n
@@ -59,6 +73,7 @@ def row_ranges(
                 x1, u1 = finer_cell(surface, i, s1)
                 y0, v0 = finer_cell(surface, j, t0)
                 y1, v1 = finer_cell(surface, j, t1)
+                off = distance_from_corners(surface, blocks, i, j)
                 for y in range(y0, y1 + 1):
                     for x in range(x0, x1 + 1):
                         p = finer_corners(surface.finer[0], tile, x, y)
@@ -70,8 +85,8 @@ def row_ranges(
                             wp.where(x == x1, u1, one),
                             wp.where(y == y1, v1, one),
                         )
-                        low = wp.min(low, a)
-                        high = wp.max(high, b)
+                        low = wp.min(low, a - off)
+                        high = wp.max(high, b + off)
             elif surface.bicubic == 1:
                 a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
                 low = wp.min(low, a)

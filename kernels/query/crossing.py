@@ -164,6 +164,16 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 
 
 @wp.func
+def cell_curvature(blocks: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
+    """Return an upper bound of a quarter of the norm of the bicubic surface's second derivatives in cell (i, j).
+
+    The unit is metres before scaling, over squared cells.
+    """
+    at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
+    return wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at))
+
+
+@wp.func
 def half_curvature_along(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
 ) -> wp.float64:
@@ -174,14 +184,14 @@ def half_curvature_along(
     """
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
-    if finer_twist >= wp.float64(0.0):
+    if surface.bicubic == 1:
+        quarter = cell_curvature(blocks, i, j)
+        curvature = wp.float64(2.0) * quarter * across
+        if finer_twist >= wp.float64(0.0):
+            # The differences between the surfaces at finer samples have the twists of both.
+            curvature += (finer_twist + wp.float64(4.0) * quarter) * wp.abs(ray.du * ray.dv)
+    elif finer_twist >= wp.float64(0.0):
         curvature = finer_twist * wp.abs(ray.du * ray.dv)
-    elif surface.bicubic == 1:
-        at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
-        # the store holds a quarter of the norm of the second derivatives over cells
-        curvature = (
-            wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at)) * across
-        )
     else:
         p = corners_of(surface.samples, i, j)
         curvature = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
@@ -296,7 +306,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
         piece.last = larger(piece.first, smaller(out, part.last))
         piece.side = side
         corners = finer_corners(surface.finer[0], tile, i, j)
-        if surface.layers.count == 0:
+        if surface.layers.count == 0 and surface.bicubic == 0:
             piece.i = i
             piece.j = j
             hit, side = in_bilinear(surface, corners, fine, piece)

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..bicubic.surface import in_patch
+from ..bicubic.surface import in_patch, off_corners
 from ..field.cells import in_cell
 from ..field.codes import Samples, corners_of
 from ..field.detail import PackedLayers, detail_at
@@ -129,6 +129,8 @@ def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.f
         a_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
         g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
         g = wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+        if surface.bicubic == 1:
+            g += off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
     elif surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:
@@ -149,6 +151,9 @@ def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, 
         x, u = finer_cell(surface, i, s)
         y, v = finer_cell(surface, j, t)
         g = finer_at(surface.finer[0], tile, x, y, u, v)
+        if surface.bicubic == 1:
+            more = off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
+            g = wp.vec3d(g[0] + more[0], g[1], g[2])
     elif surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:

@@ -2,6 +2,7 @@
 """Height fields, views and measurements that the tests share."""
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from detail_surface import bilinear, ground_heights
 from diamond_entries import range_index
+from finer_bicubic import heights_with_tiles
 from matplotlib.tri import Triangulation
 
 
@@ -110,7 +112,8 @@ def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
         plain = with_detail(field, None)
         return reference_heights(plain, plane) + ground_heights(field, plane)
     if field.interpolation == "bicubic":
-        return bezier_heights(field, plane)
+        bicubic = partial(bezier_heights, field)
+        return heights_with_tiles(field, plane, bicubic) if field.raster.finer else bicubic(plane)
     return bilinear(field.lattice, np.asarray(field.heights(), np.float64), plane)
 
 

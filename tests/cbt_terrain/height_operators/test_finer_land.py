@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import finer_build
-from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
+from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE, known_tiles
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.height_operators import level_plan, shape_store
-from adaptive_terrain.cbt_terrain.height_operators.finer_land import known_tiles, move_heights
+from adaptive_terrain.cbt_terrain.height_operators.finer_land import move_heights
 from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.preview import preview
 from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The finer tiles of a bicubic surface: the raster's bicubic surface plus differences at finer samples.
+
+The difference at a finer sample is its height minus the bicubic surface there, and it is interpolated bilinearly. So
+the surface has the known finer heights, is smooth outside of the tiles, and is continuous. Inside the border of all
+known tiles, an import mixes finer heights with those of the raster's bilinear surface. There the bicubic surface takes
+its place: the height is f + (1 - w) (b - l), with the finer height f, the weight w of `border_weights`, and the heights
+b and l of the bicubic and the bilinear surface. In the ring of tiles around them it is b.
+
+The tiles hold these heights, and the errors and limits of the differences, which is their change. In a finer cell the
+surface is the bilinear one between the heights plus the bicubic surface minus its bilinear interpolation between the
+corners. The latter is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side h, in raster cells. A second
+derivative is at most 12 times the range of a patch's control heights (six times a second difference of them), so that
+is 3 h^2 times the range. It widens the ranges of heights.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from ..run import launch
+from . import codes, derived_arrays, hierarchy
+from .blocks import halvings
+from .codes import MAX_EXPONENT, MIN_EXPONENT
+from .finer_build import corners_of_squares, outward, square_at, tiles_of
+from .finer_heights import border_margin, border_weights, extend_beyond, raster_heights
+from .finer_measures import fill_errors, fill_ranges, limits_of
+from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
+from .heightfield import HeightField, HeightRaster
+from .hierarchy import ranges_at
+
+Arrays = dict[str, np.ndarray]
+
+
+def bicubic_tiles(smooth: HeightField) -> tuple[FinerTiles, float, float]:
+    """Return the finer tiles of a bicubic surface, cached in its store, and their lowest and highest height, metres.
+
+    smooth: the bicubic surface of the raster alone, which has finer tiles.
+    """
+    finer = smooth.raster.finer
+    assert finer is not None
+    shapes = bicubic_shapes(smooth.lattice, finer.bits, len(finer.heights))
+    arrays = derived_arrays.derive(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
+    exponent, *scale, low, high = arrays["finer_values_c"].tolist()
+    heights, errors, ranges, limits = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits"))
+    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, *scale, int(exponent), limits)
+    return tiles, low, high
+
+
+def _are_valid(arrays: Arrays) -> bool:
+    """Return whether the numbers among arrays from files can be an exponent, a scale and a range of heights."""
+    values = arrays["finer_values_c"]
+    exponent, _base, step, low, high = values.tolist()
+    return bool(np.isfinite(values).all() and MIN_EXPONENT <= exponent <= MAX_EXPONENT and step > 0 and low <= high)
+
+
+def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
+    """Fill the zeroed arrays of `bicubic_shapes`, by name; the same bytes for any number of threads."""
+    lattice, bits, numbers, threads = smooth.lattice, finer.bits, finer.numbers, launch.default_threads()
+    heights, errors, ranges = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges"))
+    steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
+    low, high = _fill_heights(smooth, finer, heights)
+    square = partial(square_at, smooth, bits, numbers, heights, surface=bicubic_heights, off=distances_from_bilinear)
+    corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
+    for corner in corners:
+        change = square(corner).change
+        for row, column, _tile, where in tiles_of(corner, numbers):
+            limits[row, column] = limits_of(change[where], steps)
+    arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
+    exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
+    table, scale = codes.tables([exponent])[0], hierarchy.range_scale(low, high)
+    for corner in corners:
+        measured, tiles = square(corner), list(tiles_of(corner, numbers))
+        fill_errors(measured, tiles, errors, threads, steps=steps, table=table)
+        fill_ranges(measured, tiles, ranges, threads, steps=steps, scale=scale)
+    arrays["finer_values_c"][:] = exponent, *scale, low, high
+
+
+def _fill_heights(smooth: HeightField, finer: FinerTiles, heights: np.ndarray) -> tuple[float, float]:
+    """Fill the heights of all tiles; return bounds of the surface in them, metres."""
+    lattice, bits, known = smooth.lattice, finer.bits, set(finer.known)
+    last = lattice.cells_x << bits, lattice.cells_y << bits
+    ends = [np.inf, -np.inf]
+    for row, column in np.argwhere(finer.numbers >= 0).tolist():
+        number = finer.numbers[row, column]
+        x, y = (SIDE * at - 1 + np.arange(STRIDE) for at in (column, row))
+        weights = border_weights((column, row), known, border_margin(bits), last, 1)
+        heights[number] = _mixed_heights(smooth, bits, finer.heights[number], weights, x, y)
+        extend_beyond(heights[number], column, row, last)
+        inner = outward(heights[number], distances_from_bilinear(smooth, bits, x, y))
+        ends = [min(ends[0], float(inner[0].min())), max(ends[1], float(inner[1].max()))]
+    return (ends[0], ends[1]) if len(heights) else (0.0, 0.0)
+
+
+def _mixed_heights(
+    smooth: HeightField, bits: int, heights: np.ndarray, weights: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    """Return the heights of the surface at finer columns x and rows y: float32 [y, x] metres.
+
+    heights: the finer ones. weights: of these, 0 to 1; the bicubic surface replaces the bilinear one by the rest.
+    """
+    if (weights == 1.0).all():
+        return heights
+    bilinear, bicubic = raster_heights(smooth, bits, x, y), bicubic_heights(smooth, bits, x, y)
+    above = np.where(heights == bilinear.astype(np.float32), 0.0, heights - bilinear)
+    mixed = (above + (bicubic * (1.0 - weights) + bilinear * weights)).astype(np.float32)
+    return np.where(weights == 1.0, heights, mixed)
+
+
+def bicubic_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the heights of the raster's bicubic surface at finer columns x and rows y, both rising, float64 [y, x].
+
+    Outside of the raster they are those at its border. bits: a raster cell has 2^bits finer cells a side.
+    """
+    lattice, axes = plain.lattice, []
+    for at, cells in ((x, lattice.cells_x), (y, lattice.cells_y)):
+        axes.append(_samples_and_weights(at, cells, bits))
+    (columns, across), (rows, up) = axes
+    first_column, first_row = int(columns.min()), int(rows.min())
+    nodes = plain.heights(slice(first_row, int(rows.max()) + 1), slice(first_column, int(columns.max()) + 1))
+    nodes = nodes.astype(np.float64)
+    # Sums written out: products of matrices differ between processors.
+    along = sum(nodes[:, columns[k] - first_column] * across[k] for k in range(4))
+    return sum(along[rows[k] - first_row] * up[k][:, None] for k in range(4))
+
+
+def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the four samples on which a height depends along an axis, and their weights: int64 and float64 [4, at].
+
+    at: finer columns or rows. cells: raster cells along the axis. Beyond the border h(-1) = 2 h(0) - h(1).
+    """
+    inside = np.clip(at, 0, cells << bits)
+    cell = np.minimum(inside >> bits, cells - 1)
+    t = (inside - (cell << bits)) / (1 << bits)
+    r = 1.0 - t
+    weights = np.array(
+        [-0.5 * t * r * r, 1 - 0.5 * t * t * (5 - 3 * t), 0.5 * t * (1 + t * (4 - 3 * t)), -0.5 * t * t * r]
+    )
+    for beyond, line, near, far in ((cell == 0, 0, 1, 2), (cell == cells - 1, 3, 2, 1)):
+        weights[near] += np.where(beyond, 2.0 * weights[line], 0.0)
+        weights[far] -= np.where(beyond, weights[line], 0.0)
+        weights[line] = np.where(beyond, 0.0, weights[line])
+    return np.clip(cell + np.arange(-1, 3)[:, None], 0, cells), weights
+
+
+def distances_from_bilinear(smooth: HeightField, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Bound how far the surface is from the bilinear one between finer heights in the cells around finer samples.
+
+    The result is float64 [y, x] metres. Samples outside of the raster count as those at its border. x, y: finer columns
+    and rows. bits: a raster cell has 2^bits finer cells a side.
+    """
+    lattice, sides = smooth.lattice, []
+    for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
+        inside = np.clip(at, 0, cells << bits)
+        after = np.minimum(inside >> bits, cells - 1)
+        before = np.maximum(-(-inside >> bits) - 1, 0)
+        sides.append((before, after, int(before.min())))
+    (south, north, row), (west, east, column) = sides
+    spreads = _patch_ranges(smooth, slice(column, int(east.max()) + 1), slice(row, int(north.max()) + 1))
+    rows = np.maximum(spreads[south - row], spreads[north - row])
+    return np.maximum(rows[:, west - column], rows[:, east - column]) * (3.0 / (1 << 2 * bits))
+
+
+def _patch_ranges(smooth: HeightField, columns: slice, rows: slice) -> np.ndarray:
+    """Return the range of the control heights of the patches in some raster cells, float64 [rows, columns] metres."""
+    stored = ranges_at(smooth.lattice, smooth.lattice.cell_depth)
+    x, y = np.arange(columns.start, columns.stop, dtype=np.int64), np.arange(rows.start, rows.stop, dtype=np.int64)
+    y = y[:, None]
+    page = (y >> 5) * stored.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
+    inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
+    ends = smooth.ranges[stored.base + (page << 10 | inside)].astype(np.float64)
+    return (ends[..., 1] - ends[..., 0]) * smooth.range_step

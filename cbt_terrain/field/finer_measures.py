@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), measured in squares of tiles."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from . import codes, hierarchy
+from .finer_tiles import SIDE, TILE_BITS
+from .lattice import PAGE, Lattice
+
+GROUPS = 3  # of depths with stored errors
+UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
+
+Part = tuple[int, int, int, tuple[slice, slice]]  # row, column and number of a tile, and its samples in a square
+
+
+class Square(NamedTuple):
+    """A square of tiles that is measured at a time.
+
+    Attributes:
+        column, row: its first tile.
+        low, high: bounds of the surface at its finer samples, float32 metres; a bilinear surface has one array.
+        change: the surface minus that of the raster at its finer samples, float32 metres; all are 0 outside of tiles.
+    """
+
+    column: int
+    row: int
+    low: np.ndarray
+    high: np.ndarray
+    change: np.ndarray
+
+    def lattice(self, steps: tuple[float, float]) -> Lattice:
+        """Return the lattice of the square, one root square for each tile. steps: of finer samples, metres."""
+        count = len(self.change) // SIDE
+        return Lattice(count, count, TILE_BITS, *steps)
+
+
+def fill_errors(
+    square: Square,
+    tiles: list[Part],
+    errors: np.ndarray,
+    threads: int,
+    *,
+    steps: tuple[float, float],
+    table: np.ndarray,
+) -> None:
+    """Fill the errors of some tiles of a square. steps: of finer samples, metres. table: metres of the codes."""
+    small = square.lattice(steps)
+    metres = np.zeros(small.node_count, np.float32)
+    hierarchy.build_errors(square.change, small, metres, threads)
+    images = list(_images(small.layout(), metres * UP))
+    for _row, _column, tile, where in tiles:
+        stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
+        errors[tile] = 0  # an earlier attempt may have left others, and zeros are not written
+        codes.encode_part(stored, table, errors[tile], threads)
+
+
+def fill_ranges(
+    square: Square,
+    tiles: list[Part],
+    ranges: np.ndarray,
+    threads: int,
+    *,
+    steps: tuple[float, float],
+    scale: tuple[float, float],
+) -> None:
+    """Fill the ranges of heights of some tiles of a square. steps: as of `fill_errors`. scale: metres of the codes."""
+    small = square.lattice(steps)
+    found = np.zeros((small.range_count, 2), np.uint16)
+    hierarchy.build_ranges(square.low, small, *scale, found, threads)
+    if square.high is not square.low:
+        above = np.zeros_like(found)
+        hierarchy.build_ranges(square.high, small, *scale, above, threads)
+        found[:, 1] = above[:, 1]
+    images = list(_images(small.range_layout(), found, False))
+    for _row, _column, tile, where in tiles:
+        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in images])
+
+
+def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float32, np.float32]:
+    """Return the largest change of a tile, metres, and its largest slope along an axis, rounded up."""
+    slopes = [float(np.abs(np.diff(change, axis=axis)).max()) / step for axis, step in ((1, steps[0]), (0, steps[1]))]
+    return np.float32(float(np.abs(change).max()) * UP), np.float32(max(slopes) * UP)
+
+
+def _images(
+    layout: tuple[np.ndarray, np.ndarray], values: np.ndarray, with_cells: bool = True
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield the values of each stored group as rows of vertices, and log2 of the distance of two in those of group 0.
+
+    layout: of the values (lattice.py). with_cells: also yield those of the cells.
+    """
+    base, pages = layout
+    for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):
+        wide, rest = int(pages[group]), values.shape[1:]
+        image = values[base[group] : base[group + 1]].reshape(-1, wide, 8, 8, 4, 4, *rest)
+        rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * wide, *rest)
+        yield rows, 2 * group if group < GROUPS else 0
+
+
+def _pages(image: np.ndarray, where: tuple[slice, slice], shift: int) -> np.ndarray:
+    """Return the entries of a tile as pages, [n, ...]; `image`: rows of vertices, 2^shift cells apart."""
+    y, x = (slice(at.start >> shift, at.stop - 1 >> shift) for at in where)
+    part, rest = image[y, x], image.shape[2:]
+    side = max(len(part), PAGE)
+    full = np.zeros((side, side, *rest), image.dtype)
+    full[: len(part), : len(part)] = part
+    full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)
+    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)

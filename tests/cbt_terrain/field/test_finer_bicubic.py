@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The bicubic surface with finer tiles, against point-by-point code: heights, bounds, cracks, rays and boxes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
+from adaptive_terrain.cbt_terrain.query.box import box_range
+from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.query.rays import pick
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from fields import extent, mesh_heights, random_view, reference_heights, screen_error
+from finer_fields import finer_field
+from invariants import assert_invariants
+
+
+@pytest.fixture(scope="module", params=[4, 1], ids=["2 m in 32 m", "16 m in 32 m"])
+def field(request):
+    if request.param == 4:
+        return interpolated(finer_field(), "bicubic")
+    return interpolated(finer_field(150, 290, 1, ((0, 0),), relief=20.0), "bicubic")
+
+
+def places_on(field, count, seed):
+    """Return points of the terrain, half of them in or near tiles, some at finer samples and on tiles' borders."""
+    rng = np.random.default_rng(seed)
+    low, high = (np.array(ends) for ends in (field.lattice.rectangle()[:2], field.lattice.rectangle()[2:]))
+    tiles, side = field.raster.finer, SIDE * field.lattice.step_x / (1 << field.raster.finer.bits)
+    rows, columns = np.nonzero(tiles.numbers >= 0)
+    some = rng.integers(len(rows), size=count)
+    part = rng.random((count, 2))
+    part[::5, 0] = np.round(part[::5, 0])
+    near = low + (np.stack([columns[some], rows[some]], 1) + part) * side
+    near[::3] = low + np.round((near[::3] - low) * (SIDE / side)) * (side / SIDE)
+    found = np.concatenate([low + rng.random((count, 2)) * extent(field)[:2], near])
+    return found[((found >= low) & (found <= high)).all(axis=1)]
+
+
+def test_heights_are_those_of_the_patches_and_the_differences(field):
+    places = places_on(field, 4000, 1)
+    assert np.abs(ground_at(field, places).heights - reference_heights(field, places)).max() < 3e-5
+
+
+def test_finer_samples_keep_their_heights_inside_the_tiles(field):
+    tiles, step = field.raster.finer, field.lattice.step_x / (1 << field.raster.finer.bits)
+    column, row = min(tiles.known)
+    inner = np.stack(np.meshgrid(*[np.arange(40, 217, 8)] * 2), -1).reshape(-1, 2)
+    places = np.array(field.lattice.rectangle()[:2]) + (inner + SIDE * np.array([column, row])) * step
+    stored = tiles.heights[tiles.numbers[row, column]][1 + inner[:, 1], 1 + inner[:, 0]]
+    assert np.array_equal(ground_at(field, places).heights.astype(np.float32), stored)
+
+
+@pytest.mark.parametrize("meshlet", [0, 2])
+def test_bounds_hold_in_random_views(field, meshlet):
+    rng = np.random.default_rng(5 + meshlet)
+    places, finest = places_on(field, 6000, 2), 0
+    for number in range(8):
+        view = random_view(rng, field)
+        if number % 2:
+            at = places[rng.integers(len(places))]
+            z = float(reference_heights(field, at[None])[0])
+            view = View.look((*at, z + 10 ** rng.uniform(0.3, 2.5)), (*(at + rng.normal(size=2) * 300), z))
+        criterion = Criterion(error_px=float(10 ** rng.uniform(-0.5, 1)), meshlet=meshlet, max_triangles=60_000)
+        update = Terrain(field).update(criterion, [view])
+        assert_invariants(update.surface, field.lattice, meshlet)
+        assert screen_error(view, field, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
+        finest = max(finest, int(update.surface.level.max()))
+    assert finest > field.lattice.cell_depth + 2 * field.raster.finer.bits
+
+
+def test_bound_in_metres_holds_over_the_whole_mesh(field):
+    places = places_on(field, 20_000, 3)
+    for error_m in (8.0, 2.0):
+        update = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
+        off = np.abs(mesh_heights(update.surface, places) - reference_heights(field, places))
+        assert off.max() <= update.bound_m and update.bound_m <= error_m * (1 + 1e-6)
+        assert off.max() > 0.2 * error_m
+        assert_invariants(update.surface, field.lattice)
+
+
+def test_edges_and_areas_have_no_cracks(field):
+    step = field.lattice.step_x / (1 << field.raster.finer.bits)
+    at = np.array(field.lattice.rectangle()[:2]) + SIDE * step * np.array([0.6, 0.9])
+    view = View.look((*at, 160.0), (*(at + 400), 60.0))
+    for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
+        update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
+        assert_invariants(update.surface, field.lattice)
+
+
+def test_rays_meet_the_surface_and_boxes_enclose_it(field):
+    rng = np.random.default_rng(4)
+    places = places_on(field, 1500, 4)
+    origins = np.c_[places, np.full(len(places), field.max_height + 20.0)]
+    targets = np.c_[places[rng.permutation(len(places))], rng.uniform(-50, 0, len(places))]
+    ways = (targets - origins) / np.linalg.norm(targets - origins, axis=1)[:, None]
+    distance = pick(field, origins, ways).distance
+    hit = np.isfinite(distance)
+    assert hit.mean() > 0.5
+    points = origins[hit] + distance[hit, None] * ways[hit]
+    assert np.abs(points[:, 2] - reference_heights(field, points[:, :2])).max() < 1e-3
+    for part in (0.2, 0.5, 0.9, 0.99):  # the ray is above the surface before
+        before = origins[hit] + part * distance[hit, None] * ways[hit]
+        assert (before[:, 2] > reference_heights(field, before[:, :2]) - 1e-3).all()
+    for _ in range(20):
+        low = places[rng.integers(len(places))]
+        high = low + 10 ** rng.uniform(0, 2.5, 2)
+        inside = places[((places >= low) & (places <= high)).all(axis=1)]
+        inside = np.concatenate([inside, low + rng.random((500, 2)) * (high - low)])
+        inside = inside[(inside <= np.array(field.lattice.rectangle()[2:])).all(axis=1)]
+        heights, ends = reference_heights(field, inside), box_range(field, *low, *high)
+        assert ends[0] - 3e-5 <= heights.min() and heights.max() <= ends[1] + 3e-5

@@ -15,7 +15,7 @@ from ..field.finer import finer_corners
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .surface import QueriedSurface, finer_tile, height_and_slopes
+from .surface import QueriedSurface, add_detail, finer_tile, height_and_slopes, in_finer_cell
 
 NOWHERE = wp.constant(wp.float64(wp.inf))  # t of a ray that meets nothing
 MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
@@ -201,13 +201,15 @@ def half_curvature_along(
 
 
 @wp.func
-def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment, finer_twist: wp.float64):
+def in_curved(
+    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment, finer_twist: wp.float64, finer: wp.vec2i
+):
     """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side before that.
 
     t is infinite if they meet nowhere; the side is then that at the segment's end, too. They meet where the ray is
     `part.slack` metres beyond the surface. side: 1 above, -1 below, 0 if it is unknown and the ray is on the surface.
-    The segment is in one raster cell, or in a finer cell with a twist (see `half_curvature_along`). The ray advances by
-    steps in which the bounded second derivative rules out a crossing.
+    The segment is in one raster cell, or in the finer cell `finer` with a twist (see `half_curvature_along`). The ray
+    advances by steps in which the bounded second derivative rules out a crossing.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j, finer_twist)
@@ -219,7 +221,16 @@ def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: Ray
         k += 1
         s = ray.u + t * ray.du - wp.float64(part.i)
         r = ray.v + t * ray.dv - wp.float64(part.j)
-        g = height_and_slopes(surface, part.i, part.j, s, r)
+        g = wp.vec3d()
+        if finer_twist >= zero:
+            # Rounding must not choose the cell: a surface between finer samples has other slopes in each.
+            bits = surface.finer[0].bits
+            count = wp.float64(wp.int32(1) << bits)
+            u = s * count - wp.float64(finer[0] - (part.i << bits))
+            v = r * count - wp.float64(finer[1] - (part.j << bits))
+            g = add_detail(surface, part.i, part.j, s, r, in_finer_cell(surface, finer[0], finer[1], u, v))
+        else:
+            g = height_and_slopes(surface, part.i, part.j, s, r)
         e = ray.z + t * ray.dz - (g[0] * surface.scale + surface.offset)
         climb = g[1] * surface.step_x * ray.du + g[2] * surface.step_y * ray.dv
         slope = ray.dz - climb * surface.scale
@@ -313,7 +324,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
         else:
             piece.i = part.i
             piece.j = part.j
-            hit, side = in_curved(surface, blocks, ray, piece, twist_of(corners) * scale * scale)
+            hit, side = in_curved(surface, blocks, ray, piece, twist_of(corners) * scale * scale, wp.vec2i(i, j))
         piece.first = piece.last
         if to_x <= to_y:
             i += 2 * east - 1
@@ -339,7 +350,7 @@ def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: R
         low, high = cell_range(surface, blocks, part.i, part.j)
         on_side = clear_of(low, high, ray, part)
         if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0))
+            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0), wp.vec2i())
         else:
             hit, side = passed(part, on_side)
     return hit, side

@@ -116,21 +116,31 @@ def add_detail(
 
 
 @wp.func
+def in_finer_cell(surface: QueriedSurface, x: wp.int32, y: wp.int32, u: wp.float64, v: wp.float64) -> wp.vec3d:
+    """Return height (metres) and slopes (metres a raster cell) in finer cell (x, y) of a tile, without displacement.
+
+    u, v: position in the finer cell, 0 .. 1, or a rounding beyond: the slopes are still those of this cell.
+    """
+    tile = tile_at(surface.finer[0], x, y)
+    a_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
+    g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
+    g = wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+    if surface.bicubic == 1:
+        g += off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
+    return g
+
+
+@wp.func
 def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling, displacement included.
 
     s, t: position in the cell, 0 .. 1. Slopes have steps between bilinear cells; `shaded_in` has smooth ones.
     """
     g = wp.vec3d()
-    tile = finer_tile(surface, i, j)
-    if tile >= 0:
+    if finer_tile(surface, i, j) >= 0:
         x, u = finer_cell(surface, i, s)
         y, v = finer_cell(surface, j, t)
-        a_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
-        g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
-        g = wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
-        if surface.bicubic == 1:
-            g += off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
+        g = in_finer_cell(surface, x, y, u, v)
     elif surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:

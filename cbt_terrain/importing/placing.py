@@ -22,8 +22,8 @@ class Placing(NamedTuple):
     """Position of a terrain in its coordinate system.
 
     Attributes:
-        x: coordinate of the terrain's middle.
-        y: coordinate of the terrain's middle.
+        x: coordinate of the origin of the terrain's space: its middle or its anchor.
+        y: coordinate of the same point.
         metres_x: metres in a unit of x.
         metres_y: metres in a unit of y.
         crs: name of the system; "" if coordinates are metres from the middle, because there is no system, the user has
@@ -97,10 +97,11 @@ def placing_of(store: str | os.PathLike) -> Placing:
 
 
 def placing_or_middle(field: HeightField) -> Placing:
-    """Return the position of a field's middle; metres from the middle if it has none."""
+    """Return the position of a field's space, whose origin is its anchor; metres from the middle if it has none."""
     if field.path is None or not is_placed(field, field.path):
-        return Placing()
-    return placing_of(field.path) if field.crs else Placing(float(field.origin[0]), float(field.origin[1]))
+        return Placing(field.lattice.anchor_x, field.lattice.anchor_y)
+    placing = placing_of(field.path) if field.crs else Placing()  # of the store, which has no anchor
+    return placing._replace(x=float(field.origin[0]), y=float(field.origin[1]))
 
 
 def reproject_point(x: float, y: float, source: str, target: str) -> tuple[float, float]:

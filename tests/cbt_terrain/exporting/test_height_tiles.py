@@ -16,6 +16,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.exporting import height_tiles
 from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
 from adaptive_terrain.cbt_terrain.exporting.tile_grid import UNREAL_SIZES, axes_of
+from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from rasterio.transform import Affine
 from rasters import hills, imported, write_raster
@@ -135,6 +136,27 @@ def test_geotiff_tiles_lie_where_their_samples_are(make, tmp_path):
             row = np.rint((5_199_990 - np.array(y)) / 20).astype(int)
             on = (column < 100) & (row < 75)
             assert (file.read(1).ravel()[on] == heights[row[on], column[on]]).all() and on.any()
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:4326", None])
+@pytest.mark.parametrize("extent", [None, (99 * 700.0, 74 * 300.0)])
+def test_an_anchor_does_not_move_the_tiles(tmp_path, crs, extent):
+    """rasterio reads the same transform and system from tiles of a field with an anchor as from those of its raster."""
+    place = Affine(0.003, 0, 8.0, 0, -0.002, 46.0) if crs == "EPSG:4326" else Affine(300.0, 0, 5e5, 0, -200.0, 5.2e6)
+    source = write_raster(tmp_path / "in.tif", hills(100, 75), crs=crs, transform=place)
+    field, _ = imported(tmp_path, source, extent=extent)
+    found = {}
+    for name, exported in (("plain", field), ("moved", anchored(field, 3072.0, -2048.0))):
+        (tmp_path / name).mkdir()
+        index = export_height_tiles(exported, tmp_path / name, HeightTiles("tif", size=40))
+        files = [tmp_path / name / tile["file"] for tile in index["tiles"]]
+        with rasterio.open(files[0]) as first, rasterio.open(files[-1]) as last:
+            found[name] = first.crs, np.array([*index["origin"], *index["step"], *first.transform, *last.transform])
+    assert found["moved"][0] == found["plain"][0] and (found["plain"][0] is None) == bool(extent or crs is None)
+    assert found["moved"][1] == pytest.approx(found["plain"][1], rel=1e-11, abs=1e-8)
+    across, down = found["moved"][1][2:4]
+    middle = (0.0, 0.0) if extent else (place.c + 50.0 * place.a, place.f + 37.5 * place.e)
+    assert found["moved"][1][:2] + (49.5 * across, 37 * down) == pytest.approx(middle, rel=1e-11, abs=1e-8)
 
 
 def test_flipped_tiles_begin_in_the_south(make, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.exporting.tileset import export_tileset
+from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 from rasterio.transform import Affine
 from rasters import hills, imported, write_raster
@@ -142,6 +143,20 @@ def test_a_tileset_on_the_globe_is_where_its_raster_is(tmp_path):
             assert abs(np.stack([longitude, latitude], -1) - wanted).max() * 111_320 < 2e-3
             off = height - bilinear(heights, (7.3, 11.9), x - field.origin[0], y - field.origin[1])
             assert abs(off).max() <= report.bounds[level]
+
+
+def test_an_anchor_does_not_move_a_tileset(tmp_path):
+    """Corners of both tilesets have the same Earth-centred coordinates."""
+    place = {"crs": "EPSG:32632", "transform": Affine(300.0, 0, 532_000.0, 0, -200.0, 5_200_000.0)}
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(33, 33), **place))
+    found = []
+    for exported in (field, anchored(field, 3072.0, -2048.0)):
+        export_tileset(exported, tmp_path / "land.json", 50.0, 10_000)
+        tileset, [(_, _, mesh)] = read_tileset(tmp_path / "land.json")
+        matrix = np.array(tileset["root"]["transform"]).reshape(4, 4).T
+        corners = mesh.positions[[np.abs(mesh.uv - corner).sum(1).argmin() for corner in np.ndindex(2, 2)]]
+        found.append(corners.astype(float) @ matrix[:3, :3].T + matrix[:3, 3])
+    assert np.ptp(found[0], axis=0).max() > 5000.0 and np.abs(found[0] - found[1]).max() < 2e-3
 
 
 def geodetic(points):

@@ -230,7 +230,8 @@ class Fitter:
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         far = float(worst.max())
-        precision = self._plane_rounding_error(float(steeper.max())) + self._computing_error(far)
+        divided = 2.0 ** max(0, len(of_level) // 2 - lattice.levels)
+        precision = self._plane_rounding_error(float(steeper.max()), divided) + self._computing_error(far)
         terms_m = far, precision, self.source
         total = add_up(terms_m)
         bound, limited = total * OUTWARD, ""
@@ -266,26 +267,31 @@ class Fitter:
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         if self.finer is not None:
             finer = max(finer, 2.0 ** (self.finer.bits + 1))
-        return self._plane_rounding_error(2.0 * error_m * finer)
+        return self._plane_rounding_error(2.0 * error_m * finer, finer)
 
-    def _plane_rounding_error(self, steeper: float) -> float:
+    def _plane_rounding_error(self, steeper: float, divided: float) -> float:
         """Return the metres of error that rounding plane coordinates to float32 adds.
 
-        steeper: by how many metres a cell facets may be steeper than the surface.
+        Coordinates count from the anchor. A facet whose corners were rounded away from the raster's border continues
+        to it, and is steeper than before by twice their rounding over its length; twice that covers second-order terms.
+
+        steeper: by how many metres a cell facets may be steeper than the surface. divided: a cell is this number of
+        times as long as the shortest facet, 1 at least.
         """
         lattice, error = self.field.lattice, 0.0
         times = 2.0 if lattice.is_padded else 1.0  # vertices cut at the border are rounded twice
         axes = (
-            (lattice.cells_x, lattice.span[0], lattice.step_x, self.field.steepest_x),
-            (lattice.cells_y, lattice.span[1], lattice.step_y, self.field.steepest_y),
+            (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x, self.field.steepest_x),
+            (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y, self.field.steepest_y),
         )
         largest = position_rounding(self.field, self.depth, *self.placement)
-        for axis, (cells, span, step, slope) in enumerate(axes):
+        for axis, (cells, span, step, anchor, slope) in enumerate(axes):
             off = largest[axis]
             if self.finer is None:
-                positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step
+                positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step - anchor
                 off = float(np.abs(positions.astype(np.float32) - positions).max())
-            error += times * off * (slope * self.scale + steeper / step)
+            off *= times
+            error += off * (slope * self.scale + steeper / step) * (1.0 + 4.0 * off * divided / step)
         return error
 
     def ns_each(self, triangles: int) -> float:

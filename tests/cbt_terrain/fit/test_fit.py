@@ -6,7 +6,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, anchored
 from adaptive_terrain.cbt_terrain.fit import fitter as fitter_room
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.fit.fitter import Fitter
@@ -261,3 +261,19 @@ def test_raised_errors_fit_into_a_byte(monkeypatch):
     monkeypatch.setattr(fitter_room, "usual_depth", lambda field: field.lattice.cell_depth + 12)
     with pytest.raises(AssertionError):
         fit(field, 6.0)
+
+
+@pytest.mark.parametrize("anchor", [0.0, 240 * 1024.0, -240 * 1024.0])
+@pytest.mark.parametrize("error_m", [0.5, 20.0])
+def test_the_bound_holds_up_to_500_km_from_the_anchor(anchor, error_m):
+    """Walls of 9 km, 123.4 m apart, whose errors are those of rounded positions alone."""
+    zigzag = np.where(np.arange(4097) % 2, 9000.0, 0.0) * np.ones((5, 1))
+    field = anchored(from_array(zigzag.astype(np.float32), 123.4, 123.4), anchor, 0.0)
+    fitted = fit(field, error_m)
+    assert fitted.rounds and fitted.worst_m == 0.0
+    x = fitted.surface.positions[:, 0].astype(np.float64)
+    columns = np.rint((x + anchor) / 123.4 + 2048)
+    moved = np.abs(x - ((columns - 2048) * 123.4 - anchor)).max() * 9000.0 / 123.4
+    found = measure(field, fitted.surface, random_points=20_000, threads=1).vertical_max_m
+    assert moved * (1 - 1e-9) <= found <= fitted.bound_m < 1.01 * moved
+    assert moved > (0.9 if anchor else 0.45) and bool(fitted.limited) == (fitted.bound_m > error_m)

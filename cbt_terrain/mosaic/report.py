@@ -23,7 +23,7 @@ from .seams import SeamReport, find_seams
 from .systems import crs_of, period_of, projected
 
 COVERAGE_POINTS = 256  # along each axis
-MEASURED_SIDE = 513  # samples whose reading and building is timed
+FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the one whose reading and building is timed
 MAX_KINDS = 12
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
@@ -165,11 +165,10 @@ def _expected_bytes(composite: Composite) -> int:
 def _expected_seconds(composite: Composite) -> float:
     """Return the expected time of an import: that of a part in the middle, read and built, times the samples."""
     grid = composite.grid
-    width, height = min(grid.width, MEASURED_SIDE), min(grid.height, MEASURED_SIDE)
-    window = (grid.height - height) // 2, height, (grid.width - width) // 2, width
-    for _ in range(2):  # the first time files are opened and threads are started
+    for side in (FIRST_SIDE, MEASURED_SIDE):  # the first window opens files, loads kernels and starts threads
+        width, height = min(grid.width, side), min(grid.height, side)
         started = time.perf_counter()
-        heights, _ = composite.read(*window)
+        heights, _ = composite.read((grid.height - height) // 2, height, (grid.width - width) // 2, width)
         from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
     samples = grid.width * grid.height if composite.finer is None else composite.finer[0].work
     seconds = (time.perf_counter() - started) * samples / (width * height)

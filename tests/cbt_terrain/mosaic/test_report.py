@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
-from adaptive_terrain.cbt_terrain.mosaic.report import coverage, datum_warnings
+from adaptive_terrain.cbt_terrain.mosaic.report import _expected_seconds, coverage, datum_warnings
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
 from adaptive_terrain.operators.cli import command_line
 from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, settings_of, sheet
@@ -55,6 +55,16 @@ def test_differing_vertical_datums_are_warned_about(tmp_path):
     assert "EGM96 in 1, EGM2008 in 1, and 1 name none" in warning
     assert datum_warnings(opened(files[0], files[2])) == []
     assert opened(*files).grid.crs == UTM32
+
+
+def test_the_time_is_measured_on_one_large_window(tmp_path, monkeypatch):
+    file = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 700, 600).write(tmp_path / "a.tif")
+    composite, windows = opened(file), []
+    read = composite.read
+    monkeypatch.setattr(composite, "read", lambda *window: windows.append(window) or read(*window))
+    assert _expected_seconds(composite) > 0.0
+    assert windows[-1] == (43, 513, 93, 513) and composite.grid.width == 700 and composite.grid.height == 600
+    assert sum(rows * columns for _, rows, _, columns in windows[:-1]) < 0.1 * 513**2
 
 
 def test_info_describes_several_files_as_one_terrain(pair, tmp_path, capsys):

@@ -226,7 +226,7 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
     Raises TerrainError if the store is of another source.
     """
     before, picture = dataclasses.replace(settings, loaded_tiles=(), loaded_finer=()), first_picture(path)
-    if import_before(picture, before, raster.sources, raster.method) is None:
+    if import_before(picture, before, raster) is None:
         raise TerrainError(
             f"The store {path} has no first picture of {settings.name}",
             expected="one of the same files, with the same paths and times, and of the same options",

@@ -5,8 +5,9 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from ..errors import TerrainError
 from ..field import store
@@ -30,26 +31,27 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
     None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
     """
     complete = dataclasses.replace(settings, quick=0, loaded_tiles=(), loaded_finer=())
-    files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     for wanted in (complete, settings) if settings.quick else (settings,):
-        report = import_before(path, wanted, files, method)
+        report = import_before(path, wanted, raster)
         if report is not None:
             return report
     return None
 
 
-def import_before(
-    path: str | os.PathLike, settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0
-) -> dict | None:
+def import_before(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
     """Return the report of an earlier import with exactly these settings and files, None if there is none.
 
     Older versions had the sources in a digest as they were written, often relative to an unknown folder. The paths of
-    the files are in it, too, so the recorded texts may stand for the sources. sources, method: as of `source_digest`.
+    the files are in it, too, so the recorded texts may stand for the sources. Paths of several files had the `..` of
+    the sources. raster: as of `finished_import`.
     """
-    report = finished_before(path, source_digest(settings, sources, method))
+    files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
+    report = finished_before(path, source_digest(settings, files, method))
     if report is None and (names := _recorded_sources(Path(path))) is not None:
         if len(names) == len(settings.sources) and list(map(absolute_source, settings.sources)) != names:
-            report = finished_before(path, source_digest(settings, sources, method, names))
+            is_climbing = raster is not None and any(".." in Path(name).parts for name in names)
+            paths = raster.earlier_paths() if raster is not None and is_climbing else {}
+            report = finished_before(path, source_digest(settings, files, method, names, paths))
     return report
 
 
@@ -76,13 +78,17 @@ def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
 
 
 def source_digest(
-    settings: ImportSettings, sources: tuple[Path, ...] = (), method: int = 0, names: Sequence[str] | None = None
+    settings: ImportSettings,
+    sources: tuple[Path, ...] = (),
+    method: int = 0,
+    names: Sequence[str] | None = None,
+    paths: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
 
     sources: files that the source names. method: version of the method that makes the samples, 0 for none. names: texts
-    for the sources in the digest; None for their absolute paths. Raises TerrainError for a missing source and for
-    settings that cannot be used.
+    for the sources in the digest; None for their absolute paths. paths: texts for the paths of several files in the
+    digest, where they differ. Raises TerrainError for a missing source and for settings that cannot be used.
     """
     settings.check()
     values = dataclasses.asdict(settings)
@@ -95,7 +101,8 @@ def source_digest(
     if names_several(settings):
         for file in [*files_of(settings), *sources]:
             check_named(file)
-            parts.append(file_stat(file))
+            name, size, changed_ns = file_stat(file)
+            parts.append((paths.get(name, name), size, changed_ns))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
     settings.check_file()
     if settings.source not in LANDS:

@@ -22,7 +22,7 @@ from ..field.georeference import Transform, without_rounded_skew
 from ..field.store_folder import named_folder
 from ..formats.archives import UnpackedFiles
 from ..formats.sources import check_named, open_source
-from ..importing.source_list import INDEX_SUFFIXES, file_stat, files_of
+from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
 from ..rasters.coded_heights import tile_of
 from ..rasters.raster import ORDER, ImportSettings, Raster
 from ..rasters.rounding import SourceRounding
@@ -171,6 +171,12 @@ def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder
     content = {"version": VERSION, "settings": _header_settings(settings), "tiles": entries}
     text = json.dumps(content)
     (folder / FILE_NAME).write_text(json.dumps({"sum": _sum(text), "content": text}), encoding="utf-8")
+
+
+def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
+    """Return the paths with `..` in the catalogue of a store, which older versions wrote, by their paths without."""
+    written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
+    return {absolute_source(path): path for path in written if ".." in Path(path).parts}
 
 
 def _with_sidecars(path: Path) -> list[Path]:

@@ -18,6 +18,7 @@ from ..rasters.raster import ImportSettings, Raster
 from ..rasters.source_formats import FORMATS
 from ..sandbox.guard import guard_import
 from ..sandbox.store_job import READING, Tell, serve
+from .catalogue import earlier_paths
 from .mosaic_source import mosaic_raster, open_composite
 from .report import IMPORT_ENTRIES, describe_mosaic
 
@@ -82,6 +83,7 @@ def run_mosaic_import(
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)  # may raise, which cancels the import
         raster = mosaic_raster(composite, settings)
+        raster.earlier_paths = lambda: earlier_paths(path, settings)
         is_new = part is None and not settings.quick
         if is_new and finished_import(path, settings, raster) is None:
             details = describe_mosaic(composite, settings)

@@ -3,7 +3,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -221,6 +221,8 @@ class Raster:
             `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
+        earlier_paths: earlier_paths() returns the paths of `sources` as an older version has recorded them in the store
+            to be replaced, with `..`, by their paths without.
         overview: overview(max_factor) returns a raster of means of 2, 4, 8 ... samples a side, the most up to
             max_factor, which the caller closes; None if the file has none.
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
@@ -257,6 +259,7 @@ class Raster:
     roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()
+    earlier_paths: Callable[[], Mapping[str, str]] = dict
     overview: Callable[[int], "Raster | None"] = lambda _max_factor: None
     full_size: tuple[int, int] | None = None
     method: int = 0

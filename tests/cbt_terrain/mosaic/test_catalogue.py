@@ -5,12 +5,14 @@ import json
 import os
 import sqlite3
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
+from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import, source_list
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
 from adaptive_terrain.cbt_terrain.mosaic import catalogue
@@ -151,6 +153,28 @@ def test_a_kept_catalogue_spares_reading_headers(tmp_path, monkeypatch):
         build_catalogue(settings_of(tmp_path / "tiles", **changed), store)
         assert len(read) == 3
         read.clear()
+
+
+@pytest.mark.parametrize("kind", ["folder", "pattern", "files"])
+def test_an_older_store_of_a_path_with_dots_is_found(tmp_path, monkeypatch, kind):
+    names = [path.name for path in tiles(tmp_path / "maps", 2)]
+    (tmp_path / "inner").mkdir()
+    monkeypatch.chdir(tmp_path / "inner")
+    sources = {"folder": ["../maps"], "pattern": ["../maps/*.tif"], "files": [f"../maps/{name}" for name in names]}[
+        kind
+    ]
+    with monkeypatch.context() as older:  # these versions recorded sources, and paths of files, as they were written
+        for module in (earlier_import, build_store):
+            older.setattr(module, "absolute_source", lambda source: source)
+        older.setattr(source_list, "absolute_source", lambda source: str(Path(source).absolute()))
+        run_mosaic_import(settings_of(*sources), tmp_path / "store")
+    recorded = json.loads((tmp_path / "store" / "store.json").read_text())["provenance"]["settings"]
+    assert [recorded["source"], *recorded["more_sources"]] == sources
+    monkeypatch.chdir(tmp_path)
+    sources = [source.removeprefix("../") for source in sources]
+    assert run_mosaic_import(settings_of(*sources), tmp_path / "store").get("unchanged")
+    os.utime(tmp_path / "maps" / names[1], (0, 0))
+    assert not run_mosaic_import(settings_of(*sources), tmp_path / "store").get("unchanged")
 
 
 def test_a_damaged_catalogue_is_built_again(tmp_path):

@@ -38,9 +38,11 @@ MIN_CREEP, CREEP_YEARS = 0.06, 5e3
 BURIED = 1.0
 # More explicit steps than this cost more than an implicit one, whose work items are blocks of columns.
 MAX_ROUNDS, BLOCK = 16, 64
-# Passes of settling under water in a step, for each distance in samples. Streams deposit along single random paths,
-# which would show as worms.
-SETTLING, APART = 12, (4, 2, 1)
+# Pairs of passes of settling under water in a step, for each distance in samples. Streams deposit along single random
+# paths, which would show as worms.
+SETTLING, APART = 6, (4, 2, 1)
+# Dry samples between two segments of lakes; fewer are cheaper to compute than to skip.
+GAP = 8
 
 
 @dataclass(eq=False)
@@ -240,29 +242,33 @@ def _deposit(
 
 
 def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
-    """Spread the sediment in lakes towards level beds, in SETTLING passes for each distance of APART.
+    """Spread the sediment in lakes towards level beds, in SETTLING pairs of passes for each distance of APART.
 
     It moves the bed's heights; `step` updates its sediment. lake: bool [n], no sample of the border. raised: heights
     after uplift, before the incision, float32 [n] m.
     """
     wet = np.flatnonzero(lake)
     before = np.maximum(bed.sediment[wet] + (bed.heights[wet] - raised[wet]), np.float32(0.0))  # metres of sediment
-    rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
-    rock[wet], old[wet], new[wet] = bed.heights[wet] - before, before, before
+    rock, sediment, scratch = (np.zeros(len(lake), np.float32) for _ in range(3))
+    rock[wet], sediment[wet], scratch[wet] = bed.heights[wet] - before, before, before
+    arrays = [flat(a, wp.float32) for a in (rock, sediment, scratch)]
     for apart in APART:
         open_water = _inside(lake.reshape(bed.shape), apart - 1).reshape(-1)
-        samples = np.flatnonzero(open_water)
-        ends = np.flatnonzero(np.diff(samples // bed.shape[1], append=-1))  # the last sample of each row with water
-        last = samples[ends].astype(np.int32)
-        first = samples[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
-        where = [bed.shape[1], apart, flat(first, wp.int32), flat(last, wp.int32)]
-        where.append(flat(open_water.view(np.uint8), wp.uint8))
-        cost = len(samples) / max(len(ends), 1) / 8
-        for _ in range(SETTLING if len(ends) else 0):
-            arrays = [flat(a, wp.float32) for a in (rock, old, new)]
-            launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
-            old, new = new, old
-    bed.heights[wet] += old[wet] - before
+        segments = (flat(ends, wp.int32) for ends in _segments(open_water))
+        inputs = [SETTLING, bed.shape[1], apart, *segments, flat(open_water.view(np.uint8), wp.uint8), *arrays]
+        launch.once(kernels.settle, inputs, step="rivers")
+    bed.heights[wet] += sediment[wet] - before
+
+
+def _segments(lake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last sample of each segment, int32, which start and end in a lake and cover all lakes.
+
+    Segments have more than GAP dry samples between them. lake: bool [n].
+    """
+    samples = np.flatnonzero(lake).astype(np.int32)
+    last = np.diff(samples, append=np.int32(2**31 - 1)) > GAP + 1
+    first = np.roll(last, 1)
+    return samples[first], samples[last]
 
 
 def _inside(lake: np.ndarray, distance: int) -> np.ndarray:

@@ -153,62 +153,65 @@ def deposit(r: River):
 @wp.func_native("""
     const unsigned char* __restrict l = lake.data;
     const float* __restrict r = rock.data;
-    const float* __restrict m = old.data;
-    float* __restrict out = deposited.data;
-    const int away = apart * width;
-    const auto flux = [=](int i, int j) {
-        float v = r[j] + m[j], h = r[i] + m[i];
-        v = v - h;
-        v = v * 0.2f;
-        const float low = -0.2f * m[i], high = 0.2f * m[j];
-        v = v < low ? low : v;
-        v = v > high ? high : v;
-        return v * (float)(l[i] & l[j]);
-    };
-    #pragma clang loop vectorize(enable) interleave(enable)
-    for (int i = first; i < end; ++i) {
-        const float v = flux(i, i - away) + flux(i, i + away), u = flux(i, i - apart) + flux(i, i + apart);
-        out[i] = m[i] + (u + v);
+    const int away = apart * width, segments = first.shape[0];
+    for (int pass = 0; pass < 2 * pairs; ++pass) {
+        const float* __restrict m = pass & 1 ? scratch.data : sediment.data;
+        float* __restrict out = pass & 1 ? sediment.data : scratch.data;
+        const auto flux = [=](int i, int j) {
+            float v = r[j] + m[j], h = r[i] + m[i];
+            v = v - h;
+            v = v * 0.2f;
+            const float low = -0.2f * m[i], high = 0.2f * m[j];
+            v = v < low ? low : v;
+            v = v > high ? high : v;
+            return v * (float)(l[i] & l[j]);
+        };
+        for (int s = 0; s < segments; ++s) {
+            const int end = last.data[s] + 1;
+            #pragma clang loop vectorize(enable) interleave(enable)
+            for (int i = first.data[s]; i < end; ++i) {
+                const float v = flux(i, i - away) + flux(i, i + away), u = flux(i, i - apart) + flux(i, i + apart);
+                out[i] = m[i] + (u + v);
+            }
+        }
     }
 """)
-def settle_samples(
-    first: wp.int32,
-    end: wp.int32,
+def settle_segments(
+    pairs: wp.int32,
     width: wp.int32,
     apart: wp.int32,
+    first: wp.array(dtype=wp.int32),
+    last: wp.array(dtype=wp.int32),
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
-    old: wp.array(dtype=wp.float32),
-    deposited: wp.array(dtype=wp.float32),
+    sediment: wp.array(dtype=wp.float32),
+    scratch: wp.array(dtype=wp.float32),
 ):
-    """Move sediment between lake samples first .. end - 1 and their four neighbours `apart` samples away.
-
-    These samples must be at least `apart` samples from the raster's border; `settle` explains the rest. rock, old:
-    metres of ground and of sediment on it. deposited: the sediment afterwards. width: samples in a row.
-    """
+    """Move sediment between lake samples in segments; `settle` explains the arguments."""
     ...
 
 
 @wp.kernel
 def settle(
-    offset: int,
+    pairs: int,
     width: int,
     apart: int,
     first: wp.array(dtype=wp.int32),
     last: wp.array(dtype=wp.int32),
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
-    old: wp.array(dtype=wp.float32),
-    deposited: wp.array(dtype=wp.float32),
+    sediment: wp.array(dtype=wp.float32),
+    scratch: wp.array(dtype=wp.float32),
 ):
-    """Move sediment under water downhill once, in samples first .. last of segment `offset + tid`, part of a row.
+    """Move sediment under water downhill in `pairs` pairs of passes, serially.
 
-    Between lake samples `apart` samples away from each other along rows and columns a fifth of the difference of
-    heights moves, at most a fifth of the upper one's sediment. lake: 1 in lakes. rock, old: metres of ground and of
-    sediment on it; deposited: the sediment afterwards. width: samples in a row.
+    A pass moves, between lake samples `apart` samples away from each other along rows and columns, a fifth of the
+    difference of heights, at most a fifth of the upper one's sediment. first, last: the samples of each segment, all at
+    least `apart` rows from the raster's border; the segments cover the lakes. lake: 1 in lakes, which are at least
+    `apart` columns from the border. rock: metres of ground under the sediment. sediment, scratch: metres of sediment,
+    equal at first. width: samples in a row.
     """
-    segment = offset + wp.tid()
-    settle_samples(first[segment], last[segment] + 1, width, apart, lake, rock, old, deposited)
+    settle_segments(pairs, width, apart, first, last, lake, rock, sediment, scratch)
 
 
 @wp.kernel

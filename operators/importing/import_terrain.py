@@ -23,6 +23,7 @@ from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..terrain import frame_terrain, request, sidebar
+from ..terrain.camera_source import follows_viewport
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
@@ -252,6 +253,8 @@ class ImportOperator(JobOperator):
         size = _size_of(obj)
         if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
             self._bring_into_view(context, obj)
+            if follows_viewport(obj, context.scene):
+                self.report({"INFO"}, "The mesh follows the viewports until you place a camera, as by Set Up Scene")
         self._report_and_update(obj, report)
         if self.baked not in ("", folder):
             self.report(
@@ -303,12 +306,16 @@ class ImportAdded(ImportOperator, bpy.types.Operator):
     # is none, and no step for Undo either: adding is the step, and has no store yet, which is given back after it.
     bl_options = {"INTERNAL"}
 
+    def invoke(self, context, event):
+        """Open the tab for the first terrain of a scene before the import's end frames the land beside it."""
+        if session.terrains_of(context.scene) == [context.object]:
+            sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
+        return ImportOperator.invoke(self, context, event)
+
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Remember the store, too, because Undo goes back to a terrain without one."""
         _, _added[obj.session_uid] = result
         ImportOperator.finish(self, context, obj, result)
-        if session.terrains_of(context.scene) == [obj]:  # the next steps are in the tab
-            sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
 
 
 def resume_after_undo() -> None:

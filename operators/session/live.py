@@ -23,7 +23,8 @@ from ..bridge.demand.screens import screens_key
 from ..bridge.writing import allow_writing
 from ..ground import keep_ground
 from ..land import resting_land
-from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, follows_viewport, gather, record_time
+from ..terrain.camera_source import follows_viewport
+from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, gather, record_time
 from ..terrain.request_kernels import kernels_for
 from . import previews, session
 
@@ -157,7 +158,7 @@ def _next_job() -> LiveUpdate | None:
             mark_dirty()
     shown = _shown_terrains()
     _follows_viewport = any(
-        depsgraph is not None and follows_viewport(obj.adaptive_terrain, depsgraph.scene) for depsgraph, obj in shown
+        depsgraph is not None and follows_viewport(obj, depsgraph.scene) for depsgraph, obj in shown
     )
     for depsgraph, obj in shown:
         record = session.record_of(obj)

@@ -235,8 +235,8 @@ class TerrainSettings(bpy.types.PropertyGroup):
 
     camera_source: EnumProperty(
         name="Seen From", description="View that decides where the terrain is fine",
-        items=[(SCENE_CAMERA, "Scene Camera", "Fine where the scene's camera looks; without one, where the viewports "
-                                              "look"),
+        items=[(SCENE_CAMERA, "Scene Camera", "Fine where the scene's camera looks. Until one is placed above the "
+                                              "ground, fine where the viewports look"),
                (CHOSEN_CAMERA, "Chosen Camera", "Fine where one chosen camera looks, whichever camera renders"),
                (VIEWPORT_VIEW, "Viewport", "Fine where the 3D viewports look; a render uses the scene's camera")],
         update=changed,

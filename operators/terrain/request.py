@@ -29,10 +29,11 @@ from ..bridge.evaluated import anchor_of, evaluated_or_still, placement_of, rast
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
+from .camera_source import follows_viewport
 from .detail_properties import value_of
 from .layered_ground import ground_of
 from .overrides import NO_OVERRIDES, Overrides
-from .properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
+from .properties import CHOSEN_CAMERA
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
 ERRORS = "error_px", "error_m"  # varied by a time budget
@@ -142,7 +143,7 @@ def gather(
     views = []
     if criterion.needs_view:
         with _name_terrain_in_errors(obj):
-            views = _find_views(settings, depsgraph, mode, camera, resolution)
+            views = _find_views(evaluated, depsgraph, mode, camera, resolution)
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:
@@ -173,7 +174,7 @@ def gather(
         frozen=frozen,
         effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
         scatters=gather_scatters(
-            obj, depsgraph, mode == RENDER, lambda: views or _find_views(settings, depsgraph, mode, camera, resolution)
+            obj, depsgraph, mode == RENDER, lambda: views or _find_views(evaluated, depsgraph, mode, camera, resolution)
         ),
         curve=curve,
         anchor=anchor,
@@ -274,25 +275,15 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
-def follows_viewport(settings, scene) -> bool:
-    """Return whether viewports refine for their own views.
-
-    They do if the settings choose it, and in a window if the settings choose the scene's camera and there is none.
-    Without a window a missing camera is an error.
-    """
-    if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
-        return cameras.active_camera(scene) is None
-    return settings.camera_source == VIEWPORT_VIEW
-
-
-def _find_views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+def _find_views(terrain, depsgraph, mode: str, camera, resolution) -> list[View]:
     """Return the views that a terrain is refined for: of viewports, of its chosen camera or of the scene's.
 
-    A terrain that follows viewports gets the scene's camera if there are none, and in a render. camera, resolution:
-    replace those of the settings and of the scene unless they are None. Raises TerrainError without a camera.
+    A terrain that follows viewports gets the scene's camera if there are none, and in a render. terrain: evaluated.
+    camera, resolution: replace those of the settings and of the scene unless they are None. Raises TerrainError without
+    a camera.
     """
-    scene = depsgraph.scene
-    if camera is None and mode == VIEWPORT and follows_viewport(settings, scene):
+    scene, settings = depsgraph.scene, terrain.adaptive_terrain
+    if camera is None and mode == VIEWPORT and follows_viewport(terrain, scene):
         views = cameras.views_from_windows(bpy.context.window_manager)
         if views:
             return views

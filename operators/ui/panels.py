@@ -15,7 +15,8 @@ from ..scatter import panel as scatter_panel
 from ..session import live, session
 from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
-from ..terrain.properties import CHOSEN_CAMERA
+from ..terrain.camera_source import follows_viewport
+from ..terrain.properties import CHOSEN_CAMERA, SCENE_CAMERA
 from ..text.translations import phrase
 from .panel_parts import (
     TerrainSubpanel,
@@ -26,7 +27,7 @@ from .panel_parts import (
     show_terrain,
     split_column,
 )
-from .status_row import NO_VIEW, draw_preparation, draw_status, sight_notice
+from .status_row import draw_preparation, draw_status, has_view
 
 
 class TerrainPanel:
@@ -83,10 +84,10 @@ def _draw_without_terrain(layout, obj) -> None:
 def _figures_of(context, obj) -> list[tuple[str, str]]:
     """Return three (name, value) rows about the last update: triangles, error bound and time.
 
-    A bound of 0 px is replaced by a word while the camera sees nothing or an update is due.
+    A bound of 0 px is replaced by a word while no view shows the terrain or an update is due.
     """
-    sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
-    return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing, live.is_behind())
+    status = session.record_of(obj).status
+    return statistics_panel.summary_lines(status, not has_view(context, obj), live.is_behind())
 
 
 def _draw_state(box, context, obj) -> None:
@@ -126,10 +127,15 @@ class CameraPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
-        """Draw the setting of the camera that the detail follows, and the object if one is chosen."""
+        """Draw the setting of the camera that the detail follows, the object if one is chosen, and a note if viewports
+        replace the scene's camera.
+        """
         column = self._columns()
-        settings = session.shown_terrain(context).adaptive_terrain
+        terrain = session.shown_terrain(context)
+        settings = terrain.adaptive_terrain
         column.prop(settings, "camera_source")
+        if settings.camera_source == SCENE_CAMERA and follows_viewport(terrain, context.scene):
+            column.label(text="Follows viewports: no camera placed", icon="INFO")
         if settings.camera_source == CHOSEN_CAMERA:
             column.prop(settings, "camera")
 

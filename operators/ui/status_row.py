@@ -16,12 +16,13 @@ from ..importing.view_tiles import loaded_here
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
+from ..terrain.camera_source import follows_viewport
 from .panel_parts import error_lines, wrap_words
 
 POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
 UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
-NO_VIEW = UNDERGROUND, SEES_NOTHING  # a bound of 0 px is then no sign of accuracy
+NO_VIEW = UNDERGROUND, SEES_NOTHING
 LOAD_ALL = "adaptive_terrain.import_source", "Load All"
 FRAME, CAMERA_TO_VIEW, MOVE_WORLD = "adaptive_terrain.frame", "view3d.camera_to_view", "adaptive_terrain.move_world"
 
@@ -54,7 +55,9 @@ def draw_status(layout, context, obj) -> None:
         if not text and (text := loaded_here(context, obj)):
             operator, button = LOAD_ALL
         row = row.split(factor=NOTICE_WIDTH) if text else row
-        row.label(text=text or "In sight", icon="ERROR" if text else "CHECKMARK")
+        harmless = text in NO_VIEW and follows_viewport(obj, context.scene)
+        icon = "INFO" if harmless else "ERROR" if text else "CHECKMARK"
+        row.label(text=text or "In sight", icon=icon)
         if operator:
             row.operator(operator, text=button)
 
@@ -109,6 +112,11 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
     except TerrainError:
         pass  # the update reports it
     return "", "", ""
+
+
+def has_view(context, obj) -> bool:
+    """Return whether the terrain is refined for a view of it; without one, a bound of 0 px is no sign of accuracy."""
+    return follows_viewport(obj, context.scene) or sight_notice(context, obj)[0] not in NO_VIEW
 
 
 def _viewport_cuts(context, box: np.ndarray) -> bool:

@@ -131,6 +131,7 @@ LABELS = {
     "Flood": "洪水",
     "Folder": "文件夹",
     "For": "用于",
+    "Follows viewports: no camera placed": "跟随视图: 摄像机未放置",
     "Frame": "框显",
     "Frame Terrain": "框显地形",
     "Frames per Task": "每任务帧数",

@@ -133,6 +133,7 @@ LABELS = {
     "Flood": "Inondation",
     "Folder": "Dossier",
     "For": "Pour",
+    "Follows viewports: no camera placed": "Suit les vues : caméra non placée",
     "Frame": "Cadrer",
     "Frame Terrain": "Cadrer le terrain",
     "Frames per Task": "Frames par tâche",

@@ -133,6 +133,7 @@ LABELS = {
     "Flood": "Überschwemmung",
     "Folder": "Ordner",
     "For": "Für",
+    "Follows viewports: no camera placed": "Folgt Ansichten: Kamera nicht platziert",
     "Frame": "Einrahmen",
     "Frame Terrain": "Gelände einrahmen",
     "Frames per Task": "Einzelbilder pro Aufgabe",

@@ -132,6 +132,7 @@ LABELS = {
     "Flood": "洪水",
     "Folder": "フォルダー",
     "For": "対象",
+    "Follows viewports: no camera placed": "ビューに追従: カメラは未配置",
     "Frame": "全体を表示",
     "Frame Terrain": "地形を表示",
     "Frames per Task": "タスクあたりのフレーム",

@@ -133,6 +133,7 @@ LABELS = {
     "Flood": "Inundación",
     "Folder": "Carpeta",
     "For": "Para",
+    "Follows viewports: no camera placed": "Sigue las vistas: cámara sin colocar",
     "Frame": "Encuadrar",
     "Frame Terrain": "Encuadrar terreno",
     "Frames per Task": "Fotogramas por tarea",

@@ -11,6 +11,7 @@ sys.path.append(str(Path(__file__).parent))  # Blender does not do so for script
 from window_steps import folder, module, parts, picture, run, take_steps, terrain, until  # noqa: E402
 
 is_default_view = module("operators.scene.defaults").is_default_view
+follows_viewport = module("operators.terrain.camera_source").follows_viewport
 result = {}
 
 
@@ -25,6 +26,8 @@ def steps():
     yield from until(lambda: parts()[2].active_panel_category == "Terrain")
     yield 2.0
     result["before"] = names()
+    result["triangles"] = len(terrain().data.polygons)
+    result["followed"] = [follows_viewport(terrain(), bpy.context.scene)]
     region_3d = parts()[1].spaces.active.region_3d
     result["unturned"] = is_default_view(region_3d)
     region_3d.view_rotation = region_3d.view_rotation @ Quaternion((0.0, 0.0, 1.0), 0.1)
@@ -35,6 +38,7 @@ def steps():
     run(bpy.ops.adaptive_terrain.set_up_scene, "INVOKE_DEFAULT")
     run(bpy.ops.ed.undo_push, message="Set Up Scene")
     result["after"] = names()
+    result["followed"].append(follows_viewport(terrain(), bpy.context.scene))
     camera = bpy.context.scene.camera
     apart = (camera.matrix_world - view).transposed()
     result["camera_off"] = max(column.length for column in apart) / terrain().dimensions.x
@@ -51,6 +55,7 @@ def steps():
         bpy.ops.ed.undo()
     yield 1.0
     result["undone"] = names()
+    result["followed"].append(follows_viewport(terrain(), bpy.context.scene))
 
 
 take_steps(steps(), result)

@@ -43,7 +43,7 @@ def place_vertices(
     if d.has_finer == 1:
         p = wp.vec3f(p[0], p[1], wp.float32(surface_height(d, x, y) * d.height_scale + d.height_offset))
     state = PINNED  # inside a raster's cell
-    if ((x | y) & ((1 << bits) - 1)) == 0:
+    if ((x | y) & ((1 << bits) - 1)) == 0:  # a sample
         entry = vertex_index(d, x >> bits, y >> bits)
         state = item_at(states, entry)
         if (state & KNOWN) != wp.uint8(0):
@@ -58,7 +58,8 @@ def place_vertices(
 def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
     """Write to m the neighbours of all triangles, and one triangle of each vertex.
 
-    One thread. corner_edges: the edge from each corner to the next. side [E]: scratch, -1 before.
+    One thread. corner_edges: the edge from each corner to the next. side [E]: scratch, the corner of the first triangle
+    at each edge; -1 before.
     """
     for c in range(3 * triangles):
         m.first[m.corner_verts[c]] = c / 3
@@ -82,7 +83,7 @@ def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), 
     d = m.domain
     bits = d.unit_bits - d.levels
     p = m.point[v]
-    if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
+    if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:  # a sample
         entry = vertex_index(d, p[0] >> bits, p[1] >> bits)
         put(heights, entry, m.z[v])
         put(states, entry, m.state[v] | KNOWN)

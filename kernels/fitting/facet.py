@@ -36,9 +36,9 @@ def surface_height(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
     y = wp.min(y, d.north)
     i = wp.min(x >> bits, d.samples.columns - 2)
     j = wp.min(y >> bits, d.samples.rows - 2)
-    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
-    s = wp.float64(x - (i << bits)) * part
-    t = wp.float64(y - (j << bits)) * part
+    per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
+    s = wp.float64(x - (i << bits)) * per_unit
+    t = wp.float64(y - (j << bits)) * per_unit
     return bilinear(corners_of(d.samples, i, j), s, t)
 
 
@@ -85,7 +85,7 @@ def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
     away = wp.abs(j)
     first = wp.int32(0)
     count = n + 1 - away
-    if facet.left_x == 0 or facet.left_y == 0:  # the row's far end is on the longest side
+    if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column
         if facet.left_x + facet.right_x < 0:
             first = away - n
     elif facet.left_x == facet.right_x:  # the longest side stands upright
@@ -184,21 +184,21 @@ def diagonal_inside(
         first = wp.max(first, y - (raster.rows - 1))
     largest = wp.float64(0.0)
     if first < end:
-        at = sample_index(raster, x + right * first, y + up * first)
-        z0 = wp.float64(item_at(h, at))
+        index = sample_index(raster, x + right * first, y + up * first)
+        z0 = wp.float64(item_at(h, index))
         e0 = z0 - (plane + slope * wp.float64(first))
         for i in range(first, end):
-            far = at + to_side + to_row
-            z1 = wp.float64(item_at(h, far))
+            far_index = index + to_side + to_row
+            z1 = wp.float64(item_at(h, far_index))
             e1 = z1 - (plane + slope * wp.float64(i + 1))
-            twist = z0 + z1 - wp.float64(item_at(h, at + to_side)) - wp.float64(item_at(h, at + to_row))
+            twist = z0 + z1 - wp.float64(item_at(h, index + to_side)) - wp.float64(item_at(h, index + to_row))
             # the parabola turns inside the cell
             if wp.abs(e1 - e0) < wp.abs(twist):
                 rest = twist - (e1 - e0)
                 largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
             z0 = z1
             e0 = e1
-            at = far
+            index = far_index
     return largest
 
 
@@ -250,11 +250,11 @@ def farthest(d: Domain, facet: Facet) -> wp.float64:
         plane = facet.z + facet.slope_y * (wp.float64(low + k) * unit) + facet.slope_x * (wp.float64(first) * unit)
         slope = facet.slope_x * unit
         largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
-    if facet.left_x == 0 or facet.left_y == 0:
-        if count == 0:  # no row has the apex, and the diagonal below does not begin there
+    if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column: the longest side is diagonal
+        if count == 0:  # smaller than a cell: no row of samples has measured the apex
             largest = wp.abs(height_above(d, facet, 0, 0))
         largest = farthest_on_diagonal(d, facet, facet.left_x, facet.left_y, facet.right_x, facet.right_y, largest)
-    else:
+    else:  # both legs are diagonal
         largest = farthest_on_diagonal(d, facet, 0, 0, facet.left_x, facet.left_y, largest)
         largest = farthest_on_diagonal(d, facet, 0, 0, facet.right_x, facet.right_y, largest)
     return largest

@@ -19,7 +19,10 @@ from .raising import raise_ancestors
 
 @wp.func
 def change_at(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the change at lattice point (x, y), metres before scaling; beyond the border that at the border."""
+    """Return the height of the finer tile above the raster's surface at lattice point (x, y), metres before scaling.
+
+    It is 0 outside tiles. Points beyond the border have the value at the border.
+    """
     change = wp.float64(0.0)
     if d.has_finer == 1:
         x = wp.min(x, d.east)
@@ -29,9 +32,9 @@ def change_at(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
         j = y >> shift
         tile = tile_at(d.finer[0], i, j)
         if tile >= 0:
-            part = wp.float64(1.0) / wp.float64(wp.int32(1) << shift)  # exact: a power of two
-            s = wp.float64(x - (i << shift)) * part
-            t = wp.float64(y - (j << shift)) * part
+            per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << shift)  # exact: a power of two
+            s = wp.float64(x - (i << shift)) * per_unit
+            t = wp.float64(y - (j << shift)) * per_unit
             change = finer_at(d.finer[0], tile, i, j, s, t)[0] - surface_height(d, x, y)
     return change
 
@@ -53,10 +56,10 @@ def missed_change(d: Domain, left: wp.vec2i, right: wp.vec2i, level: wp.int32) -
 @wp.func
 def in_tile(d: Domain, i: wp.int32, j: wp.int32) -> wp.bool:
     """Return whether a finer tile holds raster cell (i, j)."""
-    found = wp.bool(False)
+    is_held = wp.bool(False)
     if d.has_finer == 1:
-        found = tile_at(d.finer[0], i << d.finer[0].bits, j << d.finer[0].bits) >= 0
-    return found
+        is_held = tile_at(d.finer[0], i << d.finer[0].bits, j << d.finer[0].bits) >= 0
+    return is_held
 
 
 @wp.kernel
@@ -70,8 +73,8 @@ def restore_in_tiles(
     j = offset + wp.tid()
     for i in range(cells.columns):
         if in_tile(d, i, j):
-            at = entry(cells, i, j)
-            put(out, at, wp.max(item_at(out, at), item_at(errors, at)))
+            k = entry(cells, i, j)
+            put(out, k, wp.max(item_at(out, k), item_at(errors, k)))
 
 
 @wp.kernel

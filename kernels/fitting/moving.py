@@ -86,7 +86,7 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             change = missed_change(d, left, right, m.level[t])
             aim = wp.max(aim - change, wp.float64(0.0))  # for the distance from the raster's surface
             q = Pushes()  # largest distance, then weight and push of the apex, the left and the right corner
-            if m.level[t] <= 2 * d.levels + 1:
+            if m.level[t] <= 2 * d.levels + 1:  # its corners are samples; smaller ones are inside a cell
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
                 corner_climbs = wp.vec2f(wp.float32(rise_left), wp.float32(rise_right))
                 q = pushes_of(d, left, apex, right, height, corner_climbs, wp.float32(aim / d.error_scale))
@@ -115,13 +115,13 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
     corner, and those beyond the aim that push a vertex. count: number of listed triangles. triangles: number of all.
     found [2] receives the length of the new list, and the number of triangles beyond the bound.
     """
-    beyond = wp.int32(0)
-    # Triangles beyond the bound decide which vertices move.
+    num_beyond = wp.int32(0)
+    # Triangles beyond the bound decide which vertices move. Those that are not awake in this round push none.
     num_movers = wp.int32(0)
     for k in range(count):
         t = m.active[k]
         if m.worst[t] > m.bound and m.awake[t] == m.round:
-            beyond += 1
+            num_beyond += 1
             for c in range(3):
                 q = m.pushes[3 * t + c]
                 if q[1] > wp.float32(0.0):
@@ -142,13 +142,13 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
             mark(m, t)
     for k in range(num_movers):
         v = m.movers[k]
-        height = STRETCH * m.push[2 * v] / m.push[2 * v + 1] * m.domain.height_scale
+        step = STRETCH * m.push[2 * v] / m.push[2 * v + 1] * m.domain.height_scale
         m.push[2 * v] = wp.float64(0.0)
         m.push[2 * v + 1] = wp.float64(0.0)
         if (m.state[v] & PINNED) == wp.uint8(0):
-            z = wp.float32(wp.float64(m.z[v]) + height)
+            z = wp.float32(wp.float64(m.z[v]) + step)
             if z != m.z[v]:
                 m.z[v] = z
                 mark_around(m, v)
     found[0] = list_marked(m, triangles)
-    found[1] = beyond
+    found[1] = num_beyond

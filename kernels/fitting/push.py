@@ -25,8 +25,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const float slope_y = (corner_climbs[0] * (float)left_y + corner_climbs[1] * (float)right_y) * per_leg;
     const float high = (float)z;  // two numbers for the apex: heights are small beside it, not beside 0
     const float rest = (float)(z - (double)high);
-    const bool level = left_x == 0 || left_y == 0;
-    const bool upright = left_x == right_x;
+    const bool level = left_x == 0 || left_y == 0;  // the legs lie along a row and a column
+    const bool upright = left_x == right_x;  // the longest side lies along a column
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
     lanes largest = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
@@ -135,8 +135,8 @@ def pushes_of(
     """Measure a triangle with its corners on samples against the bilinear surface over it.
 
     left, apex, right: its corners, lattice units; the apex, at the right angle, may be beyond the raster's border,
-    where nothing counts. `z`: the triangle's height there; `corner_climbs`: of the left and of the right corner above
-    it. Returns the largest distance, then for the apex, the left and the right corner the sum of the weights of the
+    where nothing counts. z: height of the apex. corner_climbs: heights of the left and of the right corner above the
+    apex. Returns the largest distance, then for the apex, the left and the right corner the sum of the weights of the
     points beyond `aim`, and the weighted sum of their distances beyond it, positive upwards. Heights, distances and
     `aim` are metres before scaling. Points: samples, and extrema along the diagonals of cells on the triangle's sides.
     Nearly all time of a sweep passes here, in vectors of eight samples of a row.
@@ -183,7 +183,7 @@ def pushes_in_cell(d: Domain, facet: Facet, aim: wp.float64) -> Pushes:
     q = add_point(Pushes(), apex, zero, zero, aim)
     q = add_point(q, left, one, zero, aim)
     q = add_point(q, right, zero, one, aim)
-    if facet.left_x == 0 or facet.left_y == 0:
+    if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column: the longest side is diagonal
         twist = twist_over(
             d,
             facet.x + facet.left_x,
@@ -194,7 +194,7 @@ def pushes_in_cell(d: Domain, facet: Facet, aim: wp.float64) -> Pushes:
         t, r = bulge(left, right, twist)
         if t > zero:
             q = add_point(q, r, one - t, t, aim)
-    else:
+    else:  # both legs are diagonal
         t, r = bulge(apex, left, twist_over(d, facet.x, facet.y, facet.left_x, facet.left_y))
         if t > zero:
             q = add_point(q, r, t, zero, aim)

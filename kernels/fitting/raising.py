@@ -15,7 +15,7 @@ PER_OCTAVE = 16
 RAISED = 1 + 4 * 16
 # Largest `halvings` of `raise_cells`: its highest code is 225 then, and a code is at most 255.
 MAX_HALVINGS = 5
-# ... with finer tiles. As many halvings have codes as the depth of leaves requires.
+# PER_OCTAVE with finer tiles: smaller, so that there are codes for as many halvings as the depth of leaves requires.
 FINER_PER_OCTAVE = 8
 
 
@@ -61,18 +61,18 @@ def raise_ancestors(
     stack[0] = wp.vec3i(x, y, depth)
     while top > 0:
         top -= 1
-        q = stack[top]
-        entry = entry_of(d, q[0], q[1], q[2])
+        diamond = stack[top]
+        entry = entry_of(d, diamond[0], diamond[1], diamond[2])
         if wp.int32(item_at(codes, entry)) < code:
             put(codes, entry, wp.uint8(code))
-            if q[2] > 1:
-                along = half_edge(d.unit_bits, wp.vec2i(q[0], q[1]), q[2])
+            if diamond[2] > 1:
+                along = half_edge(d.unit_bits, wp.vec2i(diamond[0], diamond[1]), diamond[2])
                 for k in range(2):  # an apex is as far on either side of the edge
-                    px = wp.where(k == 0, q[0] + along[1], q[0] - along[1])
-                    py = wp.where(k == 0, q[1] - along[0], q[1] + along[0])
+                    px = wp.where(k == 0, diamond[0] + along[1], diamond[0] - along[1])
+                    py = wp.where(k == 0, diamond[1] - along[0], diamond[1] + along[0])
                     inside = px >= 0 and py >= 0
                     if inside and px <= (d.columns << d.unit_bits) and py <= (d.rows << d.unit_bits):
-                        stack[top] = wp.vec3i(px, py, q[2] - 1)
+                        stack[top] = wp.vec3i(px, py, diamond[2] - 1)
                         top += 1
 
 

@@ -27,17 +27,17 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     size = wp.vec2i(found[1], found[2])
     splits = wp.int32(0)
     pins = wp.int32(0)
-    later = wp.int32(0)
+    postponed = wp.int32(0)
     deepest = wp.int32(0)
     _spread_excess(m, count)
     for k in range(count):
         t = m.active[k]
         excess = m.worst[t] - m.bound
         if excess > wp.float64(0.0):
-            m.awake[t] = m.round + 1
+            m.awake[t] = m.round + 1  # it pushes its corners in the next round
             mark(m, t)
             if excess >= min_share * _max_excess_around(m, t):
-                below = m.level[t] - 2 * d.levels - 1
+                below = m.level[t] - 2 * d.levels - 1  # bisections below the raster's cells
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, below, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
@@ -46,11 +46,11 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
                     splits += 1
                     if below >= 0:
                         raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.raised, m.codes, m.climbing)
-                        later += 1
+                        postponed += 1
                     elif size[0] + 2 * m.level[t] + 2 < m.room:  # a split adds at most two triangles a level
                         size = split(m, t, size)
                     else:
-                        later += 1
+                        postponed += 1
                 else:
                     pins += _pin_corners(m, t)
                     deepest += wp.where(too_coarse, 1, 0)
@@ -66,7 +66,7 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     found[2] = size[1]
     found[3] = splits
     found[4] = pins
-    found[5] = later
+    found[5] = postponed
     found[6] = deepest
 
 

@@ -91,7 +91,7 @@ def triangle_of(node: LebNode, unit_bits: wp.int32):
     apex = wp.vec2i(0, 0)
     right = wp.vec2i(side, 0)
     depth = highest_bit(node.heap_id)
-    if ((node.heap_id >> wp.uint64(depth - 1)) & ONE) == ONE:
+    if ((node.heap_id >> wp.uint64(depth - 1)) & ONE) == ONE:  # root 3, on the other side of the diagonal
         left = wp.vec2i(side, 0)
         apex = wp.vec2i(side, side)
         right = wp.vec2i(0, side)
@@ -113,12 +113,12 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
     edge: 0 left, 1 right, 2 the longest. The result is read from a table.
     """
     entry = 9 * (heap_id - 2) + 3 * edge
-    near = LebNode()
-    near.column = node.column + FIRST_NEIGHBOURS[entry]
-    near.row = node.row + FIRST_NEIGHBOURS[entry + 1]
-    if near.column >= 0 and near.column < grid.columns and near.row >= 0 and near.row < grid.rows:
-        near.heap_id = wp.uint64(FIRST_NEIGHBOURS[entry + 2])
-    return near
+    neighbour = LebNode()
+    neighbour.column = node.column + FIRST_NEIGHBOURS[entry]
+    neighbour.row = node.row + FIRST_NEIGHBOURS[entry + 1]
+    if neighbour.column >= 0 and neighbour.column < grid.columns and neighbour.row >= 0 and neighbour.row < grid.rows:
+        neighbour.heap_id = wp.uint64(FIRST_NEIGHBOURS[entry + 2])
+    return neighbour
 
 
 @wp.func
@@ -205,7 +205,7 @@ def has_leaves(t: Bitfield, tree_id: wp.uint64) -> wp.bool:
 def can_merge(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64) -> wp.bool:
     """Return whether a node's diamond can be merged: the children of both its triangles are leaves."""
     other = tree_id_of(grid, edge_neighbour(grid, node_of(grid, tree_id)))
-    can = has_leaves(t, tree_id)
-    if can and other != wp.uint64(0):
-        can = has_leaves(t, other)
-    return can
+    is_mergeable = has_leaves(t, tree_id)
+    if is_mergeable and other != wp.uint64(0):
+        is_mergeable = has_leaves(t, other)
+    return is_mergeable

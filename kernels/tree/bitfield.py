@@ -171,15 +171,15 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
     cell = wp.uint64(0)
     number_inside = number  # leaf's number in the word
     bit = wp.int32(0)
-    is_inside = wp.bool(True)
-    while is_inside:
+    goes_deeper = wp.bool(True)
+    while goes_deeper:
         below = 64 * item_at(t.pages, slot)
         packed = select_bit(item_at(t.words, slot), t.counts, below, number_inside)
         bit = wp.int32(packed & wp.int64(63))
         number_inside = wp.int32(packed >> wp.int64(6))
         cell = cell + (wp.uint64(bit) << wp.uint64(WORD_BITS * level))
-        is_inside = ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
-        if is_inside:
+        goes_deeper = ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
+        if goes_deeper:
             slot = below + bit
             level -= 1
     return leaf_of_bit(t, slot, level, bit, cell, number)
@@ -196,15 +196,15 @@ def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
     level = t.top
     number = wp.int32(0)
     bit = wp.int32(0)
-    is_inside = wp.bool(True)
-    while is_inside:
+    goes_deeper = wp.bool(True)
+    while goes_deeper:
         below = 64 * item_at(t.pages, slot)
         bits = item_at(t.words, slot)
         cell_bit = bit_of(cell, level)
         bit = highest_bit(bits & bits_below(cell_bit + 1))
         number += count_before(bits, t.counts, below, bit)
-        is_inside = bit == cell_bit and ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
-        if is_inside:
+        goes_deeper = bit == cell_bit and ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
+        if goes_deeper:
             slot = below + bit
             level -= 1
     shift = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))  # above all cells at the highest word

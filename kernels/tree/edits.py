@@ -30,19 +30,21 @@ def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
     level = t.top
     old_bits = wp.uint64(0)
     mask = wp.uint64(0)
-    is_inside = wp.bool(True)
-    while is_inside:
+    goes_deeper = wp.bool(True)
+    while goes_deeper:
         bit = bit_of(cell, level)
         mask = ONE << wp.uint64(bit)
         mark_changed(t, slot, level)
-        old_bits = fetch_or(t.words, slot, mask | ONE)  # a leaf also begins at the first bit of a new word
-        is_inside = (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0)
-        if is_inside:
+        # A word that was not stored stands for one leaf, which begins at its first bit: that is set with the word.
+        old_bits = fetch_or(t.words, slot, mask | ONE)
+        # If the cell is not the first of the bit's part, a word below has a bit for it, too.
+        goes_deeper = (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0)
+        if goes_deeper:
             fetch_or(t.stored, slot, mask)
             page = page_below(t, slot)
             slot = 64 * page + bit
             level -= 1
-            is_inside = page > 0
+            goes_deeper = page > 0  # 0: the pool is full
     # A repeated kernel finds its own bits, and has to do all its work again.
     return (old_bits & mask) != wp.uint64(0) and t.state[REPEATS] == 0
 

@@ -122,10 +122,11 @@ def fill_words(
 ) -> wp.int64:
     """Store the whole words of one level below the bits of a word from `bit` on.
 
-    It ends at a leaf of another level or at the last one. Return the number of leaves << 8 | the number of words.
-    codes, first, count: the leaves; a depth is in the bits `shift` .. `shift` + 5 of a code. readable: leaves that may
-    be read, at least `count`. deepest: depth of a leaf that takes one bit of these words. first_slot: slot of the first
-    of them. words, counts, pages, state: arrays of the bitfield; state[DIFFERS] is set if a word changes.
+    It ends at a leaf of another level, at the last leaf, and at a word with words below it, which have to be freed.
+    Return the number of leaves << 8 | the number of words. codes, first, count: the leaves; a depth is in the bits
+    `shift` .. `shift` + 5 of a code. readable: leaves that may be read, at least `count`. deepest: depth of a leaf that
+    takes one bit of these words. first_slot: slot of the first of them. words, counts, pages, state: arrays of the
+    bitfield; state[DIFFERS] is set if a word changes.
     """
     ...
 
@@ -166,27 +167,28 @@ def close_word(
     the run's last one in the word. num_leaves: leaves of the run in the word. A word that runs share is not
     overwritten: each run flips only its bits, and the word is counted afterwards.
     """
-    shift = wp.uint64(WORD_BITS * level)
-    above = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))
-    base = ((end - ONE) >> above) << above
-    size = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
-    run_bits = ALL_BITS
-    old = item_at(t.words, slot)
+    bit_shift = wp.uint64(WORD_BITS * level)
+    word_shift = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))
+    word_start = ((end - ONE) >> word_shift) << word_shift
+    word_cells = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
+    run_bits = ALL_BITS  # bits whose first cell is the run's
+    old_bits = item_at(t.words, slot)
     old_stored = item_at(t.stored, slot)
-    if base >= run.start and base + size <= run.end:
-        if old != bits or old_stored != entered:
+    if word_start >= run.start and word_start + word_cells <= run.end:
+        if old_bits != bits or old_stored != entered:
             put(t.words, slot, bits)
             put(t.stored, slot, entered)
             t.state[DIFFERS] = 1
         put(t.counts, slot, wp.int32(num_leaves) - 1)
     else:
-        last_of_bit = (ONE << shift) - ONE  # rounds up: a bit is the run's if the bit's first cell is
-        if run.start > base:
-            run_bits = ~bits_below(wp.int32((run.start - base + last_of_bit) >> shift))
-        if run.end < base + size:
-            run_bits = run_bits & bits_below(wp.int32((run.end - base + last_of_bit) >> shift))
-        if (((old ^ bits) | (old_stored ^ entered)) & run_bits) != wp.uint64(0):
-            fetch_xor(t.words, slot, (old ^ bits) & run_bits)
+        # Runs share the word.
+        last_of_bit = (ONE << bit_shift) - ONE  # rounds up to the next bit's first cell
+        if run.start > word_start:
+            run_bits = ~bits_below(wp.int32((run.start - word_start + last_of_bit) >> bit_shift))
+        if run.end < word_start + word_cells:
+            run_bits = run_bits & bits_below(wp.int32((run.end - word_start + last_of_bit) >> bit_shift))
+        if (((old_bits ^ bits) | (old_stored ^ entered)) & run_bits) != wp.uint64(0):
+            fetch_xor(t.words, slot, (old_bits ^ bits) & run_bits)
             fetch_xor(t.stored, slot, (old_stored ^ entered) & run_bits)
             t.state[DIFFERS] = 1
         mark_changed(t, slot, level)

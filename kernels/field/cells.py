@@ -23,10 +23,12 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
     south = wp.min(j, 1)
     north = wp.min(samples.rows - 1 - j, 1)
     row = wp.int64(samples.columns)
-    at = wp.int64(j) * row + wp.int64(i)
-    gx = (height_at(samples, at + wp.int64(east)) - height_at(samples, at - wp.int64(west))) * per_cell(west + east)
-    gy = height_at(samples, at + wp.int64(north) * row) - height_at(samples, at - wp.int64(south) * row)
-    return wp.vec3d(height_at(samples, at), gx, gy * per_cell(south + north))
+    index = wp.int64(j) * row + wp.int64(i)
+    gx = (height_at(samples, index + wp.int64(east)) - height_at(samples, index - wp.int64(west))) * per_cell(
+        west + east
+    )
+    gy = height_at(samples, index + wp.int64(north) * row) - height_at(samples, index - wp.int64(south) * row)
+    return wp.vec3d(height_at(samples, index), gx, gy * per_cell(south + north))
 
 
 @wp.func
@@ -43,15 +45,16 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
     p = corners_of(samples, i, j)  # in the order south-west (a), south-east (b), north-west (c), north-east (d)
     row = wp.int64(samples.columns)
     one = wp.int64(1)
-    at = wp.int64(j) * row + wp.int64(i)
-    above = at + row
+    index = wp.int64(j) * row + wp.int64(i)
+    above = index + row
     per_x = per_cell(west + 1)
-    a_x = (p[1] - height_at(samples, at - wp.int64(west))) * per_x
+    a_x = (p[1] - height_at(samples, index - wp.int64(west))) * per_x
     c_x = (p[3] - height_at(samples, above - wp.int64(west))) * per_x
     per_x = per_cell(east + 1)
-    b_x = (height_at(samples, at + one + wp.int64(east)) - p[0]) * per_x
+    b_x = (height_at(samples, index + one + wp.int64(east)) - p[0]) * per_x
     d_x = (height_at(samples, above + one + wp.int64(east)) - p[2]) * per_x
-    below = at - wp.int64(south) * row
+    # Now the rows beyond the cell, or at the border its own.
+    below = index - wp.int64(south) * row
     above += wp.int64(north) * row
     per_y = per_cell(south + 1)
     a_y = (p[2] - height_at(samples, below)) * per_y

@@ -62,19 +62,19 @@ def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
     x, y: metres from the raster's middle. c, s: scaled cosine and sine of each octave's rotation.
     """
     total = wp.vec3d()
-    a = layer.amplitude
+    amplitude = layer.amplitude
     c = layer.frequency
     s = wp.float64(0.0)
     for k in range(layer.octaves):
         shift = wp.float64(k + 1)
         n = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, layer.seed)
         layer.seed = layer.seed + wp.uint32(-0x61C88647)  # 0x9E3779B9, for the next octave
-        total += a * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
+        total += amplitude * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
         # twice the frequency, turned by the angle of the triangle (3, 4, 5)
         turned = wp.float64(1.6) * c - wp.float64(1.2) * s
         s = wp.float64(1.6) * s + wp.float64(1.2) * c
         c = turned
-        a = a * layer.gain
+        amplitude = amplitude * layer.gain
     return total
 
 
@@ -113,10 +113,10 @@ def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
     fv = wp.floor(v)
     i = wp.int32(wp.int64(fu) % wp.int64(layer.columns))
     j = wp.int32(wp.int64(fv) % wp.int64(layer.rows))
-    across = basis(u - fu)
-    across1 = slope_basis(u - fu)
-    up = basis(v - fv)
-    up1 = slope_basis(v - fv)
+    weights_x = basis(u - fu)
+    slopes_x = slope_basis(u - fu)
+    weights_y = basis(v - fv)
+    slopes_y = slope_basis(v - fv)
     total = wp.vec3d()
     for b in range(4):
         # Remainders have the sign of the dividend, and j is above -rows.
@@ -124,13 +124,13 @@ def image_detail(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
             layer.columns
         )
         z = wp.float64(0.0)
-        z1 = wp.float64(0.0)
+        z_slope = wp.float64(0.0)
         for a in range(4):
             column = (i + a + wp.int32(2) * layer.columns - wp.int32(1)) % layer.columns
             h = wp.float64(layers.pixels[row + wp.int64(column)])
-            z += across[a] * h
-            z1 += across1[a] * h
-        total += wp.vec3d(up[b] * z, up[b] * z1 * layer.frequency, up1[b] * z * layer.frequency)
+            z += weights_x[a] * h
+            z_slope += slopes_x[a] * h
+        total += wp.vec3d(weights_y[b] * z, weights_y[b] * z_slope * layer.frequency, slopes_y[b] * z * layer.frequency)
     return layer.amplitude * total
 
 
@@ -148,13 +148,15 @@ def mask_at(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64)
     t -= wp.float64(j)
     south = first + wp.int64(j) * wp.int64(layers.columns) + wp.int64(i)
     north = south + wp.int64(layers.columns)
-    a = wp.float64(item_at(layers.masks, south))
-    b = wp.float64(item_at(layers.masks, south + wp.int64(1))) - a
-    e = wp.float64(item_at(layers.masks, north))
-    f = wp.float64(item_at(layers.masks, north + wp.int64(1))) - e
-    low = a + b * s
-    rise = e + f * s - low
-    return BYTE * wp.vec3d(low + rise * t, (b + (f - b) * t) * layers.per_x, rise * layers.per_y)
+    south_west = wp.float64(item_at(layers.masks, south))
+    south_rise = wp.float64(item_at(layers.masks, south + wp.int64(1))) - south_west
+    north_west = wp.float64(item_at(layers.masks, north))
+    north_rise = wp.float64(item_at(layers.masks, north + wp.int64(1))) - north_west
+    low = south_west + south_rise * s
+    rise = north_west + north_rise * s - low
+    return BYTE * wp.vec3d(
+        low + rise * t, (south_rise + (north_rise - south_rise) * t) * layers.per_x, rise * layers.per_y
+    )
 
 
 @wp.func

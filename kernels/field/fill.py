@@ -31,24 +31,24 @@ def nearest_in_columns(
     x1 = wp.min(x0 + block, width)
     for y in range(height):
         for x in range(x0, x1):
-            at = y * width + x
+            index = y * width + x
             row = first + y
-            if missing[at] > wp.uint8(0):
+            if missing[index] > wp.uint8(0):
                 row = below[x]
                 if y > 0:
-                    row = nearest[at - width]
-            nearest[at] = row
+                    row = nearest[index - width]
+            nearest[index] = row
     for i in range(height):
         y = height - 1 - i
         for x in range(x0, x1):
-            at = y * width + x
-            beyond = above[x]
+            index = y * width + x
+            upper_row = above[x]
             if i > 0:
-                beyond = nearest[at + width]
-            row = nearest[at]
+                upper_row = nearest[index + width]
+            row = nearest[index]
             here = first + y
-            if row != here and beyond > here and (row < 0 or beyond - here < here - row):
-                nearest[at] = beyond
+            if row != here and upper_row > here and (row < 0 or upper_row - here < here - row):
+                nearest[index] = upper_row
 
 
 @wp.kernel
@@ -86,7 +86,7 @@ def nearest_columns(
                         last_distance = wp.float64(nearest[y * width + last_x] - first - y)
                         last_sum2 = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
                         from_x = (sum2 - last_sum2) / (wp.float64(2.0) * wp.float64(x - last_x))
-                        if from_x <= start[count - 1]:
+                        if from_x <= start[count - 1]:  # the last parabola is nowhere the lowest
                             count = count - 1
                             searching = wp.int32(1)
                             from_x = wp.float64(-1.0e300)

@@ -29,8 +29,8 @@ def round_up(value: wp.float64):
 @wp.func
 def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
     """Return the height, metres, at sample (x, y); beyond the eastern or northern border that of the nearest sample."""
-    at = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
-    return wp.float64(item_at(raster.floats, at))
+    index = sample_index(raster, wp.min(x, raster.columns - 1), wp.min(y, raster.rows - 1))
+    return wp.float64(item_at(raster.floats, index))
 
 
 @wp.func
@@ -71,18 +71,18 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
     """
     row = offset + wp.tid()
     h = measured.floats
-    part = wp.float64(0.125)  # 1 / BLOCK
+    per_cell = wp.float64(0.125)  # 1 / BLOCK
     for column in range(patches.columns):
         x = column * BLOCK
         y = row * BLOCK
         west = wp.float64(item_at(h, sample_index(measured, x, y)))
         east = wp.float64(item_at(h, sample_index(measured, x + BLOCK, y)))
-        west_slope = (wp.float64(item_at(h, sample_index(measured, x, y + BLOCK))) - west) * part
-        east_slope = (wp.float64(item_at(h, sample_index(measured, x + BLOCK, y + BLOCK))) - east) * part
+        west_slope = (wp.float64(item_at(h, sample_index(measured, x, y + BLOCK))) - west) * per_cell
+        east_slope = (wp.float64(item_at(h, sample_index(measured, x + BLOCK, y + BLOCK))) - east) * per_cell
         largest = wp.float64(0.0)
         for j in range(BLOCK + 1):
             begin = west + west_slope * wp.float64(j)
-            slope = (east + east_slope * wp.float64(j) - begin) * part
+            slope = (east + east_slope * wp.float64(j) - begin) * per_cell
             first = sample_index(measured, x, y + j)
             for i in range(BLOCK + 1):
                 distance = wp.abs(wp.float64(item_at(h, first + wp.int64(i))) - (begin + slope * wp.float64(i)))
@@ -275,10 +275,14 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
         south = sample_index(measured, cx, cy)
         north = south + wp.int64(measured.columns)
         east = wp.int64(1)
-        near = wp.float64(item_at(h, south)) - wp.float64(item_at(h, south + east))
-        far = wp.float64(item_at(h, north + east)) - wp.float64(item_at(h, north))
-        twist = wp.abs(near + far) * wp.float64(0.25)
-        put(errors, entry(cells, cx, cy), wp.where(twist > wp.float64(0.0), round_up(twist), wp.float32(0.0)))
+        south_difference = wp.float64(item_at(h, south)) - wp.float64(item_at(h, south + east))
+        north_difference = wp.float64(item_at(h, north + east)) - wp.float64(item_at(h, north))
+        quarter_twist = wp.abs(south_difference + north_difference) * wp.float64(0.25)
+        put(
+            errors,
+            entry(cells, cx, cy),
+            wp.where(quarter_twist > wp.float64(0.0), round_up(quarter_twist), wp.float32(0.0)),
+        )
 
 
 @wp.kernel

@@ -17,10 +17,10 @@ HOLE = wp.constant(wp.uint8(2))
 @wp.func
 def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.bool:
     """Return whether all four samples of cell (i, j) are valid. columns: samples in a row."""
-    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
-    above = at + wp.int64(columns)
+    index = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    above = index + wp.int64(columns)
     one = wp.int64(1)
-    south = wp.min(item_at(valid, at), item_at(valid, at + one))
+    south = wp.min(item_at(valid, index), item_at(valid, index + one))
     return wp.min(south, wp.min(item_at(valid, above), item_at(valid, above + one))) > wp.uint8(0)
 
 
@@ -56,7 +56,7 @@ def raise_borders(
             c = child(coarser, p, k)
             if holds(finer, c):
                 kind = kind | item_at(kinds, entry(finer, c[0], c[1]))
-        at = entry(coarser, p[0], p[1])
-        put(kinds, at, kind)
+        index = entry(coarser, p[0], p[1])
+        put(kinds, index, kind)
         if kind == GROUND | HOLE:
-            put(errors, at, wp.max(item_at(errors, at), longest))
+            put(errors, index, wp.max(item_at(errors, index), longest))

@@ -20,8 +20,9 @@ class Depth:
     """The diamonds of one depth, and where the arrays hold them.
 
     They are the middles of `columns` x `rows` cells (odd depths, `sides` 0), or of the sides of such cells (even
-    depths, `sides` 1). A cell's is (x, y), a side's is numbered by the corners of the cells of half the side: x + y is
-    odd there. (0, 0) is in the south-west; (x, y) is the vertex (first + x * step, first + y * step) of its group.
+    depths, `sides` 1). The diamond of a cell has the cell's (x, y). That of a side has the position of the side's
+    middle in steps of half a side, so that x + y is odd. (0, 0) is in the south-west; (x, y) is the vertex
+    (first + x * step, first + y * step) of its group.
     """
 
     columns: wp.int32  # of sides: cells of half the side
@@ -67,8 +68,8 @@ def child(depth: Depth, p: wp.vec2i, k: wp.int32) -> wp.vec2i:
 
     depth: layout of the diamond's own depth. p: the diamond's position in it.
     """
-    c = wp.vec2i(p[0] - (k & 1), p[1] - (k >> 1))
-    if depth.sides == 0:
+    c = wp.vec2i(p[0] - (k & 1), p[1] - (k >> 1))  # of a side: the cells, half as wide, that touch its middle
+    if depth.sides == 0:  # of a cell: its four sides
         ahead = 2 * (k & 1)
         c = wp.vec2i(2 * p[0] + wp.where(k < 2, ahead, 1), 2 * p[1] + wp.where(k < 2, 1, ahead))
     return c

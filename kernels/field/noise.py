@@ -41,14 +41,14 @@ def value_noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
     one = wp.float64(1.0)
     south = scramble(j + seed)
     north = scramble(j + wp.uint32(1) + seed)
-    a = lattice_value(south, i)
-    b = lattice_value(south, i + wp.uint32(1)) - a
-    c = lattice_value(north, i)
-    d = lattice_value(north, i + wp.uint32(1)) - c
+    south_west = lattice_value(south, i)
+    south_rise = lattice_value(south, i + wp.uint32(1)) - south_west
+    north_west = lattice_value(north, i)
+    north_rise = lattice_value(north, i + wp.uint32(1)) - north_west
     fu = u * u * u * (u * (u * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
     fv = v * v * v * (v * (v * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
     su = wp.float64(30.0) * u * u * (u * (u - wp.float64(2.0)) + one)
     sv = wp.float64(30.0) * v * v * (v * (v - wp.float64(2.0)) + one)
-    low = a + b * fu
-    rise = c + d * fu - low
-    return wp.vec3d(su * (b + (d - b) * fv), sv * rise, low + rise * fv)
+    low = south_west + south_rise * fu
+    rise = north_west + north_rise * fu - low
+    return wp.vec3d(su * (south_rise + (north_rise - south_rise) * fv), sv * rise, low + rise * fv)

@@ -18,9 +18,9 @@ REACH = wp.constant(4)
 
 @wp.func
 def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Return a large code q in 0 .. 65535 with base + q step <= z; z is not below base. per_step: 1 / step.
+    """Return the largest code q in 0 .. 65535 with base + q step <= z, or, by rounding, the one below it.
 
-    Rounding may make it one less than the largest.
+    z is not below base. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q > 0 and base + wp.float64(q) * step > z:
@@ -30,9 +30,9 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
 
 @wp.func
 def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Return a small code q in 0 .. 65535 with base + q step >= z; z is not above base + 65535 step.
+    """Return the smallest code q in 0 .. 65535 with base + q step >= z, or, by rounding, the one above it.
 
-    Rounding may make it one more than the smallest. per_step: 1 / step.
+    z is not above base + 65535 step. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q < 65535 and base + wp.float64(q) * step < z:
@@ -85,8 +85,8 @@ def finest_ranges(
 ):
     """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
-    They cover all samples in the diamonds' boxes, or the nearest, and so the finer diamonds that overlap the next cell.
-    Code q stands for base + q step metres. finest: layout of `ranges`.
+    A range covers all samples in the diamond's box, or the nearest to a box beyond the raster, and so the finer
+    diamonds that overlap the next cell. Code q stands for base + q step metres. finest: layout of `ranges`.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
@@ -97,16 +97,18 @@ def finest_ranges(
         east = wp.min(2 * x + REACH, raster.columns - 1)
         first = sample_index(raster, west, south)
         limits = limits_of_box(raster.floats, first, raster.columns, east + 1 - west, north + 1 - south)
-        at = wp.int64(2) * entry(finest, x, y)
-        put(ranges, at, quantise_down(wp.float64(limits[0]), base, step, per_step))
-        put(ranges, at + wp.int64(1), quantise_up(wp.float64(limits[1]), base, step, per_step))
+        lower_index = wp.int64(2) * entry(finest, x, y)
+        put(ranges, lower_index, quantise_down(wp.float64(limits[0]), base, step, per_step))
+        put(ranges, lower_index + wp.int64(1), quantise_up(wp.float64(limits[1]), base, step, per_step))
 
 
 @wp.func
 def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
     """Return the union of range a (lower and upper code) and that of the diamond at an index of `ranges`."""
-    at = wp.int64(2) * index
-    return wp.vec2us(wp.min(a[0], item_at(ranges, at)), wp.max(a[1], item_at(ranges, at + wp.int64(1))))
+    lower_index = wp.int64(2) * index
+    return wp.vec2us(
+        wp.min(a[0], item_at(ranges, lower_index)), wp.max(a[1], item_at(ranges, lower_index + wp.int64(1)))
+    )
 
 
 @wp.kernel
@@ -124,9 +126,9 @@ def patches_around(
         for cy in range(wp.max(2 * y - REACH, 0), wp.min(2 * y + REACH, rows)):
             for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
                 r = unite(r, ranges, entry(cells, cx, cy))
-        at = wp.int64(2) * entry(finest, x, y)
-        put(ranges, at, r[0])
-        put(ranges, at + wp.int64(1), r[1])
+        lower_index = wp.int64(2) * entry(finest, x, y)
+        put(ranges, lower_index, r[0])
+        put(ranges, lower_index + wp.int64(1), r[1])
 
 
 @wp.kernel
@@ -142,6 +144,6 @@ def unite_children(offset: wp.int64, finer: Depth, coarser: Depth, ranges: wp.ar
             c = child(coarser, p, k)
             if holds(finer, c):
                 r = unite(r, ranges, entry(finer, c[0], c[1]))
-        at = wp.int64(2) * entry(coarser, p[0], p[1])
-        put(ranges, at, r[0])
-        put(ranges, at + wp.int64(1), r[1])
+        lower_index = wp.int64(2) * entry(coarser, p[0], p[1])
+        put(ranges, lower_index, r[0])
+        put(ranges, lower_index + wp.int64(1), r[1])

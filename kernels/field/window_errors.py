@@ -45,7 +45,7 @@ def window_errors(
     width = measured.columns
     start = row * width
     j = c.up * (south + row - c.y)
-    found = largest[row]
+    max_distance = largest[row]
     if j >= 0 and j < c.legs:
         plane = c.plane + c.slope_y * wp.float64(c.up * j)
         first = c.x + wp.min(c.right, 0) * (c.legs - j)
@@ -54,27 +54,29 @@ def window_errors(
         for x in range(begin, end):
             height = wp.float64(item_at(h, start + x - west))
             distance = wp.abs(height - (plane + c.slope_x * wp.float64(x - c.x)))
-            found = wp.where(distance > found, distance, found)
+            max_distance = wp.where(distance > max_distance, distance, max_distance)
     # The longest edge runs from (x, y + up * legs) along (right, -up); cell i of it is between its rows i and i + 1.
     i = c.legs - c.up * (south + row - c.y)
-    if c.up > 0:
+    if c.up > 0:  # the edge begins in the north: the cell above this row comes before it
         i = i - 1
-    edge = c.x + c.right * i
-    cell = wp.min(edge, edge + c.right)
-    if i >= 0 and i < c.legs and cell >= west and cell + 1 < west + width and row + 1 < measured.rows:
+    edge_x = c.x + c.right * i
+    cell_x = wp.min(edge_x, edge_x + c.right)
+    if i >= 0 and i < c.legs and cell_x >= west and cell_x + 1 < west + width and row + 1 < measured.rows:
         top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
         across = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
-        at = start + edge - west
+        index = start + edge_x - west
         if c.up > 0:
-            at = at + width
-        aside = at + c.right
-        below = at - c.up * width
-        far = below + c.right
-        e0 = wp.float64(h[at]) - (top + across * wp.float64(i))
-        e1 = wp.float64(h[far]) - (top + across * wp.float64(i + 1))
-        twist = wp.float64(h[at]) + wp.float64(h[far]) - wp.float64(h[aside]) - wp.float64(h[below])
+            index = index + width
+        aside_index = index + c.right
+        below_index = index - c.up * width
+        far_index = below_index + c.right
+        e0 = wp.float64(h[index]) - (top + across * wp.float64(i))
+        e1 = wp.float64(h[far_index]) - (top + across * wp.float64(i + 1))
+        twist = (
+            wp.float64(h[index]) + wp.float64(h[far_index]) - wp.float64(h[aside_index]) - wp.float64(h[below_index])
+        )
         # the distance is a parabola between the samples; it counts if it turns there
         if wp.abs(e1 - e0) < wp.abs(twist):
             rest = twist - (e1 - e0)
-            found = wp.max(found, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
-    largest[row] = found
+            max_distance = wp.max(max_distance, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+    largest[row] = max_distance

@@ -86,7 +86,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
             p.triangles = 1
         elif number < -2:
             p.triangles = 0
-        if p.code < w.first_cell:
+        if p.code < w.first_cell:  # the cell begins in an earlier slice, which counts its sides
             p.triangles = 0
     return p
 
@@ -169,15 +169,15 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
     `w.coarsest`, the count ends early. `w.marks` and `w.measured` receive the cells and the number of measured
     diamonds, by which the next count is divided among threads.
     """
-    none = wp.float64(0.0)
+    no_slack = wp.float64(0.0)
     criterion.limit = w.limit_factors[w.coarsest]
-    coarse = limits_of(criterion, none)
+    coarse = limits_of(criterion, no_slack)
     step = wp.int32(w.finest)
     total = wp.int64(0)  # triangles that are split at `step`
     measured = wp.int64(0)  # diamonds
     num_marks = wp.int32(0)
     criterion.limit = w.limit_factors[step]
-    limits = limits_of(criterion, none)
+    limits = limits_of(criterion, no_slack)
     bottom = w.slot * CELLS
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and step <= w.coarsest:
@@ -212,7 +212,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                 total -= w.last_steps[w.slot * w.limit_factors.shape[0] + step]
                 step += 1
                 criterion.limit = w.limit_factors[step]
-                limits = limits_of(criterion, none)
+                limits = limits_of(criterion, no_slack)
         square += 1
     w.from_step[w.slot] = step
     w.measured[w.slot] = measured

@@ -232,10 +232,10 @@ def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
 
     The ends are those of the edge that it splits. last: its number, -1 for none, which gives False.
     """
-    was = wp.bool(False)
+    is_unsettled = wp.bool(False)
     if last >= wp.int64(0):
-        was = morphing.last_known[last].is_settled == 0
-    return was
+        is_unsettled = morphing.last_known[last].is_settled == 0
+    return is_unsettled
 
 
 @wp.func

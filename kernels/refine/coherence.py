@@ -201,21 +201,21 @@ def footprint_factors(
     lowest = lower * lower / wp.sqrt(slants2[1])
     highest = upper * upper / wp.sqrt(slants2[0])
     clamped2 = smaller(view.max_gain2, motion.max_gain2)
-    if max_gain2 <= one:
+    if max_gain2 <= one:  # the first in all boxes
         gain2 = one
         lowest = one
         highest = one
-    elif min_gain2 >= larger(view.max_gain2, motion.max_gain2):
+    elif min_gain2 >= larger(view.max_gain2, motion.max_gain2):  # the last in all boxes
         gain2 = view.max_gain2
         lowest = wp.sqrt(view.max_gain2 / motion.max_gain2)
         highest = lowest
     else:
         if not (lower > zero and slants2[0] > zero):
             valid = 0
-        if min_gain2 < one:
+        if min_gain2 < one:  # the first in some boxes
             lowest = smaller(lower, lowest)
             highest = larger(upper, highest)
-        if max_gain2 > clamped2:
+        if max_gain2 > clamped2:  # the last in some boxes
             gain = wp.sqrt(view.max_gain2 / motion.max_gain2)
             lowest = smaller(lower * gain, lowest)
             highest = larger(upper * gain, highest)
@@ -249,18 +249,18 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
         if min_over_box(planes[p], low, high) <= deepest or min_over_box(before[p], low, high) <= before_deepest:
             outwards = larger(-min_over_box(planes[p] - before[p], low, high), outwards)
             inwards = larger(max_over_box(planes[p] - before[p], low, high), inwards)
-    narrow = fringe_at(view, min_over_box(view.depth, low, high))
-    wide = fringe_at(view, max_over_box(view.depth, low, high))
+    min_width = fringe_at(view, min_over_box(view.depth, low, high))
+    max_width = fringe_at(view, max_over_box(view.depth, low, high))
     if view.kind == PERSPECTIVE:
         change = view.depth - motion.depth
         outwards += view.fringe * larger(-min_over_box(change, low, high), zero)
         inwards += view.fringe * larger(max_over_box(change, low, high), zero)
-    valid = wp.where(narrow > zero and wide < inf, 1, 0)
-    finest = one + view.fade * wp.clamp(-deepest / wide, zero, one)
-    coarsest = one + view.fade * wp.clamp(-nearest / narrow, zero, one)
-    before_finest = larger(finest - view.fade * outwards / narrow, one)
-    fall = larger(one - view.fade * inwards / (narrow * before_finest), zero)
-    rise = one + view.fade * outwards / (narrow * before_finest)
+    valid = wp.where(min_width > zero and max_width < inf, 1, 0)
+    finest = one + view.fade * wp.clamp(-deepest / max_width, zero, one)
+    coarsest = one + view.fade * wp.clamp(-nearest / min_width, zero, one)
+    before_finest = larger(finest - view.fade * outwards / min_width, one)
+    fall = larger(one - view.fade * inwards / (min_width * before_finest), zero)
+    rise = one + view.fade * outwards / (min_width * before_finest)
     bounds = wp.vec4d(fall * fall, rise * rise, finest * finest, coarsest * coarsest)
     return wp.cw_mul(bounds, bounds), valid
 
@@ -327,19 +327,19 @@ def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree,
     Then its leaves are copied instead of found again. The second result is 0 if a decision may change; the returned
     subtree must not be used then. in_frame: 1 if the frustum is known to contain the subtree's box.
     """
-    min_growth, max_growth, holds = footprint_change(criterion.view, motion, criterion.measures_edges, subtree)
+    min_growth, max_growth, is_valid = footprint_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth
     subtree.rise = subtree.rise - max_growth
     rounded = ROUNDED * subtree.coarse
     if not (subtree.fall > rounded and subtree.rise > rounded and subtree.fine + min_growth > rounded):
-        holds = 0
+        is_valid = 0
     # for boxes in the fringe `fade_change` bounds the change, wherever they are
-    if holds == 1 and subtree.frustum_class != FADED:
+    if is_valid == 1 and subtree.frustum_class != FADED:
         frustum_class = CLEAR
         if in_frame == 0:
             frustum_class = classify_box_steadily(criterion.view, subtree.low, subtree.high)
-        holds = wp.where(frustum_class == subtree.frustum_class, 1, 0)
-    if holds == 1:
+        is_valid = wp.where(frustum_class == subtree.frustum_class, 1, 0)
+    if is_valid == 1:
         subtree.fine = subtree.fine + min_growth
         subtree.coarse = subtree.coarse + max_growth
-    return subtree, holds
+    return subtree, is_valid

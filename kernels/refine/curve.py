@@ -117,7 +117,7 @@ def border_role(
     numbers of squares.
     """
     role = INNER
-    if p[0] == q[0]:
+    if p[0] == q[0]:  # the edge runs from south to north
         if p[0] == corner[0]:
             if column > 0:
                 role = TAKE_LEFT

@@ -49,18 +49,18 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
     edges = wp.int32(0)
-    ahead = end_of_entry(c.state, c.apex, c.right)
+    entry_end = end_of_entry(c.state, c.apex, c.right)
     if q.column > 0:
         count_side(domain, w, q, 0)
     else:
         edges = 1
         vertices = 2
-        if q.row > 0 and ahead[1] == q.corner[1]:
+        if q.row > 0 and entry_end[1] == q.corner[1]:
             flags = flags | (wp.uint32(1) << wp.uint32(CORNER))
             vertices = 1
         if n.leaves < w.leaf_capacity:
             w.point[w.leaf_base + n.vertices] = c.left
-            w.point[w.leaf_base + n.vertices + wp.int64(1)] = ahead  # stays only if it is new
+            w.point[w.leaf_base + n.vertices + wp.int64(1)] = entry_end  # stays only if it is new
     return flags, vertices, edges
 
 

@@ -115,11 +115,11 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
 def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
     """Return the height of the bilinear surface at lattice point p, clamped to the raster; metres before scaling."""
     bits = domain.unit_bits - domain.levels
-    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
+    per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
     j = wp.min(p[1] >> bits, domain.samples.rows - 2)
-    east = smaller(wp.float64(p[0] - (i << bits)) * part, wp.float64(1.0))
-    north = smaller(wp.float64(p[1] - (j << bits)) * part, wp.float64(1.0))
+    east = smaller(wp.float64(p[0] - (i << bits)) * per_unit, wp.float64(1.0))
+    north = smaller(wp.float64(p[1] - (j << bits)) * per_unit, wp.float64(1.0))
     return bilinear(corners_of(domain.samples, i, j), east, north)
 
 
@@ -179,7 +179,7 @@ def with_bound(
         if is_leaf(tree, t.node):
             t.leaf_depth = t.depth
     deepest = wp.where(t.leaf_depth == ANY, t.depth, t.leaf_depth)
-    if t.depth <= deepest:
+    if t.depth <= deepest:  # a part of a leaf keeps the leaf's errors
         t.fixed = rest_of(domain, d) + domain.source
         t.total = t.fixed
         if quantity == ERROR or quantity == METRES:
@@ -195,7 +195,7 @@ def with_bound(
     if quantity == EDGE or quantity == AREA:
         long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
         quantity2 = wp.where(quantity == EDGE, long2, legs2) + d.rise * d.rise
-    t.is_small = quantity != FIXED and quantity != ERROR
+    t.is_small = quantity != FIXED and quantity != ERROR  # only searches for these two divide leaves
     pixel2 = wp.float64(1.0)
     if quantity != METRES:
         pixel2, is_small = finest_seen(domain, criterion, quantity == EDGE or quantity == AREA, d, t)
@@ -236,22 +236,22 @@ def root_triangle(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp
 @wp.func
 def half_of(t: Triangle, number: wp.int32) -> Triangle:
     """Return half 0 or 1 (`number`) of a triangle, with the values that both inherit."""
-    below = Triangle()
-    below.left = t.left
-    below.right = t.apex
+    half = Triangle()
+    half.left = t.left
+    half.right = t.apex
     if number == 1:
-        below.left = t.apex
-        below.right = t.right
-    below.apex = middle_between(t.left, t.right)
-    below.depth = t.depth + 1
-    below.node = wp.uint64(2) * t.node + wp.uint64(number)
-    below.leaf_depth = t.leaf_depth
-    below.is_drawn = t.is_drawn
-    below.drawn = t.drawn
-    below.plane = t.plane
-    below.fixed = t.fixed
-    below.total = t.total
-    return below
+        half.left = t.apex
+        half.right = t.right
+    half.apex = middle_between(t.left, t.right)
+    half.depth = t.depth + 1
+    half.node = wp.uint64(2) * t.node + wp.uint64(number)
+    half.leaf_depth = t.leaf_depth
+    half.is_drawn = t.is_drawn
+    half.drawn = t.drawn
+    half.plane = t.plane
+    half.fixed = t.fixed
+    half.total = t.total
+    return half
 
 
 @wp.kernel
@@ -282,9 +282,9 @@ def find_largest(
             t = stack[top]
             top -= 1
             if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
-                is_part = t.leaf_depth != ANY and t.depth >= t.leaf_depth
-                # A part is divided down to the lattice's smallest triangles.
-                if is_part and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
+                is_in_leaf = t.leaf_depth != ANY and t.depth >= t.leaf_depth
+                # A leaf is divided down to the lattice's smallest triangles.
+                if is_in_leaf and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
                     bound2 = t.bound2 * wp.where(quantity == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed
                     total = t.total

@@ -175,10 +175,11 @@ def min_of_windows(
         if y >= j:
             north = wp.min(north, row)
     east_weight = corner[0] - wp.float64(i)
-    a = south[0] + east_weight * (south[1] - south[0])
-    b = north[0] + east_weight * (north[1] - north[0])
+    south_min = south[0] + east_weight * (south[1] - south[0])
+    north_min = north[0] + east_weight * (north[1] - north[0])
     largest = larger(larger(south[0], south[1]), larger(north[0], north[1]))
-    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), largest)  # rounding must not exceed all four
+    # Rounding must not exceed all four.
+    return smaller(south_min + (corner[1] - wp.float64(j)) * (north_min - south_min), largest)
 
 
 @wp.func
@@ -206,8 +207,8 @@ def steady_min(
             level = FINEST
             while longest >= wp.float64(wp.int32(MAX_BLOCKS) << level):
                 level += 1
-        part = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
-        min_height = min_of_windows(domain, blocks, level, corner * part, size * part, up)
+        blocks_per_cell = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
+        min_height = min_of_windows(domain, blocks, level, corner * blocks_per_cell, size * blocks_per_cell, up)
     return to_scaled(domain, min_height, wp.float64(1.0))
 
 
@@ -227,11 +228,11 @@ def max_mesh_offset(
     its height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error
     criteria bound the difference; without one it is infinite.
     """
-    part2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
+    error2_per_range2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxation * relaxation * criterion.metres2
     # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
-    if part2 * reach2 < wp.float64(0.5):
-        metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
+    if error2_per_range2 * reach2 < wp.float64(0.5):
+        metres2 = smaller(metres2, error2_per_range2 * larger(reach2 * (across2 + rise * rise), view.near2))
     return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.max_lean
 
 
@@ -329,8 +330,10 @@ def fill_horizon(
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
-        off = max_mesh_offset(domain, criterion, view, reach2, relaxation, wp.float64(2.0) * start * start, rise)
-        floor = (rise + off) / start
+        mesh_offset = max_mesh_offset(
+            domain, criterion, view, reach2, relaxation, wp.float64(2.0) * start * start, rise
+        )
+        floor = (rise + mesh_offset) / start
     per0, per1 = arc_of(domain, side, t0, t1)
     max_slope = NOTHING
     cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)

@@ -212,7 +212,7 @@ def interval_below(
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer
-    interval.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none
+    interval.leaf_up_to = wp.float64(wp.inf)  # without an error: no diamond below has one
     if m.error_m > wp.float64(0.0):
         interval.leaf_up_to = max_error_for(
             domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest
@@ -220,24 +220,25 @@ def interval_below(
     if criterion.measures_edges == 1:
         interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, m.edge2 * limits.finer)
         interval.depths_decide = wp.int32(m.error_m <= interval.leaf_up_to)
-    if interval.depths_decide == 1 and interval.leaf_depth == depth + 1:  # whatever the coarsest pixel is
+    # The children are leaves, whatever the coarsest footprint is.
+    if interval.depths_decide == 1 and interval.leaf_depth == depth + 1:
         interval.split_above = wp.float64(wp.inf)
         interval.split_depth = depth + 1
         interval.in_frame = in_frame
     else:
-        coarse2, edge2, inside = coarsest(criterion, m.diamond, in_frame)
+        coarse2, edge2, is_in_frame = coarsest(criterion, m.diamond, in_frame)
         coarse2 = coarse2 * limits.coarser
         interval.split_above = wp.float64(wp.inf)
         if m.error_m > wp.float64(0.0):
-            above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
+            split_metres = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
             # Descendants have smaller boxes, so their `rest` is between domain.rounding and m.rest.
-            interval.split_above = max_error_for(domain, above, domain.rounding)
+            interval.split_above = max_error_for(domain, split_metres, domain.rounding)
         if criterion.measures_edges == 1:
             # Edges below may be level, so their climb is 0.
             interval.split_depth = first_within(
                 coarse, depth, max_depth + 1, m, wp.float64(0.0), edge2 * limits.coarser
             )
-        interval.in_frame = inside
+        interval.in_frame = is_in_frame
     if interval.depths_decide == 1 and interval.split_depth == interval.leaf_depth:
         interval.even_depth = wp.min(interval.leaf_depth, max_depth)
     return interval

@@ -50,19 +50,19 @@ class LocalView:
 @wp.func
 def max_over_box(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the largest value of plane . (x, y, z, 1) in a box, whose corners are low and high."""
-    found = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
-    found += larger(plane[1] * low[1], plane[1] * high[1])
-    found += larger(plane[2] * low[2], plane[2] * high[2])
-    return found
+    largest = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
+    largest += larger(plane[1] * low[1], plane[1] * high[1])
+    largest += larger(plane[2] * low[2], plane[2] * high[2])
+    return largest
 
 
 @wp.func
 def min_over_box(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the smallest value of plane . (x, y, z, 1) in a box, whose corners are low and high."""
-    found = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
-    found += smaller(plane[1] * low[1], plane[1] * high[1])
-    found += smaller(plane[2] * low[2], plane[2] * high[2])
-    return found
+    smallest = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
+    smallest += smaller(plane[1] * low[1], plane[1] * high[1])
+    smallest += smaller(plane[2] * low[2], plane[2] * high[2])
+    return smallest
 
 
 @wp.func
@@ -113,10 +113,10 @@ def fringe_at(view: LocalView, depth: wp.float64) -> wp.float64:
 
     It is constant but in a perspective, where it grows with the depth and is 0 behind the eye.
     """
-    wide = view.fringe
+    width = view.fringe
     if view.kind == PERSPECTIVE:
-        wide = wide * larger(depth, wp.float64(0.0))
-    return wide
+        width = width * larger(depth, wp.float64(0.0))
+    return width
 
 
 @wp.func

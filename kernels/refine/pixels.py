@@ -103,10 +103,10 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 
     slant_x, slant_y: rows of LocalView. eye, low, high: metres.
     """
-    near = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
-    far = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
-    x = sizes_of(ends_of(slant_x, near, far))
-    y = sizes_of(ends_of(slant_y, near, far))
+    low_corner = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
+    high_corner = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
+    x = sizes_of(ends_of(slant_x, low_corner, high_corner))
+    y = sizes_of(ends_of(slant_y, low_corner, high_corner))
     return wp.vec2d(x[0] * x[0] + y[0] * y[0], x[1] * x[1] + y[1] * y[1])
 
 
@@ -299,10 +299,10 @@ def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     if criterion.view_count > 0:
         pixel2, edge2, inside = coarsest_in(criterion.view, d, in_frame)
         for v in range(1, criterion.view_count):
-            p2, e2, also = coarsest_in(criterion.views[v], d, in_frame)
+            p2, e2, view_inside = coarsest_in(criterion.views[v], d, in_frame)
             pixel2 = smaller(pixel2, p2)
             edge2 = smaller(edge2, e2)
-            inside = wp.min(inside, also)
+            inside = wp.min(inside, view_inside)
     if d.border > 0:
         pixel2 = wp.float64(wp.inf)
         edge2 = wp.float64(wp.inf)

@@ -11,6 +11,8 @@ the view alone (Lindstrom and Pascucci 2002, section 4).
 
 Children are visited so that consecutive leaves share an edge: the Sierpinski curve (curve.py). It may be cut anywhere
 into slices for parallel walks; each walk descends from the roots to its first cell.
+
+`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far.
 """
 
 import warp as wp

@@ -124,13 +124,13 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
         while r.cursor[slot].cell < cell or (r.cursor[slot].cell == cell and r.cursor[slot].depth < c.depth):
             move_cursor(r, slot, r.cursor[slot].next)
         if r.cursor[slot].cell == cell and r.cursor[slot].depth == c.depth:
-            subtree, holds = update_margins(
+            subtree, is_valid = update_margins(
                 criterion, r.motion, r.last_cached[r.cursor[slot].next], w.intervals[c.interval_index].in_frame
             )
-            if holds == 1 and c.cell >= q.start and cell + size_of(w, c.depth) <= w.end_cell:
+            if is_valid == 1 and c.cell >= q.start and cell + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
-                if r.cursor[slot].end != NOWHERE:
+                if r.cursor[slot].end != NOWHERE:  # inside an open subtree
                     limit_margins(r, slot, subtree.fall, subtree.rise)
                 elif r.cursor[slot].count < r.room:
                     subtree.first_leaf = w.leaf_base + n.leaves
@@ -164,11 +164,11 @@ def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
     has cached, at the depth limit, or without room in the list.
     """
     slot = w.slot
-    may = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room and c.depth < w.max_depth
-    if may:
+    may_begin = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room and c.depth < w.max_depth
+    if may_begin:
         end = q.base + c.cell + size_of(w, c.depth)
-        may = r.cursor[slot].cell >= end or r.cursor[slot].leaves < FEW_LEAVES
-    return may
+        may_begin = r.cursor[slot].cell >= end or r.cursor[slot].leaves < FEW_LEAVES
+    return may_begin
 
 
 @wp.func
@@ -225,11 +225,11 @@ def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse
     """
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
-        away = rise_to_turn(limits, m)
+        rise = rise_to_turn(limits, m)
         if not too_coarse(criterion, criterion.limit, m):
-            limit_margins(r, w.slot, -away, inf)
+            limit_margins(r, w.slot, -rise, inf)
         elif not m.metres2 > criterion.limit * criterion.metres2:
-            limit_margins(r, w.slot, inf, away)
+            limit_margins(r, w.slot, inf, rise)
 
 
 @wp.func

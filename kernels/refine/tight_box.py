@@ -33,17 +33,17 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
     -infinity) beyond the raster's border.
     """
     bits = domain.unit_bits - domain.levels
-    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
+    per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
     low = wp.float64(wp.inf)
     high = wp.float64(-wp.inf)
     for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.samples.rows - 2) + 1):
         y = j << bits
-        south = wp.float64(wp.max(y0, y) - y) * part
-        north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * part
+        south = wp.float64(wp.max(y0, y) - y) * per_unit
+        north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * per_unit
         for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.samples.columns - 2) + 1):
             x = i << bits
-            west = wp.float64(wp.max(x0, x) - x) * part
-            east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * part
+            west = wp.float64(wp.max(x0, x) - x) * per_unit
+            east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * per_unit
             corners = corners_of(domain.samples, i, j)
             a = bilinear(corners, west, south)
             b = bilinear(corners, east, south)
@@ -68,13 +68,13 @@ def box_between(
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
         min_height, max_height = heights_between(domain, x0, y0, x1, y1)
-        more = domain.max_detail
+        displacement = domain.max_detail
         if domain.has_finer == 1:
             shift = domain.unit_bits - domain.levels - domain.finer[0].bits
-            wide = domain.unit_bits - ((depth - 1) >> 1)
-            more += wp.float64(limits_over(domain.finer[0], x0, y0, x1, y1, shift, wide)[0])
-        min_height -= more
-        max_height += more
+            log2_width = domain.unit_bits - ((depth - 1) >> 1)
+            displacement += wp.float64(limits_over(domain.finer[0], x0, y0, x1, y1, shift, log2_width)[0])
+        min_height -= displacement
+        max_height += displacement
         z0 = min_height * domain.height_scale + domain.height_offset
         z1 = max_height * domain.height_scale + domain.height_offset
         # For nested boxes, margins shrink with each depth by more than rounding can do to the heights of the surface.

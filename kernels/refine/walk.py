@@ -84,22 +84,22 @@ def judge(
     elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
         verdict = LEAF  # to measure it could only set STOPPED, which is set
     if verdict == DOUBT:
-        here = w.slot * STACK + c.depth
-        if not (w.diamonds[here].middle == middle):
+        entry = w.slot * STACK + c.depth
+        if not (w.diamonds[entry].middle == middle):
             if min_fraction < wp.float64(1.0):
                 error = error_at(domain, middle[0], middle[1], c.depth)
             m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
             m.verdict = wp.where(too_coarse(criterion, criterion.limit, m), SPLIT, LEAF)
-            w.diamonds[here] = m
+            w.diamonds[entry] = m
             if m.verdict == SPLIT and c.depth < w.max_depth:
-                w.intervals[here] = interval_below(
+                w.intervals[entry] = interval_below(
                     domain, criterion, limits, limits, m, c.depth, w.max_depth, above.in_frame
                 )
-        verdict = w.diamonds[here].verdict
+        verdict = w.diamonds[entry].verdict
         if verdict == SPLIT and c.depth < w.max_depth:
-            interval_index = here
-            open_subtree(criterion, w, r, q, c, w.diamonds[here], w.intervals[here], n)
-        narrow_margins(criterion, limits, w, r, w.diamonds[here])
+            interval_index = entry
+            open_subtree(criterion, w, r, q, c, w.diamonds[entry], w.intervals[entry], n)
+        narrow_margins(criterion, limits, w, r, w.diamonds[entry])
     if c.depth == w.max_depth and verdict == SPLIT:
         w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF

@@ -46,8 +46,8 @@ def tile_jet(
     j = wp.min(wp.int32(v), wp.min(side, (finer.cells_y - first_y) >> level) - 1)
     place = row * finer.columns + column
     # rows of the level's array before those of the tile
-    above = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
-    q = jet_of(finer.levels, level, i, above + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
+    first_row = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
+    q = jet_of(finer.levels, level, i, first_row + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
     per_x = finer.levels.per_x * scale
     per_y = finer.levels.per_y * scale
     return Jet(q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y)
@@ -64,24 +64,24 @@ def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.floa
     last_y = wp.float64(ground.rows[0] - 1)
     cell_x = wp.clamp((x - ground.west) * ground.per_x, wp.float64(0.0), last_x)
     cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), last_y)
-    a_cell = wp.float64(wp.int32(1) << finer.bits)
-    finer_x = cell_x * a_cell
-    finer_y = cell_y * a_cell
+    finer_per_cell = wp.float64(wp.int32(1) << finer.bits)
+    finer_x = cell_x * finer_per_cell
+    finer_y = cell_y * finer_per_cell
     column = wp.min(wp.int32(finer_x), finer.cells_x - 1) >> TILE_BITS
     row = wp.min(wp.int32(finer_y), finer.cells_y - 1) >> TILE_BITS
-    scale = wp.float32(finer.bits)
+    pyramid_level = wp.float32(finer.bits)
     if item_at(finer.numbers, row * finer.columns + column) >= 0:
-        scale = wp.max(scale + level, wp.float32(0.0))
-    below = wp.int32(scale)
-    coarse = wp.float64(scale) - wp.float64(below)
+        pyramid_level = wp.max(pyramid_level + level, wp.float32(0.0))
+    lower_level = wp.int32(pyramid_level)
+    fraction = wp.float64(pyramid_level) - wp.float64(lower_level)
     q = Jet()
-    for k in range(wp.where(coarse > wp.float64(0.0), 2, 1)):
-        part = Jet()
-        if below + k < finer.bits:
-            part = tile_jet(finer, column, row, below + k, finer_x, finer_y)
+    for k in range(wp.where(fraction > wp.float64(0.0), 2, 1)):
+        jet = Jet()
+        if lower_level + k < finer.bits:
+            jet = tile_jet(finer, column, row, lower_level + k, finer_x, finer_y)
         else:
-            part = level_jet(ground, 0, cell_x, cell_y)
-        q += part * wp.where(k == 0, wp.float64(1.0) - coarse, coarse)
+            jet = level_jet(ground, 0, cell_x, cell_y)
+        q += jet * wp.where(k == 0, wp.float64(1.0) - fraction, fraction)
     q *= ground.height_scale
     q[0] = q[0] + ground.height_offset
     return q

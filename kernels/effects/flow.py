@@ -15,10 +15,10 @@ def bilinear(pyramid: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) ->
     j = wp.min(wp.int32(y), pyramid.rows[level] - 2)
     u = x - wp.float64(i)
     v = y - wp.float64(j)
-    at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
-    above = at + wp.int64(columns)
-    a = filtered_height(pyramid, level, at)
-    b = filtered_height(pyramid, level, at + wp.int64(1))
+    index = wp.int64(j) * wp.int64(columns) + wp.int64(i)
+    above = index + wp.int64(columns)
+    a = filtered_height(pyramid, level, index)
+    b = filtered_height(pyramid, level, index + wp.int64(1))
     c = filtered_height(pyramid, level, above)
     d = filtered_height(pyramid, level, above + wp.int64(1))
     low = a + (b - a) * u
@@ -37,14 +37,14 @@ def value_at(pyramid: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.fl
     last_y = wp.float64(pyramid.rows[0] - 1)
     x = wp.clamp((wp.float64(p[0]) - pyramid.west) / pyramid.step_x, wp.float64(0.0), last_x)
     y = wp.clamp((wp.float64(p[1]) - pyramid.south) / pyramid.step_y, wp.float64(0.0), last_y)
-    scale = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(pyramid.levels - 1))
-    below = wp.int32(scale)
-    fraction = wp.float64(scale) - wp.float64(below)
-    per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
-    value = bilinear(pyramid, below, x * per, y * per)
+    pyramid_level = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(pyramid.levels - 1))
+    lower_level = wp.int32(pyramid_level)
+    fraction = wp.float64(pyramid_level) - wp.float64(lower_level)
+    cells_factor = wp.float64(1.0) / wp.float64(wp.int32(1) << lower_level)
+    value = bilinear(pyramid, lower_level, x * cells_factor, y * cells_factor)
     if fraction > wp.float64(0.0):
-        per *= wp.float64(0.5)
-        value += (bilinear(pyramid, below + 1, x * per, y * per) - value) * fraction
+        cells_factor *= wp.float64(0.5)
+        value += (bilinear(pyramid, lower_level + 1, x * cells_factor, y * cells_factor) - value) * fraction
     return value
 
 

@@ -119,20 +119,20 @@ def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float3
     column = wp.min(wp.int32(cell_x), places.cells_x - 1) >> TILE_BITS
     row = wp.min(wp.int32(cell_y), places.cells_y - 1) >> TILE_BITS
     beside = item_at(places.beside, row * places.columns + column)
-    found = wp.float64(0.0)
+    level = wp.float64(0.0)
     if beside >= 0:
         side = wp.float64(SIDE)
         west = cell_x - wp.float64(column) * side
         south = cell_y - wp.float64(row) * side
-        found = FADE
+        level = FADE  # first the distance from the border in finer cells, at most FADE
         if beside != 0:
             for k in range(9):
                 if ((beside >> k) & 1) != 0:  # neighbour k, 3 * (dy + 1) + dx + 1, has no finer heights
                     across = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
                     along = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
-                    found = wp.min(found, wp.max(across, along))
-        found *= -wp.float64(places.bits) / FADE
-    return wp.float32(found)
+                    level = wp.min(level, wp.max(across, along))
+        level *= -wp.float64(places.bits) / FADE
+    return wp.float32(level)
 
 
 @wp.kernel

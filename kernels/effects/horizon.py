@@ -56,8 +56,8 @@ def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp
 
     origin: the first sample's position, metres. step: metres between samples.
     """
-    at = (metres - origin) / step
-    return wp.where(at >= wp.float64(0.0), wp.min(at, wp.float64(cells)), wp.float64(0.0))
+    position = (metres - origin) / step
+    return wp.where(position >= wp.float64(0.0), wp.min(position, wp.float64(cells)), wp.float64(0.0))
 
 
 @wp.func

@@ -148,7 +148,7 @@ def list_fresh(
     n = wp.int32(0)
     v = wp.int32(0)
     for k in range(run_count + 1):
-        run = wp.vec3i(count, 0, 0)
+        run = wp.vec3i(count, 0, 0)  # behind the last run: an empty one at the end
         if k < run_count:
             run = runs[k]
         while v < run[0]:

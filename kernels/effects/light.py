@@ -30,8 +30,8 @@ def open_fraction(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
     one = wp.float64(1.0)
     up = one / wp.sqrt(one + wp.dot(g, g))
     ahead = -wp.dot(g, azimuth) * up
-    q = one / (one + slope * slope)
-    return ahead * (HALF_PI - elevation_of(slope) - slope * q) + up * q
+    cosine2 = one / (one + slope * slope)
+    return ahead * (HALF_PI - elevation_of(slope) - slope * cosine2) + up * cosine2
 
 
 @wp.kernel

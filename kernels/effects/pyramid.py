@@ -88,10 +88,10 @@ def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inn
     here = wp.float64(0.0)
     east = wp.float64(0.0)
     if inner:
-        at = wp.int64(y) * wp.int64(ground.columns[level]) + wp.int64(x)
-        west = filtered_height(ground, level, at - wp.int64(1))
-        here = filtered_height(ground, level, at)
-        east = filtered_height(ground, level, at + wp.int64(1))
+        index = wp.int64(y) * wp.int64(ground.columns[level]) + wp.int64(x)
+        west = filtered_height(ground, level, index - wp.int64(1))
+        here = filtered_height(ground, level, index)
+        east = filtered_height(ground, level, index + wp.int64(1))
     else:
         west = extended_height(ground, level, x - 1, y)
         here = extended_height(ground, level, x, y)
@@ -213,14 +213,14 @@ def jet_at(ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> 
     last_y = wp.float64(ground.rows[0] - 1)
     cell_x = wp.clamp((x - ground.west) * ground.per_x, wp.float64(0.0), last_x)
     cell_y = wp.clamp((y - ground.south) * ground.per_y, wp.float64(0.0), last_y)
-    scale = wp.clamp(level, wp.float32(0.0), wp.float32(ground.levels - 1))
-    below = wp.int32(scale)
-    coarse = wp.float64(scale) - wp.float64(below)
+    pyramid_level = wp.clamp(level, wp.float32(0.0), wp.float32(ground.levels - 1))
+    lower_level = wp.int32(pyramid_level)
+    fraction = wp.float64(pyramid_level) - wp.float64(lower_level)
     q = Jet()
-    for k in range(wp.where(coarse > wp.float64(0.0), 2, 1)):
-        per = inverse_power(below + k)
-        share = wp.where(k == 0, wp.float64(1.0) - coarse, coarse)
-        q += level_jet(ground, below + k, cell_x * per, cell_y * per) * share
+    for k in range(wp.where(fraction > wp.float64(0.0), 2, 1)):
+        cells_factor = inverse_power(lower_level + k)
+        weight = wp.where(k == 0, wp.float64(1.0) - fraction, fraction)
+        q += level_jet(ground, lower_level + k, cell_x * cells_factor, cell_y * cells_factor) * weight
     q *= ground.height_scale
     q[0] = q[0] + ground.height_offset
     return q

@@ -161,16 +161,16 @@ def rule_weight(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.f
     It changes over the soft edges, whose middles are at the limits. per_edge: 1 / width of an edge. kind: the rule's
     kind; edges are linear for LAYER and IMAGE, whose values are weights themselves, and a smoothstep for the others.
     """
-    a = (q - low) * per_edge + 0.5
-    b = (high - q) * per_edge + 0.5
-    nearer = wp.min(a, b)
+    above_low = (q - low) * per_edge + 0.5
+    below_high = (high - q) * per_edge + 0.5
+    nearer = wp.min(above_low, below_high)
     weight = wp.float32(1.0)
     if nearer <= 0.0:
         weight = 0.0
     elif nearer < 1.0 and kind >= LAYER:
-        weight = wp.min(a, 1.0) * wp.min(b, 1.0)
+        weight = wp.min(above_low, 1.0) * wp.min(below_high, 1.0)
     elif nearer < 1.0:
-        weight = smooth(a) * smooth(b)
+        weight = smooth(above_low) * smooth(below_high)
     return weight
 
 

@@ -180,11 +180,11 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
     index = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
     north = index + wp.int64(layer.columns)
     u = x - wp.float64(i)
-    a = wp.float64(layer.values[index])
-    b = wp.float64(layer.values[north])
-    a += (wp.float64(layer.values[index + wp.int64(1)]) - a) * u
-    b += (wp.float64(layer.values[north + wp.int64(1)]) - b) * u
-    return a + (b - a) * (y - wp.float64(j))
+    low = wp.float64(layer.values[index])
+    high = wp.float64(layer.values[north])
+    low += (wp.float64(layer.values[index + wp.int64(1)]) - low) * u
+    high += (wp.float64(layer.values[north + wp.int64(1)]) - high) * u
+    return low + (high - low) * (y - wp.float64(j))
 
 
 @wp.kernel

@@ -105,10 +105,12 @@ def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: 
         for c in range(3):
             p = m.corner_verts[o + c]
             q = m.corner_verts[o + (c + 1) % 3]
-            a = m.value[p]
-            b = m.value[q]
-            if (a < wp.float64(0.0) and b > wp.float64(0.0)) or (a > wp.float64(0.0) and b < wp.float64(0.0)):
-                fraction = a / (a - b)
+            at_p = m.value[p]
+            at_q = m.value[q]
+            if (at_p < wp.float64(0.0) and at_q > wp.float64(0.0)) or (
+                at_p > wp.float64(0.0) and at_q < wp.float64(0.0)
+            ):
+                fraction = at_p / (at_p - at_q)
                 if wp.min(fraction, wp.float64(1.0) - fraction) < tolerance_along(
                     tolerance, positions[p], positions[q]
                 ):
@@ -205,7 +207,7 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
     m.edges[line] = wp.vec2i(v[k], v[a])
     if num_corners == 3:
         put_triangle(m, t, wp.vec3i(v[k], v[a], v[b]), wp.vec3i(line, e[a], e[b]))
-    else:
+    else:  # four corners: two triangles with a new edge between them
         c = (k + 3) % num_corners
         across = next_number(m, EDGE)
         m.edges[across] = wp.vec2i(v[a], v[c])

@@ -55,11 +55,11 @@ def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i
     south-west corner. float64 is cast to float32 last. A value that is not finite sets `not_finite`.
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    part = wp.float64(1.0) / units_a_cell  # exact: a power of two
+    cells_per_unit = wp.float64(1.0) / units_a_cell  # exact: a power of two
     slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
     slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
-    per_width = part / wp.float64(domain.samples.columns - 1)
-    per_height = part / wp.float64(domain.samples.rows - 1)
+    per_width = cells_per_unit / wp.float64(domain.samples.columns - 1)
+    per_height = cells_per_unit / wp.float64(domain.samples.rows - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x
     py = domain.south + wp.float64(p[1]) * domain.unit_y
     pz = g[0] * domain.height_scale + domain.height_offset
@@ -92,26 +92,28 @@ def runs_of(points: DisplacedPoints, slot: wp.int32):
 def find_run(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return (begin, stop, at): the points begin .. stop - 1 that a run copies, and the first one's last vertex.
+    """Return (begin, stop, last_first): the points begin .. stop - 1 that a run copies from the last frame.
 
     Points are counted in the slice, and only those from v to `end` - 1 count; without any, begin and stop are `end`.
-    at: number of the vertex in the last frame. run, run_end: the run's entry in the list, and the end of the list.
-    point_base: entry of the slice's point 0 in `points.point`.
+    last_first: number of the first one's vertex in the last frame. run, run_end: the run's entry in the list, and the
+    end of the list. point_base: entry of the slice's point 0 in `points.point`.
     """
     begin = end
     stop = end
-    at = wp.int64(0)
+    last_first = wp.int64(0)
     if run < run_end:
         reused = points.reused.runs[run]
         first = reused.first - point_base
         begin = wp.clamp(wp.int32(first), v, end)
         stop = wp.clamp(wp.int32(first + reused.count), v, end)
         if stop > begin:
-            s = wp.int32(0)
-            while s + 1 < points.last_slices and reused.before >= points.last_base[s + 1]:
-                s += 1
-            at = points.last_vertex[s] + reused.before - points.last_base[s] + wp.int64(begin) - first
-    return begin, stop, at
+            last_slice = wp.int32(0)
+            while last_slice + 1 < points.last_slices and reused.before >= points.last_base[last_slice + 1]:
+                last_slice += 1
+            last_first = (
+                points.last_vertex[last_slice] + reused.before - points.last_base[last_slice] + wp.int64(begin) - first
+            )
+    return begin, stop, last_first
 
 
 @wp.func
@@ -123,34 +125,34 @@ def next_new(
     Points are counted in the slice. run, run_end: the next entry of the list of runs and its end. end: end of the
     points that this call displaces. point_base: entry of the slice's point 0 in `points.point`.
     """
-    begin = wp.min(stop + AHEAD, end)
+    fetch_end = wp.min(stop + AHEAD, end)
     if run < run_end:
-        begin = wp.min(begin, wp.int32(points.reused.runs[run].first - point_base))
-    return begin
+        fetch_end = wp.min(fetch_end, wp.int32(points.reused.runs[run].first - point_base))
+    return fetch_end
 
 
 @wp.func
-def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
-    """Copy the vertices of points begin .. stop - 1 from the last frame, where they start at vertex `at`.
+def copy_run(points: DisplacedPoints, last_first: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
+    """Copy the vertices of points begin .. stop - 1 from the last frame, where they start at vertex `last_first`.
 
     vertex_base: number of the vertex of the slice's point 0.
     """
     if stop > begin:
         count = stop - begin
         to = vertex_base + begin
-        copy_items(points.last_positions, at, count, points.positions, to)
-        copy_items(points.last_normals, at, count, points.normals, to)
-        copy_items(points.last_uv, at, count, points.uv, to)
+        copy_items(points.last_positions, last_first, count, points.positions, to)
+        copy_items(points.last_normals, last_first, count, points.normals, to)
+        copy_items(points.last_uv, last_first, count, points.uv, to)
 
 
 @wp.func
 def fetch_samples(domain: Domain, q: wp.vec2i):
     """Prefetch the samples of the row at lattice point q and of its two neighbours into the processor's cache."""
     bits = domain.unit_bits - domain.levels
-    near = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
-    prefetch_sample(domain.samples, near)
-    prefetch_sample(domain.samples, near - wp.int64(domain.samples.columns))
-    prefetch_sample(domain.samples, near + wp.int64(domain.samples.columns))
+    index = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
+    prefetch_sample(domain.samples, index)
+    prefetch_sample(domain.samples, index - wp.int64(domain.samples.columns))
+    prefetch_sample(domain.samples, index + wp.int64(domain.samples.columns))
 
 
 @wp.func
@@ -173,21 +175,21 @@ def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
     if tile >= 0:
         i = x >> shift
         j = y >> shift
-        part = wp.float64(1.0) / wp.float64(wp.int32(1) << shift)  # exact: a power of two
-        s = wp.float64(x - (i << shift)) * part
-        t = wp.float64(y - (j << shift)) * part
+        per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << shift)  # exact: a power of two
+        s = wp.float64(x - (i << shift)) * per_unit
+        t = wp.float64(y - (j << shift)) * per_unit
         g = finer_at(domain.finer[0], tile, i, j, s, t)
         if domain.bicubic == 1:
             more = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
             g = wp.vec3d(g[0] + more[0], g[1], g[2])
-    elif ((x | y) & (cell - 1)) == 0:
+    elif ((x | y) & (cell - 1)) == 0:  # a sample
         g = on_sample(domain.samples, x >> bits, y >> bits)
     else:
-        part = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
+        per_unit = wp.float64(1.0) / wp.float64(cell)  # exact: a power of two
         i = wp.min(x >> bits, domain.samples.columns - 2)
         j = wp.min(y >> bits, domain.samples.rows - 2)
-        s = wp.float64(x - (i << bits)) * part
-        t = wp.float64(y - (j << bits)) * part
+        s = wp.float64(x - (i << bits)) * per_unit
+        t = wp.float64(y - (j << bits)) * per_unit
         if domain.bicubic == 1:
             g = in_patch(domain.samples, i, j, s, t)
         else:
@@ -216,8 +218,8 @@ def displace(
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
-        begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        copy_run(points, at, begin, stop, vertex_base)
+        begin, stop, last_first = find_run(points, run, run_end, v, end, point_base)
+        copy_run(points, last_first, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

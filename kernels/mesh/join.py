@@ -36,10 +36,10 @@ def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.v
     Other numbers stay as they are. first: index of the slice's first import. found: (edge, vertex) of each import.
     is_vertex: 1 for the vertex, 0 for the edge.
     """
-    n = number
+    resolved = number
     if number < 0:
-        n = found[first - 1 - number][is_vertex]
-    return n
+        resolved = found[first - 1 - number][is_vertex]
+    return resolved
 
 
 @wp.func
@@ -85,7 +85,7 @@ def resolve(
                 check_level(w, e, level, w.side_level[value])
             elif kind == UPPER_LEFT:
                 number = wp.vec2i(0, w.corners[2 * value])
-            else:
+            else:  # UPPER_RIGHT
                 number = wp.vec2i(0, w.corners[2 * value + 1])
             found[first + i] = number
         w.state[e + END_FRONT] = resolve_number(w.state[e + END_FRONT], first, found, 1)
@@ -109,9 +109,9 @@ def resolve(
             for upper in range(2):  # 0: the right side, 1: the upper side
                 begin = w.side_base[upper * squares + q]
                 end = w.side_base[upper * squares + q + 1]
-                if q == last:
+                if q == last:  # the next slice has made the rest
                     end = begin + w.before[4 * (k + 1) + 2 + upper]
-                if q == w.squares[k]:
+                if q == w.squares[k]:  # earlier slices have made the first edges
                     begin += w.before[4 * k + 2 + upper]
                 for i in range(begin, end):
                     w.side[i] = wp.vec2i(w.side[i][0], resolve_number(w.side[i][1], first, found, 1))

@@ -58,15 +58,15 @@ def expand_edge(e: wp.int32, n: wp.int32, source: WeldedMesh, out: WeldedMesh):
     """
     ends = source.edges[e]
     p = source.point[ends[0]]
-    d = step_along(p, source.point[ends[1]], n)
+    step = step_along(p, source.point[ends[1]], n)
     first = source.vertices + e * (n - 1)
-    behind = ends[0]
+    previous = ends[0]
     for j in range(n - 1):
-        p += d
+        p += step
         put(out.point, wp.int64(first + j), p)
-        put(out.edges, wp.int64(e * n + j), wp.vec2i(behind, first + j))
-        behind = first + j
-    put(out.edges, wp.int64(e * n + n - 1), wp.vec2i(behind, ends[1]))
+        put(out.edges, wp.int64(e * n + j), wp.vec2i(previous, first + j))
+        previous = first + j
+    put(out.edges, wp.int64(e * n + n - 1), wp.vec2i(previous, ends[1]))
 
 
 @wp.func
@@ -89,7 +89,7 @@ def number_side(
     first_point = source.vertices + e * (n - 1)
     first_line = e * n
     step = wp.int32(1)
-    if source.edges[e][0] != v:
+    if source.edges[e][0] != v:  # the edge runs the other way
         first_point += n - 2
         first_line += n - 1
         step = -1

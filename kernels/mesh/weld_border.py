@@ -46,12 +46,12 @@ def corner_below(w: Weld, b: Base, first_state: wp.int32, square: wp.int32) -> w
     It is an import (a negative number) if an earlier slice made it.
     """
     below = square - w.columns
-    v = wp.int32(0)
+    corner = wp.int32(0)
     if below >= w.state[first_state + FIRST_BEGUN]:
-        v = w.corners[2 * below]
+        corner = w.corners[2 * below]
     else:
-        v = add_import(w, b, first_state, UPPER_LEFT, below)
-    return v
+        corner = add_import(w, b, first_state, UPPER_LEFT, below)
+    return corner
 
 
 @wp.func
@@ -122,9 +122,9 @@ def read_side(w: Weld, b: Base, first_state: wp.int32, slot: wp.int32, role: wp.
         owner = square - w.columns
         n = w.state[first_state + BELOW]
         w.state[first_state + BELOW] = n + 1
-        above = w.columns * w.rows + owner
-        entry = w.side_base[above + 1] - 1 - n
-        is_here = is_in_slice(w, slot, owner, entry - w.side_base[above], UPPER_SIDE)
+        upper_side = w.columns * w.rows + owner
+        entry = w.side_base[upper_side + 1] - 1 - n
+        is_here = is_in_slice(w, slot, owner, entry - w.side_base[upper_side], UPPER_SIDE)
     shared_edge = wp.vec2i(0, 0)
     if is_here:
         shared_edge = w.side[entry]

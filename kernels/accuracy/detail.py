@@ -28,7 +28,7 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     row = wp.int64(wp.floor(y))
     east = fade(x - wp.float64(column))
     north = fade(y - wp.float64(row))
-    found = wp.float64(0.0)
+    total = wp.float64(0.0)
     for k in range(4):
         i = wp.int64(k & 1)
         j = wp.int64(k >> 1)
@@ -38,8 +38,8 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
         if value >= wp.float64(1.0):
             value -= wp.float64(2.0)
         across = wp.where(i == wp.int64(1), east, wp.float64(1.0) - east)
-        found += value * across * wp.where(j == wp.int64(1), north, wp.float64(1.0) - north)
-    return found
+        total += value * across * wp.where(j == wp.int64(1), north, wp.float64(1.0) - north)
+    return total
 
 
 @wp.func
@@ -101,8 +101,8 @@ def image_height(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp
         for a in range(4):
             i = wp.float64(a - 1) + wp.floor(u)
             i -= wp.floor(i / wp.float64(layer.columns)) * wp.float64(layer.columns)
-            at = layer.pixel + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
-            row[a] = wp.float64(layers.pixels[at])
+            index = layer.pixel + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
+            row[a] = wp.float64(layers.pixels[index])
         rows[b] = de_boor(row, u - wp.floor(u))
     return layer.amplitude * de_boor(rows, v - wp.floor(v))
 
@@ -116,14 +116,14 @@ def mask_weight(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.floa
     """
     s = wp.clamp((x - layers.west) * layers.per_x, wp.float64(0.0), wp.float64(layers.columns - 1))
     t = wp.clamp((y - layers.south) * layers.per_y, wp.float64(0.0), wp.float64(layers.rows - 1))
-    found = wp.float64(0.0)
+    total = wp.float64(0.0)
     for k in range(4):
         i = wp.min(wp.int32(wp.floor(s)), layers.columns - 2) + (k & 1)
         j = wp.min(wp.int32(wp.floor(t)), layers.rows - 2) + (k >> 1)
         across = wp.float64(1.0) - wp.abs(s - wp.float64(i))
         byte = wp.float64(layers.masks[first + wp.int64(j) * wp.int64(layers.columns) + wp.int64(i)])
-        found += byte * across * (wp.float64(1.0) - wp.abs(t - wp.float64(j)))
-    return found / wp.float64(255.0)
+        total += byte * across * (wp.float64(1.0) - wp.abs(t - wp.float64(j)))
+    return total / wp.float64(255.0)
 
 
 @wp.func

@@ -41,6 +41,7 @@ def draw_triangles(
             for x in range(left, right + 1):
                 px = wp.float64(x) + half
                 py = wp.float64(y) + half
+                # Weights of the corners a, b and c at the pixel's middle; one is negative outside the triangle.
                 u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) / area
                 v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) / area
                 w = wp.float64(1.0) - u - v

@@ -65,10 +65,10 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
     """Return where the parabola through (0, e0), (1/2, e1), (1, e2) turns, 1/2 if it does not turn between 0 and 1."""
     curvature = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
     slope = e2 - e0 - curvature
-    at = wp.float64(0.5)
+    turn = wp.float64(0.5)
     if slope * curvature < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(curvature):
-        at = -slope / (wp.float64(2.0) * curvature)
-    return at
+        turn = -slope / (wp.float64(2.0) * curvature)
+    return turn
 
 
 @wp.func

@@ -107,7 +107,7 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
     f.area2 = (f.x[1] - f.x[0]) * (f.y[2] - f.y[0]) - (f.x[2] - f.x[0]) * (f.y[1] - f.y[0])
     units = wp.float64(wp.int64(1) << wp.int64(ground.bits))
     area2 = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
-    if area2 * units * units < wp.float64(0.25) * wp.float64(f.area2):
+    if area2 * units * units < wp.float64(0.25) * wp.float64(f.area2):  # rounding has folded it over
         for k in range(3):
             u[k] = wp.float64(f.x[k]) / units
             v[k] = wp.float64(f.y[k]) / units
@@ -196,12 +196,12 @@ def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64
         z = cubic_at(ground.samples, i, j, s, t)
     if ground.has_finer == 1:
         bits = ground.finer[0].bits
-        a_cell = wp.float64(wp.int32(1) << bits)
-        tile = tile_at(ground.finer[0], wp.int32(wp.floor(u * a_cell)), wp.int32(wp.floor(v * a_cell)))
+        finer_per_cell = wp.float64(wp.int32(1) << bits)
+        tile = tile_at(ground.finer[0], wp.int32(wp.floor(u * finer_per_cell)), wp.int32(wp.floor(v * finer_per_cell)))
         if tile >= 0:
-            z = finer_height(ground.finer[0], tile, u * a_cell, v * a_cell)
+            z = finer_height(ground.finer[0], tile, u * finer_per_cell, v * finer_per_cell)
             if ground.bicubic == 1:
-                z += cubic_off_corners(ground.samples, i, j, s, t, a_cell)
+                z += cubic_off_corners(ground.samples, i, j, s, t, finer_per_cell)
     z += detail_in(ground, u, v)
     return z * ground.scale + ground.offset
 
@@ -243,10 +243,10 @@ def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift
     A point on the line is moved a hair away from it: in x by the sign `shift_x`, and far less in y by the sign
     `shift_y` (1 or -1). So every point belongs to exactly one triangle.
     """
-    inside = side > wp.int64(0)
+    is_left = side > wp.int64(0)
     if side == wp.int64(0):
-        inside = dy * shift_x < wp.int64(0) or (dy == wp.int64(0) and dx * shift_y > wp.int64(0))
-    return inside
+        is_left = dy * shift_x < wp.int64(0) or (dy == wp.int64(0) and dx * shift_y > wp.int64(0))
+    return is_left
 
 
 @wp.func
@@ -268,15 +268,15 @@ def covers(
     x, y: units of which a lattice unit has `per_unit`. shift_x, shift_y: 1 or -1, the direction in which a point on an
     edge is moved, from `shift_of`, so that it has one owner.
     """
-    inside = f.area2 > wp.int64(0)
+    is_owned = f.area2 > wp.int64(0)
     for k in range(3):
-        if inside:
+        if is_owned:
             n = (k + 1) % 3
             dx = f.x[n] - f.x[k]
             dy = f.y[n] - f.y[k]
             side = dx * (y - f.y[k] * per_unit) - dy * (x - f.x[k] * per_unit)
-            inside = left_of(side, dx, dy, shift_x, shift_y)
-    return inside
+            is_owned = left_of(side, dx, dy, shift_x, shift_y)
+    return is_owned
 
 
 @wp.func
@@ -292,11 +292,11 @@ def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bo
 def sample_box(ground: Reference, f: MeasuredFacet) -> wp.vec4i:
     """Return the samples in the bounding box of a triangle: first and last column, then first and last row."""
     bits = wp.int64(ground.bits)
-    ahead = (wp.int64(1) << bits) - wp.int64(1)
+    to_next = (wp.int64(1) << bits) - wp.int64(1)
     return wp.vec4i(
-        wp.int32((f.west + ahead) >> bits),
+        wp.int32((f.west + to_next) >> bits),
         wp.int32(f.east >> bits),
-        wp.int32((f.south + ahead) >> bits),
+        wp.int32((f.south + to_next) >> bits),
         wp.int32(f.north >> bits),
     )
 

@@ -31,10 +31,10 @@ def grid_extremes(
         if f.area2 > wp.int64(0):
             largest = worst[t]
             extent = wp.max(f.east - f.west, f.north - f.south)
-            side = bits
-            while (one << side) > extent:
-                side -= one
-            spacing = one << wp.max(side - PLACES_BITS, wp.int64(0))
+            side_bits = bits
+            while (one << side_bits) > extent:
+                side_bits -= one
+            spacing = one << wp.max(side_bits - PLACES_BITS, wp.int64(0))
             y = (f.south + spacing - one) / spacing * spacing
             while y <= f.north:
                 x = (f.west + spacing - one) / spacing * spacing

@@ -73,6 +73,6 @@ def angles(
                         truth = truth - wp.vec3d(d[1], d[2], wp.float64(0.0)) * ground.scale
                     bits = wp.int64(ground.bits)
                     shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)
-                    at = sample_index(ground.samples, i, j)
-                    put(facet_deg, at, angle_deg(facet, truth))
-                    put(shading_deg, at, angle_deg(shading, truth))
+                    index = sample_index(ground.samples, i, j)
+                    put(facet_deg, index, angle_deg(facet, truth))
+                    put(shading_deg, index, angle_deg(shading, truth))

@@ -61,7 +61,7 @@ def meets_mesh(
     first, last = within(start, end, x, along[0], boxes.low[0], boxes.high[0])
     first, last = within(first, last, y, along[1], boxes.low[1], boxes.high[1])
     first, last = within(first, last, ray.z, along[2], boxes.low[2], boxes.high[2])
-    met = wp.bool(False)
+    is_hit = wp.bool(False)
     if first <= last:
         origin = wp.vec3d(x + first * along[0], y + first * along[1], ray.z + first * along[2])
         unit = wp.normalize(along)
@@ -74,9 +74,9 @@ def meets_mesh(
         while wp.bvh_query_next(query, t):
             s = through_triangle(mesh, t, origin, along)
             if s >= wp.float64(0.0) and s <= last - first:
-                met = True
+                is_hit = True
                 break
-    return met
+    return is_hit
 
 
 @wp.kernel
@@ -150,6 +150,7 @@ def nearest(
     ring = wp.int32(0)
     while best > (wp.float64(ring) - one) * x_scale and ring <= columns + rows:
         for b in range(wp.max(j - ring, 0), wp.min(j + ring, rows - 1) + 1):
+            # All pixels of the ring's first and last row, the two ends of the others.
             step = wp.where(b == j - ring or b == j + ring, 1, wp.max(2 * ring, 1))
             for a in range(i - ring, i + ring + 1, step):
                 if a >= 0 and a < columns:

@@ -88,11 +88,11 @@ def measure_square(
     end_x = wp.int64(ground.samples.columns - 1) << bits
     end_y = wp.int64(ground.samples.rows - 1) << bits
     end = corner + (wp.int64(1) << (side_bits + side_bits))
-    at = first_from(points, corner)
-    while at < points.count:
-        if points.key[at] >= end:
+    entry = first_from(points, corner)
+    while entry < points.count:
+        if points.key[entry] >= end:
             break
-        p = points.order[at]
+        p = points.order[entry]
         x = points.x[p]
         y = points.y[p]
         if covers(f, points_a_unit, x, y, shift_of(x, end_x), shift_of(y, end_y)):
@@ -100,7 +100,7 @@ def measure_square(
             v = wp.float64(y) * per_unit
             points.owner[p] = t
             points.difference[p] = plane_at(f, u, v) - reference_at(ground, u, v)
-        at += 1
+        entry += 1
 
 
 @wp.kernel

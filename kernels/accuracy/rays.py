@@ -272,7 +272,7 @@ def first_crossing(
         to_x = exit_along_axis(ray.u, ray.du, x0, x1)
         to_y = exit_along_axis(ray.v, ray.dv, y0, y1)
         out = wp.max(t, wp.min(wp.min(to_x, to_y), last))
-        clear = True
+        is_clear = True
         if level == 0 and ground.curved == 1:
             hit, side = in_one_patch(ground, ray, i, j, t, out, side)
         elif level == 0:
@@ -282,13 +282,13 @@ def first_crossing(
             low = wp.float64(item_at(blocks.low, n)) * ground.scale + ground.offset
             high = wp.float64(item_at(blocks.high, n)) * ground.scale + ground.offset
             on_side = side_of_span(ray, t, out, low, high)
-            clear = on_side != zero
+            is_clear = on_side != zero
             hit = wp.where(side * on_side < zero, t, NOWHERE)
-            side = wp.where(clear, on_side, side)
-        if hit < NOWHERE or (clear and out >= last):
+            side = wp.where(is_clear, on_side, side)
+        if hit < NOWHERE or (is_clear and out >= last):
             break
         # Go on in the next cell, by a larger block if the line that is crossed is a side of one, or descend.
-        if clear:
+        if is_clear:
             line = wp.where(ray.dv > zero, y1, y0)
             if to_x <= to_y:
                 line = wp.where(ray.du > zero, x1, x0)

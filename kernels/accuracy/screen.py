@@ -81,11 +81,11 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
     depth = -camera[2]
     if eye.kind == PANORAMIC:
         depth = wp.length(camera)
-    seen = depth > eye.start and depth < eye.end
-    if seen and eye.kind != PANORAMIC:
+    is_inside = depth > eye.start and depth < eye.end
+    if is_inside and eye.kind != PANORAMIC:
         p = to_frame(eye, camera)
-        seen = wp.abs(p[0]) <= one and wp.abs(p[1]) <= one
-    return seen
+        is_inside = wp.abs(p[0]) <= one and wp.abs(p[1]) <= one
+    return is_inside
 
 
 @wp.func
@@ -169,10 +169,10 @@ def visibility(
         v = wp.float64(j)
         z = reference_sample(ground, i, j)
         camera = to_camera(eye, u, v, z)
-        seen = OUTSIDE
+        sample_state = OUTSIDE
         if in_frame(eye, camera):
-            seen = wp.where(is_hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
-        put(state, sample_index(ground.samples, i, j), seen)
+            sample_state = wp.where(is_hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
+        put(state, sample_index(ground.samples, i, j), sample_state)
 
 
 @wp.kernel

@@ -74,13 +74,13 @@ def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec
     u = x - wp.float64(i)
     v = y - wp.float64(j)
     index = (j - rain.first_row) * rain.width + i - rain.first_column
-    a = height_at(rain, index)
-    b = height_at(rain, index + 1) - a
-    c = height_at(rain, index + rain.width)
-    d = height_at(rain, index + rain.width + 1) - c
-    low = a + b * u
-    rise = c + d * u - low
-    return wp.vec3d((b * (one - v) + d * v) / rain.step_x, rise / rain.step_y, low + rise * v)
+    south_west = height_at(rain, index)
+    south_rise = height_at(rain, index + 1) - south_west
+    north_west = height_at(rain, index + rain.width)
+    north_rise = height_at(rain, index + rain.width + 1) - north_west
+    low = south_west + south_rise * u
+    rise = north_west + north_rise * u - low
+    return wp.vec3d((south_rise * (one - v) + north_rise * v) / rain.step_x, rise / rain.step_y, low + rise * v)
 
 
 @wp.func
@@ -97,7 +97,7 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
     east = wp.min(middle_x + rain.brush_x + wider_by, rain.width - 1) + 1
     south = wp.max(middle_y - rain.brush_y - wider_by, 0)
     north = wp.min(middle_y + rain.brush_y + wider_by, rain.height - 1) + 1
-    none = wp.float64(0.0)
+    zero = wp.float64(0.0)
     per_x = wp.float64(1.0) / wp.float64(rain.brush_x + wider_by + 1)
     per_y = wp.float64(1.0) / wp.float64(rain.brush_y + wider_by + 1)
     total = wp.float64(0.0)
@@ -108,8 +108,8 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
             if rain.ground[i] == rain.ground[i]:  # not NaN
-                total += wp.max(rest - u * u, none)
-    scale = volume / (rain.step_x * rain.step_y * total)
+                total += wp.max(rest - u * u, zero)
+    metres_per_weight = volume / (rain.step_x * rain.step_y * total)
     for row in range(south, north):
         v = (y - wp.float64(rain.first_row + row)) * per_y
         rest = wp.float64(1.0) - v * v
@@ -117,7 +117,7 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
             if rain.ground[i] == rain.ground[i]:
-                rain.change[i] = rain.change[i] + scale * wp.max(rest - u * u, none)
+                rain.change[i] = rain.change[i] + metres_per_weight * wp.max(rest - u * u, zero)
 
 
 @wp.func
@@ -128,7 +128,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     erodes. It ends after `rain.steps`, at the sea, on a plain, before ground that must not change, or at the border of
     these samples; there it takes its load along, elsewhere it deposits the rest. x, y: samples of the whole level.
     """
-    none = wp.float64(0.0)
+    zero = wp.float64(0.0)
     one = wp.float64(1.0)
     cell = rain.step_x * rain.step_y
     min_x = wp.float64(rain.first_column)
@@ -145,11 +145,11 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     while step < rain.steps and here[2] > rain.sea:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
-        if steepness > none:
+        if steepness > zero:
             direction_x = rain.inertia * direction_x - (one - rain.inertia) * here[0] / steepness
             direction_y = rain.inertia * direction_y - (one - rain.inertia) * here[1] / steepness
         length = wp.sqrt(direction_x * direction_x + direction_y * direction_y)
-        if length == none:
+        if length == zero:
             step = rain.steps  # a plain has no downhill direction
         else:
             direction_x = direction_x / length
@@ -158,15 +158,15 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
             v = y + direction_y * rain.stride / rain.step_y
             if u < min_x or v < min_y or u >= max_x or v >= max_y:
                 carried = load
-                load = none
+                load = zero
                 step = rain.steps
             else:
                 there = slopes_and_height(rain, u, v)
                 if there[2] == there[2]:  # not NaN: all four samples around it may change
                     fall = here[2] - there[2]
-                    capacity = rain.capacity * water * wp.max(fall, none) / rain.stride
-                    volume = none
-                    if fall < none:
+                    capacity = rain.capacity * water * wp.max(fall, zero) / rain.stride
+                    volume = zero
+                    if fall < zero:
                         volume = wp.min(-fall * cell, load)  # fills the hollow up to the height of the next point
                     elif load > capacity:
                         volume = (load - capacity) * rain.load
@@ -182,7 +182,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                     here = slopes_and_height(rain, x, y)
                 else:
                     step = rain.steps
-    if load > none:
+    if load > zero:
         deposit(rain, x, y, load, AT_THE_END)
     return carried
 

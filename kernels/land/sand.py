@@ -64,12 +64,12 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
                 h = scramble(h + wp.uint32(1))
                 px = fu - wp.float32(di) - wp.float32(h & wp.uint32(0xFFFF)) * PART
                 py = fv - wp.float32(dj) - wp.float32(h >> wp.uint32(16)) * PART
-                inside = 1.0 - px * px - py * py
-                if inside > 0.0:
+                falloff = 1.0 - px * px - py * py
+                if falloff > 0.0:
                     g = scramble(h)
                     tilt = wp.float32(g & wp.uint32(0xFFFF)) * PART - 0.5
                     phase = 2.0 * px + 1.5 * tilt * py + wp.float32(g >> wp.uint32(16)) * PART
-                    weight = inside * inside
+                    weight = falloff * falloff
                     c += weight * fast_sine(phase + 0.25)
                     s += weight * fast_sine(phase)
                     sum += weight

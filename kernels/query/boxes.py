@@ -77,7 +77,7 @@ def row_ranges(
                 for y in range(y0, y1 + 1):
                     for x in range(x0, x1 + 1):
                         p = finer_corners(surface.finer[0], tile, x, y)
-                        a, b = heights_in(
+                        part_low, part_high = heights_in(
                             surface,
                             p,
                             wp.where(x == x0, u0, zero),
@@ -85,15 +85,15 @@ def row_ranges(
                             wp.where(x == x1, u1, one),
                             wp.where(y == y1, v1, one),
                         )
-                        low = wp.min(low, a - off)
-                        high = wp.max(high, b + off)
+                        low = wp.min(low, part_low - off)
+                        high = wp.max(high, part_high + off)
             elif surface.bicubic == 1:
-                a, b = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
-                low = wp.min(low, a)
-                high = wp.max(high, b)
+                part_low, part_high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+                low = wp.min(low, part_low)
+                high = wp.max(high, part_high)
             else:
-                a, b = heights_in(surface, corners_of(surface.samples, i, j), s0, t0, s1, t1)
-                low = wp.min(low, a)
-                high = wp.max(high, b)
+                part_low, part_high = heights_in(surface, corners_of(surface.samples, i, j), s0, t0, s1, t1)
+                low = wp.min(low, part_low)
+                high = wp.max(high, part_high)
         i += 1
     found[n] = wp.vec2d(low, high)

@@ -139,7 +139,7 @@ def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment
         root = first_root(side * a, side * b, above)
         if root <= length:
             hit = first + root
-        elif side * ((a * length + b) * length) + above <= zero:
+        elif side * ((a * length + b) * length) + above <= zero:  # beyond at the end, but rounding has hidden the root
             hit = part.last
     return hit, side
 
@@ -243,7 +243,7 @@ def in_curved(
         if t >= part.last:
             break
         step = first_root(-curvature, side * slope, above)
-        if not (step > CLOSE * (wp.abs(t) + part.last - part.first)):
+        if not (step > CLOSE * (wp.abs(t) + part.last - part.first)):  # it has arrived, or is NaN in a damaged store
             if step >= zero:
                 hit = t
             break

@@ -31,6 +31,6 @@ def grid_heights(
         i = columns[k]
         s = across[k]
         g = height_and_slopes(surface, i, j, s, t)
-        at = wp.int64(n) * wp.int64(count) + wp.int64(k)
-        heights[at] = g[0] * surface.scale + surface.offset
-        inside[at] = is_ground(surface, i, j, s == zero, t == zero)
+        index = wp.int64(n) * wp.int64(count) + wp.int64(k)
+        heights[index] = g[0] * surface.scale + surface.offset
+        inside[index] = is_ground(surface, i, j, s == zero, t == zero)

@@ -19,12 +19,12 @@ def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64
     u: cells from the first sample along one axis, which has `cells` cells.
     """
     border = wp.float64(cells)
-    found = u
+    moved = u
     if u < wp.float64(0.0) and u >= -slack:
-        found = wp.float64(0.0)
+        moved = wp.float64(0.0)
     if u > border and u <= border + slack:
-        found = border
-    return found
+        moved = border
+    return moved
 
 
 @wp.func
@@ -33,11 +33,11 @@ def fetch_about(surface: QueriedSurface, p: wp.vec2d):
     i = wp.int64((p[0] - surface.west) * surface.per_x)
     j = wp.int64((p[1] - surface.south) * surface.per_y)
     row = wp.int64(surface.samples.columns)
-    at = j * row + i
-    prefetch_sample(surface.samples, at)
-    prefetch_sample(surface.samples, at + row)
-    prefetch_sample(surface.samples, at - row)
-    prefetch_sample(surface.samples, at + row + row)
+    index = j * row + i
+    prefetch_sample(surface.samples, index)
+    prefetch_sample(surface.samples, index + row)
+    prefetch_sample(surface.samples, index - row)
+    prefetch_sample(surface.samples, index + row + row)
 
 
 @wp.kernel
@@ -65,17 +65,17 @@ def ground_at(
         u = onto_border((p[0] - surface.west) / surface.step_x, cells_x, surface.border_x)
         v = onto_border((p[1] - surface.south) / surface.step_y, cells_y, surface.border_y)
         zero = wp.float64(0.0)
-        found = u >= zero and v >= zero and u <= wp.float64(cells_x) and v <= wp.float64(cells_y)
+        has_ground = u >= zero and v >= zero and u <= wp.float64(cells_x) and v <= wp.float64(cells_y)
         height = NOTHING
         normal = wp.vec3d(NOTHING, NOTHING, NOTHING)
         slope = NOTHING
-        if found:
+        if has_ground:
             i = cell_of(u, cells_x)
             j = cell_of(v, cells_y)
             s = u - wp.float64(i)
             t = v - wp.float64(j)
-            found = is_ground(surface, i, j, s == zero, t == zero)
-            if found:
+            has_ground = is_ground(surface, i, j, s == zero, t == zero)
+            if has_ground:
                 g = shaded_in(surface, i, j, s, t)
                 height = g[0] * surface.scale + surface.offset
                 nx = -g[1] * surface.scale
@@ -87,4 +87,4 @@ def ground_at(
         heights[n] = height
         normals[n] = normal
         slopes[n] = slope
-        inside[n] = found
+        inside[n] = has_ground

@@ -23,22 +23,22 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Return the lowest and highest height (metres) in block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
-    at = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
-    return range_at(blocks, item_at(blocks.first, group) + at)
+    index = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
+    return range_at(blocks, item_at(blocks.first, group) + index)
 
 
 @wp.func
-def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
-    """Return the part of first .. last in which at + t * step is between low and high; empty where first > last.
+def within(first: wp.float64, last: wp.float64, start: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
+    """Return the part of first .. last in which start + t * step is between low and high; empty where first > last.
 
-    t: metres along a ray. at, step: the ray's position and direction along one axis.
+    t: metres along a ray. start, step: the ray's position at t = 0 and its direction along one axis.
     """
     if step == wp.float64(0.0):
-        if at < low or at > high:
+        if start < low or start > high:
             first = NOWHERE
     else:
-        a = (low - at) / step
-        b = (high - at) / step
+        a = (low - start) / step
+        b = (high - start) / step
         first = wp.max(first, wp.min(a, b))
         last = wp.min(last, wp.max(a, b))
     return first, last
@@ -89,7 +89,7 @@ def way_out(
         to_y = (wp.float64(line_y) - ray.v) * ray.per_v
     out = larger(first, smaller(smaller(to_x, to_y), last))
     line = line_x
-    if to_x <= to_y:
+    if to_x <= to_y:  # it crosses a column
         i = line_x + east - 1
         j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y << bits, wp.min((y + 1) << bits, cells_y) - 1)
     else:
@@ -158,7 +158,7 @@ def first_hit(
     part.i = cell_of(ray.u + part.first * ray.du, cells_x)
     part.j = cell_of(ray.v + part.first * ray.dv, cells_y)
     bits = wp.min(bits, blocks.top)
-    if ray.du == wp.float64(0.0) and ray.dv == wp.float64(0.0):
+    if ray.du == wp.float64(0.0) and ray.dv == wp.float64(0.0):  # an upright ray is in one cell
         bits = 0
     while True:
         out, line, next_i, next_j = way_out(surface, ray, bits, part.i, part.j, part.first, last)

@@ -40,10 +40,10 @@ def in_sight(
     )
     x = eye[0] - p[0]
     y = eye[1] - p[1]
-    found = x * x + y * y <= radius2
-    if found:
-        found = is_ground(surface, i, j, column == i, row == j)
-    if found:
+    is_seen = x * x + y * y <= radius2
+    if is_seen:
+        is_seen = is_ground(surface, i, j, column == i, row == j)
+    if is_seen:
         g = height_and_slopes(surface, i, j, s, t)
         p[2] = g[0] * surface.scale + surface.offset + target
         sight = eye - p
@@ -51,5 +51,5 @@ def in_sight(
         if far > wp.float64(0.0):
             ray = ray_of(surface, p, sight / far)
             # The ray begins above the surface, and the first block that is tried is one cell.
-            found = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
-    seen[n] = found
+            is_seen = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
+    seen[n] = is_seen

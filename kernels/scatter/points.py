@@ -90,11 +90,13 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
     bits = domain.unit_bits - domain.levels
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
     j = wp.min(p[1] >> bits, domain.samples.rows - 2)
-    inside = p[0] >= 0 and p[1] >= 0
-    inside = inside and p[0] <= (domain.samples.columns - 1) << bits and p[1] <= (domain.samples.rows - 1) << bits
-    if inside and valid.shape[0] > 0:
-        inside = is_whole(valid, domain.samples.columns, i, j)
-    return inside
+    has_ground = p[0] >= 0 and p[1] >= 0
+    has_ground = (
+        has_ground and p[0] <= (domain.samples.columns - 1) << bits and p[1] <= (domain.samples.rows - 1) << bits
+    )
+    if has_ground and valid.shape[0] > 0:
+        has_ground = is_whole(valid, domain.samples.columns, i, j)
+    return has_ground
 
 
 @wp.func
@@ -123,9 +125,9 @@ def place_candidates(
     A candidate is moved to the nearest lattice point. Density is 1, less at seams of tiles, and 0 where there is no
     ground; the position there is meaningless. valid: 0 for missing samples, empty without holes.
     """
-    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    slope_x = domain.height_scale / (domain.unit_x * units)
-    slope_y = domain.height_scale / (domain.unit_y * units)
+    units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
+    slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
     for t in range(begin, end):
         run = runs[t]
         shift = shift_of(pattern.seed, run.tile_x, run.tile_y)

@@ -80,7 +80,7 @@ def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
         view = views.views[v]
         frustum_class = classify_box(view, low, high, wp.float64(0.0))
         if frustum_class != OUTSIDE:
-            a = low - view.eye
+            a = low - view.eye  # the box's corners relative to the eye
             b = high - view.eye
             is_visible = is_visible or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near_squared = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),

@@ -36,7 +36,7 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
     Grid lines are 2^bits units apart.
     """
     line = (at >> bits) + wp.int64(1)
-    if step < wp.int64(0):
+    if step < wp.int64(0):  # the line before `at`, which may be on a line itself
         line = -((-at) >> bits) - wp.int64(1)
     return line
 

@@ -107,7 +107,7 @@ def in_one_cell(
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * ground.scale + ground.offset)
     length = last - first
-    turn = length
+    turn = length  # where the parabola turns, or the end
     if a != zero and a * b < zero:
         turn = wp.min(-b / (wp.float64(2.0) * a), length)
     e_turn = (a * turn + b) * turn + c

@@ -82,7 +82,7 @@ def last_split(criterion: CriterionArrays, limits: Limits, w: Count, first: wp.i
     """Return the last step at which the measured diamond m is split. It is split at step `first`.
 
     limits: the criterion at `first`. The logarithm of the diamond's excess over it estimates the number of steps from
-    there; the walk's test `too_coarse` then finds the exact one.
+    `first` on; the walk's test `too_coarse` then finds the exact one.
     """
     num_steps = wp.float64(wp.log2(wp.float32(excess2(limits, m)))) * STEPS_PER_SQUARE
     step = first + wp.int32(larger(smaller(num_steps, wp.float64(w.coarsest - first)), wp.float64(0.0)))

@@ -113,7 +113,7 @@ def match_anywhere(
             balance -= 5
             if item_at(table, slot) >= 0:
                 balance += 8 * count_same_vec3s(positions, i, last, item_at(table, slot), 1)
-    if balance < 0:
+    if balance < 0:  # too few common points
         return
     for i in range(last_count):
         put(table, wp.int64(hash_slot(last[i], bits)), i)

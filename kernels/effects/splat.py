@@ -278,7 +278,7 @@ def splats(
     sum = wp.float32(0.0)
     for k in range(s.layer_count):
         cover = covers[k]
-        if s.layers[k].on_top != 0 and k > 0:
+        if s.layers[k].on_top != 0 and k > 0:  # it covers the layers before it
             if sum <= MIN_SUM:  # bare ground has the first layer
                 w[0] = 1.0
                 sum = 1.0

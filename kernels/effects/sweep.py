@@ -63,12 +63,12 @@ class Sweep:
             const float *p = s.heights.data + k * along + j * across;
             const double height = s.scale * (p[0] + ((double)p[across] - p[0]) * (at - j));
             auto ahead = [&](int i) { return (double)(i > k ? i - k : k - i); };
-            while (corners > 1) {
+            while (corners > 1) {  // remove corners below the line from this point to the one behind them
                 const int a = hull[corners - 1], b = hull[corners - 2];
                 if ((z[b] - height) * ahead(a) < (z[a] - height) * ahead(b)) break;
                 corners--;
             }
-            const int top = corners ? hull[corners - 1] : k;
+            const int top = corners ? hull[corners - 1] : k;  // the horizon's point
             const double rise = corners ? (z[top] - height) / (ahead(top) * s.metres) : 0.0;
             now[k] = rise > 0.0 ? (float)rise : 0.0f;
             z[k] = height;

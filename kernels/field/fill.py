@@ -71,6 +71,7 @@ def nearest_columns(
     [width] are scratch of this thread.
     """
     for y in range(begin, end):
+        # The parabolas of the row's lower envelope, from west to east.
         count = wp.int32(0)
         for x in range(width):
             row = nearest[y * width + x]
@@ -93,6 +94,7 @@ def nearest_columns(
                 apex[count] = x
                 start[count] = from_x
                 count = count + 1
+        # Each missing sample takes the apex of the parabola that is the lowest at it.
         k = wp.int32(0)
         for x in range(width):
             if missing[y * width + x] > wp.uint8(0):

@@ -169,8 +169,9 @@ def corner_error(
     """Return the largest distance, metres, of the surface over a right triangle from a plane, or `known` if it is less.
 
     It is measured at the samples and along the longest edge. The plane has the height `plane` at the triangle's corner
-    (x, y) with the right angle. From there legs of `legs` steps between samples run east (`right` 1) or west (-1), and
-    north (`up` 1) or south (-1). slope: metres a sample along the two legs.
+    (x, y) with the right angle, from which legs of `legs` steps between samples run east (`right` 1) or west (-1), and
+    north (`up` 1) or south (-1). slope: metres a sample along the two legs. measured: samples, NaN where they do not
+    count. patches: distances of its blocks; a block that cannot raise the result is skipped.
     """
     ...
 
@@ -190,8 +191,9 @@ def centre_errors(
     """Compute the errors, metres, of diamonds at the centres of cells of `side` samples (at least 2).
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
-    largest of its children's errors if that is more. finer, coarser: layouts of the children's depth and of this one.
-    root: 1 if these cells are the root squares. measured: samples, NaN where they do not count.
+    largest of its children's errors if that is more. finer, coarser: layouts of the children's depth and of the
+    diamonds' own. root: 1 if these cells are the root squares. raster: heights of the triangles' corners. measured,
+    patches: as in `corner_error`.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
@@ -226,8 +228,7 @@ def side_errors(
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, each of two
     right ones with their corners in the middle, or the largest of its children's errors if that is more. At the border
-    there is one triangle. finer, coarser: layouts as in `centre_errors`. measured: samples, NaN where they do not
-    count.
+    there is one triangle. Arrays and layouts: as in `centre_errors`.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):
@@ -267,7 +268,7 @@ def side_errors(
 def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Write to `errors` a quarter of the twist, metres, of each cell of row `offset + tid`; 0 if a sample is NaN.
 
-    It is the largest distance of the bilinear cell from its two triangles.
+    It is the largest distance of the bilinear cell from its two triangles. cells: layout of `errors`.
     """
     h = measured.floats
     cy = offset + wp.tid()

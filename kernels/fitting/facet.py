@@ -86,11 +86,11 @@ def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
     first = wp.int32(0)
     count = n + 1 - away
     if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column
-        if facet.left_x + facet.right_x < 0:
+        if facet.left_x + facet.right_x < 0:  # the facet is west of the apex
             first = away - n
     elif facet.left_x == facet.right_x:  # the longest side stands upright
         first = wp.where(facet.left_x > 0, away, -n)
-    else:
+    else:  # the longest side lies along a row
         first = -away
         count = 2 * away + 1
     return first, count
@@ -133,8 +133,8 @@ def row_error(
 ) -> wp.float64:
     """Return the largest distance, metres, of `count` samples in a row from a plane.
 
-    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row. NaN
-    samples do not count.
+    first: index of the first sample. plane: height of the plane at it. slope: the plane's metres a sample along the
+    row. NaN samples do not count.
     """
     largest = wp.float64(0.0)
     for i in range(count):

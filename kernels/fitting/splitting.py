@@ -117,7 +117,7 @@ def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     """Return the stored error of triangle t if its vertices were on the surface, metres before scaling.
 
     below: bisections below the raster's cells, negative above them; in a cell the error divides by four with each two
-    bisections. cell: the triangle's cell, used only there.
+    bisections. cell: the triangle's cell, used only if it is within one.
     """
     if below < 0:
         middle = _middle(m, t)

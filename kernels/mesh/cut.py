@@ -141,9 +141,9 @@ def next_number(m: Cut, kind: wp.int32) -> wp.int32:
 def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) -> wp.int32:
     """Return the vertex at which edge e from p (positive) to q (negative) is cut.
 
-    The first call makes it and puts it in place of q in the edge; the call for the edge's other triangle finds it
-    there. Its position is computed by the caller of the kernel, from `m.ends`. first: the first number of vertices that
-    this cut makes.
+    The first call makes it and puts it in place of q in the edge; the call for the edge's other triangle finds it in
+    the edge. Its position is computed by the caller of the kernel, from `m.ends`. first: the first number of vertices
+    that this cut makes.
     """
     a = m.edges[e][0]
     b = m.edges[e][1]
@@ -185,15 +185,15 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
         edge = m.corner_edges[3 * t + i]
         at_p = m.value[p]
         at_q = m.value[q]
-        if at_p >= wp.float64(0.0):
+        if at_p >= wp.float64(0.0):  # the corner stays
             v[num_corners] = p
             e[num_corners] = wp.where(at_p == wp.float64(0.0) and at_q < wp.float64(0.0), line, edge)
             num_corners += 1
-        if at_p > wp.float64(0.0) and at_q < wp.float64(0.0):
+        if at_p > wp.float64(0.0) and at_q < wp.float64(0.0):  # the edge leaves the part
             v[num_corners] = cut_point(m, first_vertex, edge, p, q)
             e[num_corners] = line
             num_corners += 1
-        if at_p < wp.float64(0.0) and at_q > wp.float64(0.0):
+        if at_p < wp.float64(0.0) and at_q > wp.float64(0.0):  # the edge enters the part
             v[num_corners] = cut_point(m, first_vertex, edge, q, p)
             e[num_corners] = edge
             num_corners += 1

@@ -107,7 +107,7 @@ def find_run(
         begin = wp.clamp(wp.int32(first), v, end)
         stop = wp.clamp(wp.int32(first + reused.count), v, end)
         if stop > begin:
-            last_slice = wp.int32(0)
+            last_slice = wp.int32(0)  # slice of the last frame that has the run
             while last_slice + 1 < points.last_slices and reused.before >= points.last_base[last_slice + 1]:
                 last_slice += 1
             last_first = (

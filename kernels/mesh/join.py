@@ -64,6 +64,7 @@ def resolve(
         leaves = wp.int32(w.counts[3 * k])
         room = base_of(w.counts, k).room
         first = 2 * room  # of the slice's imports, which have two entries for each of `room`
+        # What each import stands for.
         for i in range(w.state[e + IMPORTS]):
             level = w.imports[first + i][0] >> LEVEL_SHIFT
             kind = w.imports[first + i][0] & ((1 << LEVEL_SHIFT) - 1)
@@ -88,6 +89,7 @@ def resolve(
             else:  # UPPER_RIGHT
                 number = wp.vec2i(0, w.corners[2 * value + 1])
             found[first + i] = number
+        # The front and the open edges at the end of this slice.
         w.state[e + END_FRONT] = resolve_number(w.state[e + END_FRONT], first, found, 1)
         w.state[e + END_FRONT + 1] = resolve_number(w.state[e + END_FRONT + 1], first, found, 1)
         for side in range(2):

@@ -298,7 +298,7 @@ def weld(slot: wp.int32, w: Weld):
             differs = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)  # 0 unless an edge is closed
             s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | differs
             leave = s.edge + wp.where(third == s.edge, 1, 0)
-            # Later leaves overwrite those of these three that are not needed.
+            # Of the next three entries, later leaves overwrite those that are not needed.
             put(w.edges, s.edge, wp.vec2i(side_vertex, far))
             put(w.stack, top, wp.vec2i(third, side_vertex))
             put(w.stack_level, top, level)

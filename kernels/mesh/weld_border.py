@@ -92,8 +92,8 @@ def begin_left_side(
             end = add_import(w, b, first_state, SIDE | (level << LEVEL_SHIFT), last)
             entry = end
     else:
-        new_vertices = 1
-        if ((code >> CORNER) & 1) == 1:
+        new_vertices = 1  # the corner
+        if ((code >> CORNER) & 1) == 1:  # the edge ends on a vertex of the square below
             end = corner_below(w, b, first_state, square)
         else:
             end = vertices + 1

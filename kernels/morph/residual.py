@@ -181,7 +181,8 @@ def add_end(ends: Ends, end: MorphedPoint) -> Ends:
 def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
     """Return a point in this frame: between the mean of its two ends (W = 0) and its surface (W = 1).
 
-    target: height and normal of the surface there. ends: sums over the two ends of the edge that the point splits.
+    target: height and normal of the surface at the point. weight: its W. ends: sums over the two ends of the edge that
+    the point splits.
     """
     half = wp.float64(0.5)
     morphed = target
@@ -198,7 +199,7 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
     """Return the squared error, metres, above which a point has certainly settled, so that its record is reused.
 
-    pixel2: squared metres that a pixel spans at most there.
+    pixel2: squared metres that a pixel spans at most on the point's diamond.
     """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 

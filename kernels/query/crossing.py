@@ -295,7 +295,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
     fine.v = ray.v * scale
     fine.du = ray.du * scale
     fine.dv = ray.dv * scale
-    east = wp.where(ray.du > zero, 1, 0)
+    east = wp.where(ray.du > zero, 1, 0)  # 1: the ray leaves cells by their eastern side
     north = wp.where(ray.dv > zero, 1, 0)
     tile = finer_tile(surface, part.i, part.j)
     west_end = part.i << bits
@@ -336,9 +336,10 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
 
 @wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return (t, side): where the ray meets the surface in a segment in one cell, and its side there or at the end.
+    """Return (t, side): where the ray meets the surface in a segment in one cell, and the ray's side before that.
 
-    t is NOWHERE if they do not meet. side: 1 if the ray comes from above, -1 from below, 0 on the surface.
+    t is NOWHERE if they do not meet; the side is then that at the segment's end, too. side: 1 above the surface, -1
+    below, 0 on it.
     """
     hit = NOWHERE
     side = wp.float64(0.0)

@@ -46,9 +46,10 @@ def within(first: wp.float64, last: wp.float64, start: wp.float64, step: wp.floa
 
 @wp.func
 def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
-    """Return (first, last, side): the part of t = 0 .. end in which the ray may meet the surface, and its side there.
+    """Return (first, last, side): the part of t = 0 .. end in which the ray may meet the surface, and the ray's side.
 
-    The part is empty if first > last. known, side: 1 above the surface, -1 below, 0 unknown.
+    The part is empty if first > last. side: that at the part's beginning; known: that at t = 0; 1 above the surface, -1
+    below, 0 unknown.
     """
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
@@ -75,7 +76,7 @@ def way_out(
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
     cells_y = surface.samples.rows - 1
-    east = wp.where(ray.du > zero, 1, 0)
+    east = wp.where(ray.du > zero, 1, 0)  # 1: the ray leaves by the eastern side
     north = wp.where(ray.dv > zero, 1, 0)
     x = i >> bits
     y = j >> bits
@@ -103,11 +104,11 @@ def way_out(
 def hit_in_block(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
-    """Return (t, side, done): where the ray meets the surface in a segment in a block, its side there or at the end.
+    """Return (t, side, done): where the ray meets the surface in a segment in a block, and the ray's side before that.
 
-    t is infinite if they meet nowhere. done: false if the caller has to descend into the block; t is then infinite and
-    the side that at the segment's beginning. bits: the block has 2^bits cells a side. known: side of a ray behind a
-    hole: 1 above, -1 below, 0 unknown.
+    t is infinite if they meet nowhere; the side is then that at the segment's end, too. done: false if the caller has
+    to descend into the block; t is then infinite and the side that at the segment's beginning. bits: the block has
+    2^bits cells a side. known: side of a ray behind a hole: 1 above, -1 below, 0 unknown.
     """
     zero = wp.float64(0.0)
     hit = NOWHERE

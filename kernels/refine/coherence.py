@@ -110,7 +110,7 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Return bounds (lower, upper) of the growth of the largest |row . (x, y)| in any rectangle inside this one.
+    """Return bounds (lower, upper) of the growth of the largest |row . (x, y)| in any rectangle inside low .. high.
 
     row: two coefficients of a function that is linear in the position (x, y) relative to the eye. now, before: the row
     in this view and in the last. step: movement of the eye, metres. low, high: corners of the rectangle relative to the
@@ -166,9 +166,9 @@ def footprint_factors(
     fall: wp.float64,
     rise: wp.float64,
 ):
-    """Return (lower, upper, squared gain, valid): bounds of the factor on pixel footprints in any box inside this one.
+    """Return (lower, upper, squared gain, valid): bounds of the factor on pixel footprints in boxes inside low .. high.
 
-    low, high: corners of the box. fall, rise: least and largest growth of depth or distance in it since the last frame,
+    low, high: metres. fall, rise: least and largest growth of depth or distance in that box since the last frame,
     metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is known.
     A footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest gain. If it
     is the first or the last in all boxes, before and now, its squared gain is returned and the factors exclude the

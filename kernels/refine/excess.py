@@ -178,7 +178,7 @@ def with_bound(
     if t.leaf_depth == ANY:
         if is_leaf(tree, t.node):
             t.leaf_depth = t.depth
-    deepest = wp.where(t.leaf_depth == ANY, t.depth, t.leaf_depth)
+    deepest = wp.where(t.leaf_depth == ANY, t.depth, t.leaf_depth)  # with ANY, the error at t bounds that of its leaves
     if t.depth <= deepest:  # a part of a leaf keeps the leaf's errors
         t.fixed = rest_of(domain, d) + domain.source
         t.total = t.fixed

@@ -104,6 +104,7 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
     if begin <= end:
         low_end = low[1 - along]
         high_end = high[1 - along]
+        # A ratio falls with the distance along the axis if it is positive, and rises if it is negative.
         t0 = wp.where(low_end >= zero, low_end / end, low_end / begin)
         t1 = wp.where(high_end >= zero, high_end / begin, high_end / end)
         if t0 <= one and t1 >= -one:

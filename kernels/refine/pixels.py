@@ -164,7 +164,7 @@ def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, min_depth: wp
 
 @wp.func
 def farthest_pixel2(view: LocalView, d: Diamond):
-    """Return the squared coarsest footprints of heights and of edges in any box inside this one, metres, as in view."""
+    """Return the squared coarsest footprints of heights and of edges, metres, in boxes inside that of d, as in view."""
     edge2 = view.pixel2
     gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
@@ -250,7 +250,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
 
 @wp.func
 def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
-    """Compute the squared coarsest footprints of heights and of edges, metres, in any box inside this one.
+    """Compute the squared coarsest footprints of heights and of edges, metres, in any box inside that of diamond d.
 
     The third result is 1 if the frustum contains the box. in_frame: 1 if that is known, 0 to find out.
     """

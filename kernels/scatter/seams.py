@@ -53,7 +53,7 @@ def shift_point(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
 
 @wp.kernel
 def write_shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
-    """Write the shift of the pattern in tile tiles[offset + tid], eighths of its side."""
+    """Write to found[offset + tid] the shift of the pattern in tile tiles[offset + tid], eighths of its side."""
     t = offset + wp.tid()
     found[t] = shift_of(seed, tiles[t][0], tiles[t][1])
 

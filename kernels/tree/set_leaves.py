@@ -227,7 +227,7 @@ def set_leaves(t: Bitfield, run: LeafRun):
         num_filled = wp.int32(0)
         if level > 0 and log2_size < WORD_BITS * level and log2_size >= WORD_BITS * (level - 1):
             if (cell & (cells_of_bit(level) - ONE)) == wp.uint64(0) and k < next_same:
-                # Whole words of the next level.
+                # Whole words of the next level: its leaves take bits of them, and the first begins at a word's start.
                 page = page_below(t, slots[level])
                 if page == 0:
                     return

@@ -66,6 +66,7 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
     curvature = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
     slope = e2 - e0 - curvature
     turn = wp.float64(0.5)
+    # The parabola turns between 0 and 1.
     if slope * curvature < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(curvature):
         turn = -slope / (wp.float64(2.0) * curvature)
     return turn

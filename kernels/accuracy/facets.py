@@ -115,7 +115,7 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
     f.u = u[0]
     f.v = v[0]
     f.z = z[0]
-    if f.area2 > wp.int64(0):
+    if f.area2 > wp.int64(0):  # otherwise the plane stays level
         bz = z[1] - z[0]
         cz = z[2] - z[0]
         f.slope_u = (bz * (v[2] - v[0]) - cz * (v[1] - v[0])) / area2
@@ -244,7 +244,7 @@ def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift
     `shift_y` (1 or -1). So every point belongs to exactly one triangle.
     """
     is_left = side > wp.int64(0)
-    if side == wp.int64(0):
+    if side == wp.int64(0):  # on the line
         is_left = dy * shift_x < wp.int64(0) or (dy == wp.int64(0) and dx * shift_y > wp.int64(0))
     return is_left
 

@@ -40,7 +40,7 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
     v = wp.dot(wp.cross(c, a), along)
     w = wp.dot(wp.cross(a, b), along)
     s = NOWHERE
-    if (u >= zero and v >= zero and w >= zero) or (u <= zero and v <= zero and w <= zero):
+    if (u >= zero and v >= zero and w >= zero) or (u <= zero and v <= zero and w <= zero):  # on one side of all edges
         total = u + v + w
         if total != zero:
             s = wp.dot((a * u + b * v + c * w) / total, along) / wp.dot(along, along)
@@ -148,7 +148,7 @@ def nearest(
     border = wp.min(x - west, west + wp.float64(columns - 1) - x) * x_scale
     best = wp.min(border, wp.min(y - south, south + wp.float64(rows - 1) - y))
     ring = wp.int32(0)
-    while best > (wp.float64(ring) - one) * x_scale and ring <= columns + rows:
+    while best > (wp.float64(ring) - one) * x_scale and ring <= columns + rows:  # the next ring may be nearer
         for b in range(wp.max(j - ring, 0), wp.min(j + ring, rows - 1) + 1):
             # All pixels of the ring's first and last row, the two ends of the others.
             step = wp.where(b == j - ring or b == j + ring, 1, wp.max(2 * ring, 1))

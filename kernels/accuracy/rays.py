@@ -123,7 +123,7 @@ def in_one_cell(
         above = side * c + ray.tolerance
         if above < zero:
             hit = first
-        elif side * e_turn + ray.tolerance < zero or side * e_last + ray.tolerance < zero:
+        elif side * e_turn + ray.tolerance < zero or side * e_last + ray.tolerance < zero:  # to the other side
             hit = first + wp.min(first_root(side * a, side * b, above), length)
     return hit, side
 
@@ -186,8 +186,8 @@ def in_one_patch(
     a = (a - ground.max_detail) * ground.scale + ground.offset
     b = (b + ground.max_detail) * ground.scale + ground.offset
     on_side = side_of_span(ray, first, last, a, b)
-    if on_side != wp.float64(0.0):
-        if side * on_side < wp.float64(0.0):
+    if on_side != wp.float64(0.0):  # it clears all heights of the cell
+        if side * on_side < wp.float64(0.0):  # it came from the other side
             hit = first
         side = on_side
     else:
@@ -198,7 +198,7 @@ def in_one_patch(
             e = height_above_patch(ground, ray, i, j, t)
             if side == wp.float64(0.0):
                 side = side_of(e, ray.tolerance)
-            elif side * e + ray.tolerance < wp.float64(0.0):
+            elif side * e + ray.tolerance < wp.float64(0.0):  # it has changed sides
                 hit = bisect_crossing(ground, ray, i, j, before, t, side)
             before = t
             k += 1
@@ -298,7 +298,7 @@ def first_crossing(
                 j = wp.where(ray.dv > zero, y1, y0 - 1)
                 i = cell_along_axis(ray.u, ray.du, out, x0, x1)
             t = out
-            if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
+            if i < 0 or j < 0 or i >= cells_x or j >= cells_y:  # it leaves the raster
                 break
             if level < blocks.levels and (line & ((1 << (level + 1 + CELL_BITS)) - 1)) == 0:
                 level += 1

@@ -62,7 +62,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
     p.y = cell.y
     p.depth = cell.depth + 1
     p.code = cell.code
-    size = wp.uint64(1) << wp.uint64(w.cell_bits - cell.depth - 1)
+    size = wp.uint64(1) << wp.uint64(w.cell_bits - cell.depth - 1)  # deepest cells in a quadrant
     p.half = half >> 1
     p.triangles = 2
     if number >= 0:
@@ -71,7 +71,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
         p.depth += 1
         if cell.depth > 0:  # otherwise it is that of `square_cell`, which begins where its quadrant does
             p.code += wp.uint64(number) * size
-        if p.code + size <= w.first_cell or p.code >= w.end_cell:
+        if p.code + size <= w.first_cell or p.code >= w.end_cell:  # no part of it is in the slice
             p.triangles = 0
     else:
         if number == -1:
@@ -82,9 +82,10 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
             p.y += half
         else:
             p.x += half
+        # A diamond on the terrain's border has one triangle.
         if p.x == 0 or p.y == 0 or p.x == domain.columns << domain.unit_bits or p.y == domain.rows << domain.unit_bits:
             p.triangles = 1
-        elif number < -2:
+        elif number < -2:  # the next cell counts it
             p.triangles = 0
         if p.code < w.first_cell:  # the cell begins in an earlier slice, which counts its sides
             p.triangles = 0
@@ -193,7 +194,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                 p = diamond_of_cell(domain, w, cell, number)
                 if p.triangles > 0 and p.depth < w.max_depth:
                     last, visits, newly_measured = judge(domain, criterion, limits, coarse, w, cell, p, top, step)
-                    if p.code >= w.first_cell:
+                    if p.code >= w.first_cell:  # it begins in the slice
                         total += count_last_split(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(newly_measured)
                     # Behind MARKS marks, the rest of the slice is one part.
@@ -208,6 +209,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                         fetch_quadrants(domain, p)
                         top += 1
                 number -= 1
+            # Too many: the next step becomes the finest.
             while total > w.max_splits and step <= w.coarsest:
                 total -= w.last_steps[w.slot * w.limit_factors.shape[0] + step]
                 step += 1

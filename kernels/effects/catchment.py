@@ -54,7 +54,7 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
                         if weight > wp.float64(0.0):
                             j = towards(i, k, d.grid.width)
                             d.area[j] = d.area[j] + area_per_weight * weight
-            else:
+            else:  # a lake or a flat
                 j = towards(i, wp.int32(d.to[i]), d.grid.width)
                 d.area[j] = d.area[j] + d.area[i]
 
@@ -65,7 +65,7 @@ def level_lakes(d: DrainageArrays):
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]
-        if d.to[i] != ROOT and d.filled[i] > d.h[i]:
+        if d.to[i] != ROOT and d.filled[i] > d.h[i]:  # under a lake
             d.area[i] = wp.max(d.area[i], d.area[towards(i, wp.int32(d.to[i]), d.grid.width)])
 
 

@@ -70,14 +70,14 @@ def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.floa
     column = wp.min(wp.int32(finer_x), finer.cells_x - 1) >> TILE_BITS
     row = wp.min(wp.int32(finer_y), finer.cells_y - 1) >> TILE_BITS
     pyramid_level = wp.float32(finer.bits)
-    if item_at(finer.numbers, row * finer.columns + column) >= 0:
+    if item_at(finer.numbers, row * finer.columns + column) >= 0:  # a tile with finer heights
         pyramid_level = wp.max(pyramid_level + level, wp.float32(0.0))
     lower_level = wp.int32(pyramid_level)
     fraction = wp.float64(pyramid_level) - wp.float64(lower_level)
     q = Jet()
     for k in range(wp.where(fraction > wp.float64(0.0), 2, 1)):
         jet = Jet()
-        if lower_level + k < finer.bits:
+        if lower_level + k < finer.bits:  # a level of the tile's pyramid
             jet = tile_jet(finer, column, row, lower_level + k, finer_x, finer_y)
         else:
             jet = level_jet(ground, 0, cell_x, cell_y)

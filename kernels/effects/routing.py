@@ -68,7 +68,7 @@ def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, n
     """
     y = offset + wp.tid()
     first = y * d.grid.width
-    if y == 0 or y == d.grid.height - 1:
+    if y == 0 or y == d.grid.height - 1:  # the border
         for i in range(first, first + d.grid.width):
             d.to[i] = ROOT
     else:
@@ -96,7 +96,7 @@ def route_flats(d: DrainageArrays, end: wp.int32):
         for q in range(8):
             k = straight_first(q)
             j = towards(i, k, d.grid.width)
-            if d.to[j] == ROOT and d.base[j] == wp.uint8(0) and d.h[j] == d.h[i]:
+            if d.to[j] == ROOT and d.base[j] == wp.uint8(0) and d.h[j] == d.h[i]:  # level, without a receiver
                 d.to[j] = wp.uint8(8 - k)
                 d.order[end] = j
                 end += 1
@@ -241,7 +241,7 @@ def donors_at(d: DrainageArrays, x: wp.int32, y: wp.int32) -> wp.uint8:
         xx = x + k % 3 - 1
         yy = y + k / 3 - 1
         if k != 4 and xx >= 0 and xx < d.grid.width and yy >= 0 and yy < d.grid.height:
-            if d.to[yy * d.grid.width + xx] == wp.uint8(8 - k):
+            if d.to[yy * d.grid.width + xx] == wp.uint8(8 - k):  # it drains into the sample
                 count += 1
     return wp.uint8(count)
 

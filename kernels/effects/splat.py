@@ -198,7 +198,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                     r = s.rules[k]
                     q = wp.float32(0.0)
                     needed = wp.int32(0)
-                    if r.kind <= DIRECTION:
+                    if r.kind <= DIRECTION:  # a rule by one of the values
                         entry = wp.int64(r.at) * s.count + wp.int64(v)
                         q = item_at(s.values, entry)
                         if r.kind == LOGARITHM:

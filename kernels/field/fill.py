@@ -47,6 +47,7 @@ def nearest_in_columns(
                 upper_row = nearest[index + width]
             row = nearest[index]
             here = first + y
+            # The sample is missing, and the valid row above it is nearer.
             if row != here and upper_row > here and (row < 0 or upper_row - here < here - row):
                 nearest[index] = upper_row
 

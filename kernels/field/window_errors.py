@@ -46,7 +46,7 @@ def window_errors(
     start = row * width
     j = c.up * (south + row - c.y)
     max_distance = largest[row]
-    if j >= 0 and j < c.legs:
+    if j >= 0 and j < c.legs:  # the row meets the triangle
         plane = c.plane + c.slope_y * wp.float64(c.up * j)
         first = c.x + wp.min(c.right, 0) * (c.legs - j)
         begin = wp.max(first, west)
@@ -61,6 +61,7 @@ def window_errors(
         i = i - 1
     edge_x = c.x + c.right * i
     cell_x = wp.min(edge_x, edge_x + c.right)
+    # The window has all four samples of the cell.
     if i >= 0 and i < c.legs and cell_x >= west and cell_x + 1 < west + width and row + 1 < measured.rows:
         top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
         across = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)

@@ -46,7 +46,7 @@ def place_vertices(
     if ((x | y) & ((1 << bits) - 1)) == 0:  # a sample
         entry = vertex_index(d, x >> bits, y >> bits)
         state = item_at(states, entry)
-        if (state & KNOWN) != wp.uint8(0):
+        if (state & KNOWN) != wp.uint8(0):  # it was in the mesh before
             p = wp.vec3f(p[0], p[1], item_at(heights, entry))
             delivered = wp.float32(wp.float64(p[2]) + change_at(d, x, y) * d.height_scale)
             positions[v] = wp.vec3f(p[0], p[1], delivered)

@@ -70,7 +70,7 @@ def rows_of(facet: Facet, bits: wp.int32):
     low = wp.min(wp.min(facet.left_y, facet.right_y), 0) >> bits
     high = wp.max(wp.max(facet.left_y, facet.right_y), 0) >> bits
     count = high - low + 1
-    if wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) < (1 << bits):
+    if wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) < (1 << bits):  # smaller than a cell
         count = 0
     return low, count
 
@@ -121,6 +121,7 @@ def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
     slope = r1 - r0 - twist
     t = wp.float64(0.0)
     r = r0
+    # The parabola turns between t = 0 and 1.
     if slope * twist < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(twist):
         t = -slope / (wp.float64(2.0) * twist)
         r = r0 + t * (slope + twist * t)
@@ -150,10 +151,10 @@ def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, s
     The line has the height `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not
     count.
     """
-    inside = wp.min(count, raster.columns - x)
+    num_inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
-    if inside > 0 and y < raster.rows:
-        largest = row_error(raster.floats, sample_index(raster, x, y), inside, plane, slope)
+    if num_inside > 0 and y < raster.rows:
+        largest = row_error(raster.floats, sample_index(raster, x, y), num_inside, plane, slope)
     return largest
 
 

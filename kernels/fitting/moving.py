@@ -124,9 +124,9 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
             num_beyond += 1
             for c in range(3):
                 q = m.pushes[3 * t + c]
-                if q[1] > wp.float32(0.0):
+                if q[1] > wp.float32(0.0):  # it pushes this corner
                     v = m.corner_verts[3 * t + c]
-                    if m.push[2 * v + 1] == wp.float64(0.0):
+                    if m.push[2 * v + 1] == wp.float64(0.0):  # the first push of the vertex
                         m.movers[num_movers] = v
                         num_movers += 1
                     add_push(m, v, q)
@@ -137,7 +137,7 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
         if m.worst[t] > AIM * m.bound and not is_marked(m, t) and m.awake[t] == m.round:
             for c in range(3):
                 v = m.corner_verts[3 * t + c]
-                if m.push[2 * v + 1] > wp.float64(0.0):
+                if m.push[2 * v + 1] > wp.float64(0.0):  # the vertex moves
                     add_push(m, v, m.pushes[3 * t + c])
             mark(m, t)
     for k in range(num_movers):

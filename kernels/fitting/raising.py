@@ -32,7 +32,7 @@ class RaisedCodes:
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
     """Return the entry in the array of errors of the diamond split at (x, y), or of its cell if finer than cells."""
     entry = d.cell_base
-    if depth <= 2 * d.levels:
+    if depth <= 2 * d.levels:  # not finer than cells
         entry = error_index(d, x, y, depth)
     else:
         bits = d.unit_bits - d.levels

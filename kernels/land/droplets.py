@@ -116,7 +116,7 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
         for column in range(west, east):
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
-            if rain.ground[i] == rain.ground[i]:
+            if rain.ground[i] == rain.ground[i]:  # not NaN
                 rain.change[i] = rain.change[i] + metres_per_weight * wp.max(rest - u * u, zero)
 
 
@@ -156,7 +156,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
             direction_y = direction_y / length
             u = x + direction_x * rain.stride / rain.step_x
             v = y + direction_y * rain.stride / rain.step_y
-            if u < min_x or v < min_y or u >= max_x or v >= max_y:
+            if u < min_x or v < min_y or u >= max_x or v >= max_y:  # beyond the border of these samples
                 carried = load
                 load = zero
                 step = rain.steps
@@ -204,7 +204,7 @@ def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRai
         v = wp.float64(bits >> wp.uint32(16)) * per_unit
         x = wp.float64((tile % rain.across) * rain.columns) + u * wp.float64(rain.columns)
         y = wp.float64((tile / rain.across) * rain.rows) + v * wp.float64(rain.rows)
-        if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):
+        if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):  # it starts on this ground
             if x < wp.float64(rain.first_column + rain.width - 1) and y < wp.float64(rain.first_row + rain.height - 1):
                 lost += run_droplet(rain, x, y)
     carried[slot] = lost

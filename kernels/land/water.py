@@ -76,7 +76,7 @@ def flow_uniformly(offset: int, rain: SteadyRain):
         rain.surface[i] = rain.heights[i]
         if rain.heights[i] <= rain.sea:
             rain.surface[i] = rain.sea
-        elif rain.filled[i] <= rain.heights[i]:
+        elif rain.filled[i] <= rain.heights[i]:  # not in a lake
             rain.surface[i] = wp.float32(wp.float64(rain.heights[i]) + depth)
 
 
@@ -90,7 +90,7 @@ def measure_water(offset: int, rain: SteadyRain):
     i = offset + wp.tid()
     discharge = rain.area[i] * rain.runoff
     depth = rain.surface[i] - rain.heights[i]
-    if rain.heights[i] > rain.sea and rain.filled[i] <= rain.heights[i]:
+    if rain.heights[i] > rain.sea and rain.filled[i] <= rain.heights[i]:  # neither in the sea nor in a lake
         if rain.surface[i] <= wp.float32(wp.float64(rain.heights[i]) + wp.float64(rain.normal[i])):
             depth = rain.normal[i]  # without the rounding of the height
     speed = wp.float64(0.0)

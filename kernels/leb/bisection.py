@@ -116,6 +116,7 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
     neighbour = LebNode()
     neighbour.column = node.column + FIRST_NEIGHBOURS[entry]
     neighbour.row = node.row + FIRST_NEIGHBOURS[entry + 1]
+    # Beyond the grid the id stays 0.
     if neighbour.column >= 0 and neighbour.column < grid.columns and neighbour.row >= 0 and neighbour.row < grid.rows:
         neighbour.heap_id = wp.uint64(FIRST_NEIGHBOURS[entry + 2])
     return neighbour

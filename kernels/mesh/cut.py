@@ -107,6 +107,7 @@ def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: 
             q = m.corner_verts[o + (c + 1) % 3]
             at_p = m.value[p]
             at_q = m.value[q]
+            # The edge is cut.
             if (at_p < wp.float64(0.0) and at_q > wp.float64(0.0)) or (
                 at_p > wp.float64(0.0) and at_q < wp.float64(0.0)
             ):

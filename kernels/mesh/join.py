@@ -117,6 +117,7 @@ def resolve(
                     begin += w.before[4 * k + 2 + upper]
                 for i in range(begin, end):
                     w.side[i] = wp.vec2i(w.side[i][0], resolve_number(w.side[i][1], first, found, 1))
+            # The square began in this slice.
             if q >= w.state[e + FIRST_BEGUN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_BEGUN]):
                 w.corners[2 * q] = resolve_number(w.corners[2 * q], first, found, 1)
 

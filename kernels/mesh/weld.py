@@ -245,10 +245,11 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
     leaf's code. third, far: the leaf's third edge and that edge's far vertex.
     """
     first_state = STATE_SIZE * slot
-    if (s.front0 | s.front1 | far | s.entry | third) < 0:
+    if (s.front0 | s.front1 | far | s.entry | third) < 0:  # one is an import
         n = w.state[first_state + FIXES]
         w.fixes[b.room + n] = t
         w.state[first_state + FIXES] = n + 1
+    # The last leaf of a square that has one above.
     if code >> LAST == 1 and w.state[first_state + SQUARE] < w.columns * (w.rows - 1):
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
@@ -284,7 +285,7 @@ def weld(slot: wp.int32, w: Weld):
     k = wp.int32(0)
     while k < leaves:
         code = wp.int32(item_at(w.code, first + wp.int64(k)))
-        if ((code >> FIRST) & 1) == 1:
+        if ((code >> FIRST) & 1) == 1:  # a square begins
             s = begin_square(w, b, slot, code, leaves, s)
         side = side_of(code)
         top = wp.where(side == 0, s.next0, s.next1)

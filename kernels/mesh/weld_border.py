@@ -47,7 +47,7 @@ def corner_below(w: Weld, b: Base, first_state: wp.int32, square: wp.int32) -> w
     """
     below = square - w.columns
     corner = wp.int32(0)
-    if below >= w.state[first_state + FIRST_BEGUN]:
+    if below >= w.state[first_state + FIRST_BEGUN]:  # the square below began in this slice
         corner = w.corners[2 * below]
     else:
         corner = add_import(w, b, first_state, UPPER_LEFT, below)
@@ -147,7 +147,7 @@ def append_right(w: Weld, first_state: wp.int32, edge: wp.int32, level: wp.int32
     w.side[n] = wp.vec2i(edge, begun)
     w.side_level[n] = level
     w.state[first_state + RIGHT] = w.state[first_state + RIGHT] + 1
-    if n + 1 == w.side_base[square + 1]:
+    if n + 1 == w.side_base[square + 1]:  # the side ends
         w.corners[2 * square + 1] = far
 
 

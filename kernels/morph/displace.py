@@ -32,7 +32,7 @@ wp.set_module_options(INLINED)
 def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.float64):
     """Write the height of vertex o, whose other values are complete. height: metres before vertical scaling."""
     z = height * domain.height_scale + domain.height_offset
-    if not (wp.abs(z) < HIGHEST):
+    if not (wp.abs(z) < HIGHEST):  # infinite or NaN
         points.not_finite[0] = 1
     points.positions[o][2] = wp.float32(z)
 

@@ -27,7 +27,7 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
     both = p[0] | p[1]
     step = both & -both  # the largest power of two of which both coordinates are multiples
     depth = wp.int32(0)
-    if step > 0 and step >> unit_bits == 0:
+    if step > 0 and step >> unit_bits == 0:  # not a corner of a root square
         depth = 2 * (unit_bits - wp.bit_count(step - 1))
         if (p[0] & p[1] & step) != 0:  # the centre of a cell, not the middle of a side
             depth -= 1

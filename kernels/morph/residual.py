@@ -154,7 +154,7 @@ def evaluate_point(
             ratio2 = ratio2 / morphing.ramp.limit
         weight = weight_of(morphing.ramp, ratio2)
         pixel2 = finest2
-        if is_vertex and weight < wp.float64(1.0):
+        if is_vertex and weight < wp.float64(1.0):  # not settled, so that the next frame reads it
             morphing.relief[vertex] = relief
     if not is_old:
         surface = surface_of(domain, morphing.ramp.layers, point)

@@ -125,6 +125,7 @@ def resample_rows(
         fraction_v = at_v[1]
         source_column = wp.int32(at_u[0]) - left
         source_row = wp.int32(at_v[0]) - top
+        # The samples do not cover it.
         if source_column < 1 or source_row < 1 or source_column + 2 >= width or source_row + 2 >= height:
             continue
         k = source_row * width + source_column  # a fraction of 0 reads no sample beyond, which may be missing
@@ -140,7 +141,7 @@ def resample_rows(
             if rank == NO_DATA and out_ranks[entry] == UNCOVERED:
                 out_ranks[entry] = NO_DATA
             continue
-        if rank <= out_ranks[entry]:
+        if rank <= out_ranks[entry]:  # another source has priority
             continue
         value = between(
             between(values[k], values[k + right], fraction_u),
@@ -148,7 +149,7 @@ def resample_rows(
             fraction_v,
         )
         error = wp.float64(0.0)
-        if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):
+        if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):  # positions are not exact
             error = error_u * max_difference(values, k, 1, width) + error_v * max_difference(values, k, width, 1)
         out[entry] = value
         out_ranks[entry] = rank

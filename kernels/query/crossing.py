@@ -190,7 +190,7 @@ def half_curvature_along(
         if finer_twist >= wp.float64(0.0):
             # The differences between the surfaces at finer samples have the twists of both.
             curvature += (finer_twist + wp.float64(4.0) * quarter) * wp.abs(ray.du * ray.dv)
-    elif finer_twist >= wp.float64(0.0):
+    elif finer_twist >= wp.float64(0.0):  # in a finer cell
         curvature = finer_twist * wp.abs(ray.du * ray.dv)
     else:
         p = corners_of(surface.samples, i, j)

@@ -33,7 +33,7 @@ def within(first: wp.float64, last: wp.float64, start: wp.float64, step: wp.floa
 
     t: metres along a ray. start, step: the ray's position at t = 0 and its direction along one axis.
     """
-    if step == wp.float64(0.0):
+    if step == wp.float64(0.0):  # the coordinate is constant along the ray
         if start < low or start > high:
             first = NOWHERE
     else:
@@ -152,7 +152,7 @@ def first_hit(
     part.side = side
     part.slack = slack
     hit = NOWHERE
-    if not (part.first <= last):
+    if not (part.first <= last):  # it misses the surface's box, or is NaN
         return hit
     cells_x = surface.samples.columns - 1
     cells_y = surface.samples.rows - 1
@@ -170,6 +170,7 @@ def first_hit(
             break
         # Go on in the next cell, by a larger block if the line that is crossed is a side of one, or descend.
         if done:
+            # The ray or the raster ends here.
             if out >= last or next_i < 0 or next_j < 0 or next_i >= cells_x or next_j >= cells_y:
                 break
             part.first = out

@@ -48,7 +48,7 @@ def in_sight(
         p[2] = g[0] * surface.scale + surface.offset + target
         sight = eye - p
         far = wp.length(sight)
-        if far > wp.float64(0.0):
+        if far > wp.float64(0.0):  # the eye is not at the point itself
             ray = ray_of(surface, p, sight / far)
             # The ray begins above the surface, and the first block that is tried is one cell.
             is_seen = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE

@@ -95,7 +95,7 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     apart = before + now - wp.float64(2.0) * radius  # at most |p - a| + |p - b| for any point of it
     nearest = smaller(before, now) - radius
     valid = wp.int32(1)
-    if nearest <= radius or nearest * nearest <= NEAR * view.near2:
+    if nearest <= radius or nearest * nearest <= NEAR * view.near2:  # an eye is near the box or in it
         valid = 0
     spread = wp.float64(2.0) * radius * motion.step / apart
     min_growth = now - before - spread
@@ -120,7 +120,7 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
     growth = ends_of(now - before, low, high)
     by_step = now[0] * step[0] + now[1] * step[1]
     growth = wp.vec2d(growth[0] - by_step, growth[1] - by_step)
-    if products[0] < wp.float64(0.0) or products[0] + growth[0] < wp.float64(0.0):
+    if products[0] < wp.float64(0.0) or products[0] + growth[0] < wp.float64(0.0):  # a product may be negative
         if products[1] > wp.float64(0.0) or products[1] + growth[1] > wp.float64(0.0):
             size = larger(growth[1], -growth[0])  # products of both signs
             growth = wp.vec2d(-size, size)
@@ -210,7 +210,7 @@ def footprint_factors(
         lowest = wp.sqrt(view.max_gain2 / motion.max_gain2)
         highest = lowest
     else:
-        if not (lower > zero and slants2[0] > zero):
+        if not (lower > zero and slants2[0] > zero):  # the second value has no bounds
             valid = 0
         if min_gain2 < one:  # the first in some boxes
             lowest = smaller(lower, lowest)
@@ -281,7 +281,7 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
     gain2 = one
     if view.kind != ORTHOGRAPHIC:
         min_growth, max_growth, valid = change_of(view, motion, subtree.low, subtree.high)
-    if view.max_gain2 > one or motion.max_gain2 > one:
+    if view.max_gain2 > one or motion.max_gain2 > one:  # footprints depend on slants
         min_factor, max_factor, gain2, also_valid = footprint_factors(
             view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
@@ -331,6 +331,7 @@ def update_margins(criterion: CriterionArrays, motion: Motion, subtree: Subtree,
     subtree.fall = subtree.fall + min_growth
     subtree.rise = subtree.rise - max_growth
     rounded = ROUNDED * subtree.coarse
+    # A decision may change.
     if not (subtree.fall > rounded and subtree.rise > rounded and subtree.fine + min_growth > rounded):
         is_valid = 0
     # for boxes in the fringe `fade_change` bounds the change, wherever they are

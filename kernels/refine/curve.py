@@ -78,7 +78,7 @@ def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
     The edge begins at the triangle's left vertex.
     """
     end = apex
-    if (state & 6) == HYP_LEG:
+    if (state & 6) == HYP_LEG:  # it enters by the hypotenuse
         end = right
     return end
 

@@ -55,7 +55,7 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     else:
         edges = 1
         vertices = 2
-        if q.row > 0 and entry_end[1] == q.corner[1]:
+        if q.row > 0 and entry_end[1] == q.corner[1]:  # on the corner that the square below has made
             flags = flags | (wp.uint32(1) << wp.uint32(CORNER))
             vertices = 1
         if n.leaves < w.leaf_capacity:
@@ -93,7 +93,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
             new_vertex = 0
         if role == TO_CORNER:
             new_vertex = 0
-    if c.cell + size_of(w, c.depth) == size_of(w, 0):
+    if c.cell + size_of(w, c.depth) == size_of(w, 0):  # the square's last leaf
         code = code | (wp.uint32(1) << wp.uint32(LAST))
         if q.row < domain.rows - 1:  # the curve leaves the square through its upper side
             count_side(domain, w, q, 3)

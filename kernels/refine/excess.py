@@ -73,7 +73,7 @@ def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d
     y1 = wp.min(wp.max(t.apex[1], wp.max(t.left[1], t.right[1])), domain.north)
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
-    if x0 < x1 and y0 < y1:
+    if x0 < x1 and y0 < y1:  # not beyond the raster's border
         box = box_between(domain, d, x0, y0, x1, y1, t.depth)
         for v in range(criterion.view_count):
             fine2, far2 = finest_seen_in(criterion.views[v], box, of_edges)
@@ -93,7 +93,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
     most twice this cell's. The missed displacement depends on the depth of the leaves alone.
     """
     error = wp.float64(raster_error_at(domain, x, y, t.depth))
-    if t.depth > 2 * domain.levels:
+    if t.depth > 2 * domain.levels:  # inside a cell
         bits = domain.unit_bits - domain.levels
         i = wp.min(t.apex[0], wp.min(t.left[0], t.right[0])) >> bits
         j = wp.min(t.apex[1], wp.min(t.left[1], t.right[1])) >> bits
@@ -281,7 +281,7 @@ def find_largest(
         while top >= 0:
             t = stack[top]
             top -= 1
-            if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
+            if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:  # in view, with a bound above the value found
                 is_in_leaf = t.leaf_depth != ANY and t.depth >= t.leaf_depth
                 # A leaf is divided down to the lattice's smallest triangles.
                 if is_in_leaf and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
@@ -291,6 +291,7 @@ def find_largest(
                 else:
                     a = with_bound(domain, criterion, quantity, min2, tree, half_of(t, 0))
                     b = with_bound(domain, criterion, quantity, min2, tree, half_of(t, 1))
+                    # The half with the larger bound is on top, and is searched first.
                     if a.bound2 > b.bound2:
                         stack[top + 1] = b
                         stack[top + 2] = a

@@ -107,7 +107,7 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
         # A ratio falls with the distance along the axis if it is positive, and rises if it is negative.
         t0 = wp.where(low_end >= zero, low_end / end, low_end / begin)
         t1 = wp.where(high_end >= zero, high_end / begin, high_end / end)
-        if t0 <= one and t1 >= -one:
+        if t0 <= one and t1 >= -one:  # the box meets the side
             reach = wp.vec2d(wp.max(t0, -one), wp.min(t1, one))
     return reach
 
@@ -132,7 +132,7 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
     """
     reach = reach_on(side, low, high, near)
     bins = wp.vec2i(0, -1)
-    if reach[0] <= reach[1]:
+    if reach[0] <= reach[1]:  # the box meets the side
         a = bin_of(side, bin_at(reach[0]))
         b = bin_of(side, bin_at(reach[1]))
         bins = wp.vec2i(wp.min(a, b), wp.max(a, b))
@@ -205,7 +205,7 @@ def covered(
         side = wp.int32(0)
         while fraction > zero and side < 4:
             reach = reach_on(side, low, high, near)
-            if reach[0] <= reach[1]:
+            if reach[0] <= reach[1]:  # the box meets the side
                 middle = wp.float64(side * BINS) + half
                 first = wp.where(is_turned(side), middle - reach[1] * half, middle + reach[0] * half)
                 last = wp.where(is_turned(side), middle - reach[0] * half, middle + reach[1] * half)

@@ -327,7 +327,7 @@ def fill_horizon(
     floor = wp.float64(wp.inf)
     begun = wp.int32(0)  # 1: the floor is known; 2: the bin has left the raster, behind which nothing hides
     high = ground_near(domain, blocks, x, y, start / wp.min(domain.unit_x, domain.unit_y), margin_units)
-    if high < wp.float64(wp.inf):
+    if high < wp.float64(wp.inf):  # the eye is over the raster
         begun = 1
         rise = high - view.eye[2]
         mesh_offset = max_mesh_offset(
@@ -368,7 +368,7 @@ def fill_horizon(
                     max_slope,
                     (rise - max_mesh_offset(domain, criterion, view, reach2, relaxation, across2, rise)) / radius,
                 )
-        elif not inside and begun == 1 and max_slope > NOTHING:
+        elif not inside and begun == 1 and max_slope > NOTHING:  # it has left the raster
             begun = 2
         criterion.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(max_slope - wp.abs(max_slope) * OUTWARD)
     criterion.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)

@@ -239,6 +239,6 @@ def interval_below(
                 coarse, depth, max_depth + 1, m, wp.float64(0.0), edge2 * limits.coarser
             )
         interval.in_frame = is_in_frame
-    if interval.depths_decide == 1 and interval.split_depth == interval.leaf_depth:
+    if interval.depths_decide == 1 and interval.split_depth == interval.leaf_depth:  # all leaves have one depth
         interval.even_depth = wp.min(interval.leaf_depth, max_depth)
     return interval

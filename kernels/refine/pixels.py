@@ -240,7 +240,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
         inner = max_inside(view, d.low, d.high)
         if inner < zero:
             coarser2 = faded2(view, inner, max_over_box(view.depth, d.low, d.high))
-    if view.rings.count > 0 and coarser2 < view.hidden2:
+    if view.rings.count > 0 and coarser2 < view.hidden2:  # hidden ground would be coarser
         hidden_fraction = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if hidden_fraction > zero:
             coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, hidden_fraction), coarser2)
@@ -276,7 +276,7 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)
-    if criterion.view_count > 0 and d.border < 2:
+    if criterion.view_count > 0 and d.border < 2:  # not beyond the raster's border
         pixel2, edge2 = finest_in(criterion.view, criterion.slopes, d, in_frame)
         for v in range(1, criterion.view_count):
             p2, e2 = finest_in(criterion.views[v], criterion.slopes, d, in_frame)

@@ -121,12 +121,14 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
     cell = q.base + c.cell
     verdict = wp.int32(DOUBT)
     if r.cursor[slot].cell <= cell:
+        # Pass over subtrees that end before the triangle or contain it.
         while r.cursor[slot].cell < cell or (r.cursor[slot].cell == cell and r.cursor[slot].depth < c.depth):
             move_cursor(r, slot, r.cursor[slot].next)
-        if r.cursor[slot].cell == cell and r.cursor[slot].depth == c.depth:
+        if r.cursor[slot].cell == cell and r.cursor[slot].depth == c.depth:  # it is the triangle's
             subtree, is_valid = update_margins(
                 criterion, r.motion, r.last_cached[r.cursor[slot].next], w.intervals[c.interval_index].in_frame
             )
+            # It is valid, and all of it is in the slice.
             if is_valid == 1 and c.cell >= q.start and cell + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
@@ -226,9 +228,9 @@ def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         rise = rise_to_turn(limits, m)
-        if not too_coarse(criterion, criterion.limit, m):
+        if not too_coarse(criterion, criterion.limit, m):  # a leaf
             limit_margins(r, w.slot, -rise, inf)
-        elif not m.metres2 > criterion.limit * criterion.metres2:
+        elif not m.metres2 > criterion.limit * criterion.metres2:  # not split by metres
             limit_margins(r, w.slot, inf, rise)
 
 

@@ -80,7 +80,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         middle = middle_of(c)
         c.depth = c.depth + 1
         half = size_of(w, c.depth)
-        if c.cell + half > q.start:
+        if c.cell + half > q.start:  # a part of the first child is in the slice
             entry = w.slot * STACK + c.top
             put(w.stack, entry, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
             put(w.aside, wp.int64(entry), right_state(c.state, c.cell) | (c.depth << 3) | (c.interval_index << 9))

@@ -66,7 +66,7 @@ def box_between(
     box = Diamond()
     low = d.low[2]
     high = d.high[2]
-    if depth > 2 * domain.levels and domain.bicubic == 0:
+    if depth > 2 * domain.levels and domain.bicubic == 0:  # inside a bilinear cell
         min_height, max_height = heights_between(domain, x0, y0, x1, y1)
         displacement = domain.max_detail
         if domain.has_finer == 1:

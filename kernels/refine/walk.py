@@ -85,7 +85,7 @@ def judge(
         verdict = LEAF  # to measure it could only set STOPPED, which is set
     if verdict == DOUBT:
         entry = w.slot * STACK + c.depth
-        if not (w.diamonds[entry].middle == middle):
+        if not (w.diamonds[entry].middle == middle):  # it was not measured just before
             if min_fraction < wp.float64(1.0):
                 error = error_at(domain, middle[0], middle[1], c.depth)
             m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
@@ -100,7 +100,7 @@ def judge(
             interval_index = entry
             open_subtree(criterion, w, r, q, c, w.diamonds[entry], w.intervals[entry], n)
         narrow_margins(criterion, limits, w, r, w.diamonds[entry])
-    if c.depth == w.max_depth and verdict == SPLIT:
+    if c.depth == w.max_depth and verdict == SPLIT:  # too coarse at the depth limit
         w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF
     bisections = w.intervals[interval_index].even_depth - c.depth

@@ -103,7 +103,7 @@ def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: 
     num_points = wp.float64(rank) + wp.float64(0.5)  # of the tile at the density at which this one appears
     apart2 = APART * APART * wp.float64(side) * wp.float64(side) / num_points
     to_border = wp.float64(wp.min(wp.min(q[0], q[1]), side - wp.max(q[0], q[1])))
-    if to_border * to_border >= apart2:
+    if to_border * to_border >= apart2:  # no other tile is near
         return wp.float64(1.0)
     smallest2 = apart2
     for j in range(wp.max(y - 1, 0), y + 2):

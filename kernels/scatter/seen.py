@@ -87,6 +87,6 @@ def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
             high_density = larger(high_density, density_at_distance(views.full2, near_squared))
             if frustum_class == CLEAR and view.rings.count == 0:
-                distance_squared = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
-                low_density = larger(low_density, density_at_distance(views.full2, distance_squared))
+                far_squared = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
+                low_density = larger(low_density, density_at_distance(views.full2, far_squared))
     return wp.where(is_visible, high_density, zero), low_density

@@ -74,7 +74,7 @@ def density_range(
     x0 = larger(x0 - margin, domain.west)
     y0 = larger(y0 - margin, domain.south)
     bounds = wp.vec2d()
-    if x0 <= x1 and y0 <= y1:
+    if x0 <= x1 and y0 <= y1:  # it meets the raster
         low, high = heights_over(domain, q, x0, y0, x1, y1)
         z0 = low * domain.height_scale + domain.height_offset
         z1 = high * domain.height_scale + domain.height_offset

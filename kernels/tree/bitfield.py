@@ -95,7 +95,7 @@ def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
     """List a word whose counter has to be summed again, once, whichever thread comes first. level: the word's level."""
     count = t.counts[slot]
     if count != CHANGED:
-        if compare_exchange(t.counts, slot, count, CHANGED) == count:
+        if compare_exchange(t.counts, slot, count, CHANGED) == count:  # no other thread was first
             t.changed[fetch_add(t.state, NUM_CHANGED, 1)] = (level << LEVEL_SHIFT) | slot
 
 
@@ -109,9 +109,9 @@ def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
     page = item_at(t.pages, slot)
     if page == 0:
         page = fetch_add(t.state, PAGES_USED, 1)
-        if page < t.num_pages:
+        if page < t.num_pages:  # the pool had one
             page_of_other_thread = compare_exchange(t.pages, slot, 0, page)
-            if page_of_other_thread != 0:
+            if page_of_other_thread != 0:  # another thread was first
                 page = page_of_other_thread
         else:
             t.state[IS_FULL] = 1

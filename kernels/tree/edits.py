@@ -58,7 +58,7 @@ def merge(t: Bitfield, heap_id: wp.uint64):
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top
-    while (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0):
+    while (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0):  # a word below has the bit, too
         mark_changed(t, slot, level)
         slot = 64 * t.pages[slot] + bit_of(cell, level)
         level -= 1

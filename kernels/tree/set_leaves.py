@@ -174,7 +174,7 @@ def close_word(
     run_bits = ALL_BITS  # bits whose first cell is the run's
     old_bits = item_at(t.words, slot)
     old_stored = item_at(t.stored, slot)
-    if word_start >= run.start and word_start + word_cells <= run.end:
+    if word_start >= run.start and word_start + word_cells <= run.end:  # the whole word is the run's
         if old_bits != bits or old_stored != entered:
             put(t.words, slot, bits)
             put(t.stored, slot, entered)

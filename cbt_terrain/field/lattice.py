@@ -20,6 +20,7 @@ rest of the pages at the border) are 0.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -143,30 +144,11 @@ class Lattice:
 
         The last of the first entries is the total. `kernels/field/layout.py` defines the order inside a group.
         """
-        return self._images(self.levels)
+        return _images(self, self.levels)
 
     def range_layout(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the layout of the ranges: of every other sample, since the two finest depths have none."""
-        return self._images(self.levels - 1)
-
-    def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return first entries and pages a row of the images in which groups of depths are stored, and of the cells.
-
-        levels: as if a root square had 2**levels cells a side: one less for ranges, which have every other vertex. The
-        first entries, int64, end with the total; pages, int32, have an item for each group and one for the cells.
-        """
-        sizes, pages = [0], []
-        for group in range((levels + 1) // 2 + 1):
-            if group == (levels + 1) // 2:
-                wide, high = self.extent(self.cell_depth)
-            else:
-                # The coarsest depth with middles of sides has the outermost entries: see `extent`.
-                q = max(levels - 2 - 2 * group, 0)
-                side = levels - q - 2 * group
-                wide, high = ((n << side) + 1 for n in self.extent(2 * q + 1))
-            pages.append(-(-wide // PAGE))
-            sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
-        return np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
+        return _images(self, self.levels - 1)
 
     @property
     def is_addressable(self) -> bool:
@@ -192,6 +174,31 @@ class Lattice:
     def node_count(self) -> int:
         """Return the number of entries of an error hierarchy."""
         return int(self.layout()[0][-1])
+
+
+@lru_cache(maxsize=64)
+def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return first entries and pages a row of the images in which groups of depths are stored, and of the cells.
+
+    levels: as if a root square had 2**levels cells a side: one less for ranges, which have every other vertex. The
+    first entries, int64, end with the total; pages, int32, have an item for each group and one for the cells. Both
+    arrays are cached and read-only.
+    """
+    sizes, pages = [0], []
+    for group in range((levels + 1) // 2 + 1):
+        if group == (levels + 1) // 2:
+            wide, high = lattice.extent(lattice.cell_depth)
+        else:
+            # The coarsest depth with middles of sides has the outermost entries: see `extent`.
+            q = max(levels - 2 - 2 * group, 0)
+            side = levels - q - 2 * group
+            wide, high = ((n << side) + 1 for n in lattice.extent(2 * q + 1))
+        pages.append(-(-wide // PAGE))
+        sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)
+    entries, pages_a_row = np.cumsum(sizes, dtype=np.int64), np.array(pages, np.int32)
+    for array in (entries, pages_a_row):
+        array.setflags(write=False)
+    return entries, pages_a_row
 
 
 def _multiple_near(at: float, limit: float) -> float:

@@ -95,8 +95,8 @@ class Project:
         place = from_origin(EAST, NORTH, 10.0, 10.0)
         heights = (hills(191, 151) + noise).astype(np.float32)
         write_raster(self.folder / "a.tif", heights, crs=UTM32, transform=place, tiled=True)
-        for store in ("loaded", "killed load", "further"):
-            run_import(self.raster, self.whole(store))
+        run_import(self.raster, self.whole("loaded"))
+        self.copy("loaded", "killed load", "further")
         run_import(replace(self.raster, loaded_tiles=LOADED), self.whole("loaded"))
         run_import(replace(self.raster, loaded_tiles=FURTHER), self.whole("further"))
         run_import(replace(self.raster, quick=0), self.whole("full"))
@@ -110,31 +110,35 @@ class Project:
                 except KeyboardInterrupt:
                     continue
                 raise AssertionError("an import was not stopped")
-        for name, steps in (
-            ("read parts", (BEGIN, READ_TILES)),
-            ("measured parts", (BEGIN, READ_TILES, FILL, MEASURE)),
-        ):
+        for name, steps in (("read parts", (BEGIN, READ_TILES)), ("measured parts", (FILL, MEASURE))):
             for step in steps:
                 numbers = ALL_TILES if step in (READ_TILES, MEASURE) else ()
                 run_mosaic_import(self.mosaic, self.whole(name), part=ImportPart(step, numbers))
+            if name == "read parts":
+                self.copy(name, "measured parts")
         self.make_squares()
+
+    def copy(self, kind: str, *others: str) -> None:
+        """Copy a store to other kinds, which begin like it."""
+        for other in others:
+            shutil.copytree(self.whole(kind), self.whole(other), symlinks=True)
 
     def make_squares(self) -> None:
         """Write a country with a city, and stores in which tiles and squares are loaded, one by a killed import."""
         sheet(UTM32, EAST, NORTH, 32.0, 32.0, 200, 150).write(self.folder / "country" / "a.tif")
         city = sheet(UTM32, EAST + 2000.0, NORTH - 1500.0, 1.0, 1.0, 300, 260, shift=3.0)
         city.write(self.folder / "country" / "b.tif")
-        for name in (*SQUARES, "further squares"):
-            tile_import.TILED_SAMPLES = 1 << 60  # a first picture is imported in one piece
-            run_mosaic_import(self.country, self.whole(name))
-            tile_import.TILED_SAMPLES = 1
-            run_mosaic_import(replace(self.country, loaded_tiles=LOADED), self.whole(name))
+        tile_import.TILED_SAMPLES = 1 << 60  # a first picture is imported in one piece
+        run_mosaic_import(self.country, self.whole("squares"))
+        tile_import.TILED_SAMPLES = 1
+        run_mosaic_import(replace(self.country, loaded_tiles=LOADED), self.whole("squares"))
+        self.copy("squares", "further squares")
         squares = finer_squares(open_store(self.whole("squares")))
         assert squares is not None and len(squares.there) > 1
         self.squares = replace(self.country, loaded_tiles=LOADED, loaded_finer=tuple(sorted(squares.there)))
         some = replace(self.squares, loaded_finer=self.squares.loaded_finer[:1])
-        for name in SQUARES:
-            run_mosaic_import(some, self.whole(name))
+        run_mosaic_import(some, self.whole("squares"))
+        self.copy("squares", "killed squares")
         run_mosaic_import(self.squares, self.whole("further squares"))
         note, left = finer_import._WorkRecords.note, 4
 

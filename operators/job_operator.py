@@ -22,7 +22,7 @@ class JobOperator:
     and the panel keeps that of the last update.
 
     Attributes:
-        job: the BackgroundJob, from the first step on.
+        job: the BackgroundJob, None before it is started.
         poll_s: seconds between ticks of the timer.
         beside_window: whether the operator was invoked.
         shown, looked: progress when panels were last redrawn, and time when the terrain was last looked for.
@@ -31,6 +31,7 @@ class JobOperator:
     poll_s = jobs.POLL_S
     shows_error_on_panel = True
     beside_window = False
+    job: jobs.BackgroundJob | None = None
 
     @classmethod
     def poll(cls, context):
@@ -83,9 +84,10 @@ class JobOperator:
         return self._report_end(context)
 
     def cancel(self, context):
-        """End the job because another file is opened or Blender quits."""
-        self.job.close()
-        self._remove_timer(context)
+        """End the job because another file is opened or Blender quits; none has begun if a file dialog is cancelled."""
+        if self.job is not None:
+            self.job.close()
+            self._remove_timer(context)
 
     def stops_on_escape(self) -> bool:
         """Return whether Escape cancels the job now."""

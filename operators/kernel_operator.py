@@ -16,7 +16,12 @@ class KernelOperator:
     progress.
 
     A subclass has `kernels(context)`, which returns the modules that its `execute` needs. A script does not wait.
+
+    Attributes:
+        timer: the timer of the wait, None without one.
     """
+
+    timer = None
 
     def kernels(self, context) -> list[ModuleType]:
         """Return the modules of kernels that the operator needs. Raises TerrainError for invalid settings."""
@@ -57,9 +62,12 @@ class KernelOperator:
             return {"CANCELLED"}
 
     def cancel(self, context):
-        """Stop waiting, also because another file is opened."""
-        _waiting.discard(self.bl_idname)
-        context.window_manager.event_timer_remove(self.timer)
+        """Stop waiting, also because another file is opened. Blender also calls this when a file dialog is cancelled:
+        then nothing waits.
+        """
+        if self.timer is not None:
+            _waiting.discard(self.bl_idname)
+            context.window_manager.event_timer_remove(self.timer)
 
     def _has_kernels(self, context) -> bool:
         """Return whether the kernels are loaded, or the settings invalid; if not, start to prepare them."""

@@ -16,7 +16,8 @@ from ..terrain.request import RENDER, gather
 from ..terrain.request_kernels import kernels_for
 from .formats import FORMATS, format_of
 
-GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_whole_scene)
+NAMES = [f".{name}" for name, form in FORMATS.items() if not form.is_whole_scene]
+GLOB = ";".join(f"*{name}" for name in NAMES)
 
 
 class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, ExportHelper):
@@ -43,6 +44,13 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
         remember_object(self, context)
         propose_file(self, context.object)
         return ExportHelper.invoke(self, context, event)
+
+    def draw(self, _context):
+        """Draw in the file browser what is written, and the formats."""
+        column = self.layout.column(align=True)
+        column.label(text="This frame, as fine as in a render", icon="INFO")
+        column.label(text="The name's ending is the format:", icon="BLANK1")
+        column.label(text=" ".join(NAMES), icon="BLANK1")
 
     @cancelled_by_errors
     def execute(self, context):

@@ -33,6 +33,12 @@ class ChosenFiles:
         names = [item.name for item in self.files if item.name]
         return [os.path.join(self.directory, name) for name in names] if names else [self.filepath or self.directory]
 
+    def draw_rules(self) -> None:
+        """Draw how the chosen files form a terrain, in the file browser."""
+        column = self.layout.column(align=True)
+        column.label(text="Several files form one terrain", icon="INFO")
+        column.label(text="No file chosen: the whole folder", icon="BLANK1")
+
     def invoke(self, context, _event):
         """Add the files that were dropped, or open a file browser in the .blend file's folder."""
         if self.filepath or len(self.files):  # dropped
@@ -68,6 +74,10 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
         if not self.directory and folder.is_dir():
             self.directory = str(folder)
         return ChosenFiles.invoke(self, context, event)
+
+    def draw(self, _context):
+        """Draw the rules of the file browser: there are no options."""
+        self.draw_rules()
 
     @cancelled_by_errors
     def execute(self, context):

@@ -38,7 +38,8 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         return context.mode == "OBJECT"
 
     def draw(self, _context):
-        """Draw the options of the file browser: the range of heights."""
+        """Draw the options of the file browser: rules for the files, and the range of heights."""
+        self.draw_rules()
         self.layout.use_property_split = True
         self.layout.prop(self, "use_heights")
         column = self.layout.column()

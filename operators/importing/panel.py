@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
+from pathlib import PurePath
+
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
@@ -13,6 +15,7 @@ from .imported import changed_settings, imported_of, info_lines, loaded_text
 from .placement_notes import picture_note
 
 SHOWN_FILES = 4
+PATH_FACTOR, LONGEST_NAME = 0.5, 16  # of a row with a path: the part of the width for the name, and its characters
 
 
 def draw_source(column, obj) -> None:
@@ -22,7 +25,10 @@ def draw_source(column, obj) -> None:
     """
     settings = obj.adaptive_terrain
     column.prop(settings, "source")
-    column.prop(settings, "source_path" if settings.source == FILE else "seed")
+    if settings.source == FILE:
+        _draw_path(column, settings, "source_path")
+    else:
+        column.prop(settings, "seed")
     if settings.source == FILE and len(settings.more_sources):
         _draw_more(column, settings)
     again = is_stale(obj)
@@ -36,7 +42,22 @@ def _draw_more(column, settings) -> None:
     if count > SHOWN_FILES:
         column.label(text=phrase("{} more files", count - SHOWN_FILES))
     for item in settings.more_sources[max(0, count - SHOWN_FILES) :]:
-        column.prop(item, "path")
+        _draw_path(column, item, "path")
+
+
+def _draw_path(column, owner, name: str) -> None:
+    """Draw a path with its file's name as the label: the field itself shows only the beginning of a long path.
+
+    owner: property group. name: of its property.
+    """
+    file = PurePath(getattr(owner, name)).name
+    row = column.split(factor=PATH_FACTOR)
+    left = row.row()
+    left.alignment = "RIGHT"
+    left.label(
+        text=f"...{file[-LONGEST_NAME:]}" if len(file) > LONGEST_NAME else file or phrase("File"), translate=False
+    )
+    row.prop(owner, name, text="")
 
 
 class SourcePanel(TerrainSubpanel):

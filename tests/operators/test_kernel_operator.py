@@ -9,6 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.run import launch, warmup
 from adaptive_terrain.operators.export.bake_terrain import BakeTerrain
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
+from adaptive_terrain.operators.export.export_tiles import ExportHeightTiles
 from adaptive_terrain.operators.ground import pick_ground
 from adaptive_terrain.operators.ground.add_collider import AddCollider
 from adaptive_terrain.operators.ground.drop_to_ground import BOUNDS, DropToGround
@@ -104,3 +105,10 @@ def test_a_removed_object_ends_the_wait(click, askew):  # noqa: F811
     bpy.data.objects.remove(askew)
     operator.context.object = None
     assert to_the_end(operator) == {"CANCELLED"}
+
+
+@pytest.mark.parametrize("operator_class", [ExportTerrain, ExportHeightTiles])
+def test_cancelling_a_file_dialog_ends_nothing(operator_class):
+    """Blender calls `cancel` of an operator that has only opened the dialog."""
+    operator = SimpleNamespace(**{name: getattr(operator_class, name, None) for name in ("timer", "job")})
+    operator_class.cancel(operator, None)

@@ -231,6 +231,7 @@ LABELS = {
     "moved: clear its transforms": "déplacé : effacez ses transformations",
     "Moves: {}": "Déplace : {}",
     "Newest File": "Fichier le plus récent",
+    "No file chosen: the whole folder": "Aucun fichier : tout le dossier",
     "No height map yet: press Import": "Aucune carte : cliquez sur Importer",
     "No objects: cones": "Aucun objet : des cônes",
     "No reader": "Aucun lecteur",
@@ -321,6 +322,7 @@ LABELS = {
     "Set Heights": "Définir les hauteurs",
     "Set No-Data": "Définir nodata",
     "Set Up Scene": "Préparer la scène",
+    "Several files form one terrain": "Plusieurs fichiers : un seul terrain",
     "Shading Floor": "Plancher d’ombrage",
     "Shading normal (°)": "Normale d’ombrage (°)",
     "Shape and Render": "Façonner et rendre",
@@ -363,7 +365,9 @@ LABELS = {
     "Terrain Material": "Matériau de terrain",
     "Terrain's System": "Système du terrain",
     "the depth limit": "la limite de profondeur",
+    "The name's ending is the format:": "L'extension donne le format :",
     "the triangle limit": "la limite de triangles",
+    "This frame, as fine as in a render": "Cette frame, finesse du rendu",
     "Tiles, which spare time when settings change a little": (
         "Tuiles, qui font gagner du temps après de petits changements"
     ),

@@ -60,13 +60,13 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     whole = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
     x, y = _max_square(np.abs(whole[0] - whole[1]).sum(axis=2), side)
     box = SMALL * x, SMALL * y, SMALL * side, SMALL * side  # x, y, width and height in the frame, pixels
-    found = []
+    results = []
     for error, picture in zip(errors_px, drawn, strict=True):
         x, y, wide, high = (SAMPLES * pixels for pixels in box)
         colours = picture.shade(x, y, wide, high, SAMPLES, lines=True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
         pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
-        found.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
-    return found
+        results.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
+    return results
 
 
 def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
@@ -75,8 +75,8 @@ def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
     values: float64 [rows, columns], row 0 below.
     """
     sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    inside = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
-    row, column = np.unravel_index(inside.argmax(), inside.shape)
+    square_sums = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+    row, column = np.unravel_index(square_sums.argmax(), square_sums.shape)
     return int(column), int(row)
 
 
@@ -108,33 +108,36 @@ class _ProjectedSurface:
     def shade(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
         """Return the pixels of one part of the frame, drawn `scale` times larger: the shaded surface below a plain sky.
 
-        x, y: lower left corner of the part in the scaled frame, pixels. lines: whether to draw the edges of
-        triangles. The result is float64 [height, width, 3], linear, row 0 below.
+        x, y: lower left corner of the part in the scaled frame, pixels. lines: whether to draw the edges of triangles,
+        in the lower left half of the part; the other half shows the shading alone. The result is float64 [height,
+        width, 3], linear, row 0 below.
         """
         vertices = np.c_[self._pixels * scale - (x, y), self._depth_keys]
         ends = vertices[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
-        inside = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
-        corners = np.ascontiguousarray(self._corners[inside])
-        shown = np.full(height * width, -1, np.int32)  # the triangle in each pixel, index of `corners`; -1 for the sky
+        is_in_part = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
+        corners = np.ascontiguousarray(self._corners[is_in_part])
+        shown_triangle = np.full(
+            height * width, -1, np.int32
+        )  # the triangle in each pixel, index of `corners`; -1 for the sky
         depth_keys = np.full(height * width, -np.inf)
         arrays = [shared(corners.reshape(-1), wp.int32), shared(vertices, wp.vec3d), width, height]
-        arrays += [shared(depth_keys, wp.float64), shared(shown, wp.int32)]
+        arrays += [shared(depth_keys, wp.float64), shared(shown_triangle, wp.int32)]
         bands, threads = -(-height // int(kernels.BAND)), launch.default_threads()
         launch.spread(kernels.draw_triangles, bands, arrays, step="draw", threads=threads, cost=1e4)
         colours = np.broadcast_to(SKY, (height, width, 3)).copy()
-        rows, columns = np.divmod(np.flatnonzero(shown >= 0), width)
-        hit = corners[shown[shown >= 0]]
-        weights, edge_px = _barycentric(vertices[hit], columns + 0.5, rows + 0.5)
-        weights = weights * self._weight[hit]  # of the corners in space, not on screen
-        normals = (self._normals[hit] * weights[..., None]).sum(axis=1)
+        rows, columns = np.divmod(np.flatnonzero(shown_triangle >= 0), width)
+        hit_corners = corners[shown_triangle[shown_triangle >= 0]]
+        weights, edge_px = _barycentric(vertices[hit_corners], columns + 0.5, rows + 0.5)
+        weights = weights * self._weight[hit_corners]  # of the corners in space, not on screen
+        normals = (self._normals[hit_corners] * weights[..., None]).sum(axis=1)
         normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
         light = np.maximum(product(normals, SUN), 0)[:, None] * SUNLIGHT + (0.5 + 0.5 * normals[:, 2:]) * SKYLIGHT
         ground = light * GROUND
         if lines:
-            left = columns / width + rows / height < 1  # the lower left half
-            share = OPACITY * np.clip(1.5 * LINE_PX - edge_px, 0, 1) * left
-            ground += share[:, None] * (INK - ground)
+            is_lower_left = columns / width + rows / height < 1
+            opacity = OPACITY * np.clip(1.5 * LINE_PX - edge_px, 0, 1) * is_lower_left
+            ground += opacity[:, None] * (INK - ground)
         colours[rows, columns] = ground
         return colours
 

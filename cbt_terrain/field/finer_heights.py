@@ -63,10 +63,10 @@ def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, 
     Outside of the raster they are those at its border. bits: a raster cell has 2^bits finer cells a side.
     """
     lattice, sides = plain.lattice, []
-    for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
-        inside = np.clip(at, 0, cells << bits)
-        cell = np.minimum(inside >> bits, cells - 1)
-        sides.append((cell, (inside - (cell << bits)) / (1 << bits)))
+    for positions, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
+        clamped = np.clip(positions, 0, cells << bits)
+        cell = np.minimum(clamped >> bits, cells - 1)
+        sides.append((cell, (clamped - (cell << bits)) / (1 << bits)))  # raster cells, and fractions within them
     (j, t), (i, s) = sides
     nodes = raster_nodes(plain, bits, (int(x[0]), int(x[-1])), (int(y[0]), int(y[-1]))).astype(np.float64)
     j, i, t = j - j[0], i - i[0], t[:, None]
@@ -76,11 +76,11 @@ def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, 
 
 def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
     """Return the raster's samples around the first to the last finer column and row, float32 metres."""
-    lattice, index = plain.lattice, []
+    lattice, ranges = plain.lattice, []
     for ends, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
-        first, last = (min(min(max(at, 0), cells << bits) >> bits, cells - 1) for at in ends)
-        index.append(slice(first, last + 2))
-    return plain.heights(*index)
+        first, last = (min(min(max(end, 0), cells << bits) >> bits, cells - 1) for end in ends)
+        ranges.append(slice(first, last + 2))
+    return plain.heights(*ranges)
 
 
 def border_margin(bits: int) -> int:
@@ -126,7 +126,8 @@ def fill_heights(
 ) -> Iterator[float]:
     """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done.
 
-    Arguments are those of `with_finer_tiles`. numbers: that of the tile at each place of the table, -1 for none.
+    Arguments are those of `with_finer_tiles`. numbers: int [rows, columns] of the table of tiles, their indices in
+    `heights`, -1 for none.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     windows = [list(tiles) for _window, tiles in groupby(known, window_of)]
@@ -137,11 +138,11 @@ def fill_heights(
         return heights[numbers[tile[1], tile[0]], 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
 
     reused: set[Tile] = set()
-    wanted, known_tiles = [], set(known)
+    digests, known_tiles = [], set(known)
     for number, tiles in enumerate(windows):
         yield LOOKED * number / len(windows)
-        wanted.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
-        if _is_filled(tiles, wanted[-1], numbers, heights, inner_heights, records):
+        digests.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
+        if _is_filled(tiles, digests[-1], numbers, heights, inner_heights, records):
             reused.update(tiles)
     for row, column in np.argwhere(numbers >= 0).tolist():
         inner = inner_heights((column, row)).copy() if (column, row) in reused else None
@@ -154,13 +155,13 @@ def fill_heights(
         for tile in tiles:
             box = _box_of(tile, last)
             if box.x0 <= box.x1 and box.y0 <= box.y1:
-                found = inner_heights(tile).copy() if tile in reused else _read_box(read, box)
+                box_heights = inner_heights(tile).copy() if tile in reused else _read_box(read, box)
                 for row, column in product(range(tile[1] - 1, tile[1] + 2), range(tile[0] - 1, tile[0] + 2)):
                     if 0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]:
-                        _lay(found, box, heights[numbers[row, column]], column, row)
+                        _lay(box_heights, box, heights[numbers[row, column]], column, row)
         if tiles[0] not in reused:
             sums = digest_of(map(inner_heights, tiles))
-            records.note(FILLED, window_of(tiles[0])[::-1], inputs=wanted[number], sums=sums)
+            records.note(FILLED, window_of(tiles[0])[::-1], inputs=digests[number], sums=sums)
     for row, column in np.argwhere(numbers >= 0):
         extend_beyond(heights[numbers[row, column]], column, row, last)
 
@@ -210,11 +211,11 @@ def _box_of(tile: Tile, last: tuple[int, int]) -> FinerBox:
 
 def _read_box(read: Callable[[FinerBox], np.ndarray], box: FinerBox) -> np.ndarray:
     """Return the heights of a box, float32. Raises TerrainError for another shape."""
-    found = np.asarray(read(box), np.float32)
+    heights = np.asarray(read(box), np.float32)
     expected = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
-    if found.shape != expected:
-        raise TerrainError(f"The heights of a finer tile have the shape {found.shape}", expected=f"{expected}")
-    return found
+    if heights.shape != expected:
+        raise TerrainError(f"The heights of a finer tile have the shape {heights.shape}", expected=f"{expected}")
+    return heights
 
 
 def digest_of(arrays: Iterable[np.ndarray], *texts: str) -> str:
@@ -225,29 +226,30 @@ def digest_of(arrays: Iterable[np.ndarray], *texts: str) -> str:
     return content.hexdigest()
 
 
-def _lay(found: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
-    """Write the heights `found` of a box that are not NaN into the samples of a tile."""
+def _lay(box_heights: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
+    """Write the heights of a box that are not NaN into the samples of a tile."""
     x, y = SIDE * column - 1, SIDE * row - 1
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
     y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)
     if x0 <= x1 and y0 <= y1:
-        part = found[y0 - box.y0 : y1 + 1 - box.y0, x0 - box.x0 : x1 + 1 - box.x0]
+        part = box_heights[y0 - box.y0 : y1 + 1 - box.y0, x0 - box.x0 : x1 + 1 - box.x0]
         target = tile[y0 - y : y1 + 1 - y, x0 - x : x1 + 1 - x]
         np.copyto(target, part, where=~np.isnan(part))
 
 
 def extend_beyond(tile: np.ndarray, column: int, row: int, last: tuple[int, int]) -> None:
-    """Continue a tile's heights beyond the raster's border: a line there has the slope of the border, then they stay.
+    """Continue a tile's heights beyond the raster's border, so that differences across it are those inside of it.
 
-    So differences across the border are those inside of it. last: finer cells of the raster along x and y.
+    The first line beyond the border continues the slope of the two lines before it; all further ones repeat the
+    heights of the border. last: finer cells of the raster along x and y.
     """
     for lines, first, end in ((tile.T, SIDE * column - 1, last[0]), (tile, SIDE * row - 1, last[1])):
         if first < 0:
             lines[0] = 2.0 * lines[1] - lines[2]
-        at = end - first  # of the border
-        if 1 <= at < STRIDE - 1:
-            beyond = 2.0 * lines[at] - lines[at - 1]
-            lines[at + 1 :] = lines[at]
-            lines[at + 1] = beyond
-        elif at < 1:
-            lines[:] = lines[max(at, 0)]
+        border = end - first  # index of the raster's last line in the tile
+        if 1 <= border < STRIDE - 1:
+            beyond = 2.0 * lines[border] - lines[border - 1]
+            lines[border + 1 :] = lines[border]
+            lines[border + 1] = beyond
+        elif border < 1:  # the tile has no two lines of the raster, so no slope
+            lines[:] = lines[max(border, 0)]

@@ -127,15 +127,15 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     coarse = _coarse_samples(bed, ground, coarser)
     cell_weight, load = np.ones(bed.shape), np.zeros(bed.shape)
 
-    def add_inflow(some: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
+    def add_inflow(origins: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
         """Add water and sediment that come from some coarser samples to this level's samples.
 
-        some: bool, coarse samples that they come from. y, x: coarse row and column that each sample's come to. sign:
-        -1 to take them away.
+        origins: bool, the coarser samples that they leave. y, x: coarse row and column where those of each sample
+        arrive. sign: -1 to take them away.
         """
-        fine = 2 * y[some] + coarse.odd[0], 2 * x[some] + coarse.odd[1]
-        np.add.at(cell_weight, fine, sign * coarse.flow[some])
-        np.add.at(load, fine, sign * coarse.load[some])
+        fine = 2 * y[origins] + coarse.odd[0], 2 * x[origins] + coarse.odd[1]
+        np.add.at(cell_weight, fine, sign * coarse.flow[origins])
+        np.add.at(load, fine, sign * coarse.load[origins])
 
     y, x = _receivers(coarse)
     enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
@@ -146,15 +146,15 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     grows = coarse.flow[y, x] > coarse.flow
     y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
     entry = _entries(coarse, y, x)
-    into, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])  # back: where a sample's receiver enters
+    comes_in, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])  # back: where a sample's receiver enters
     add_inflow(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
-    ring = _ring(coarse, ground, into)
+    ring = _ring(coarse, ground, comes_in)
     # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.
     for lake in _lakes(coarse, ring):
         largest = lake[np.argmax(ring.flow[lake])]
         j, i = (n[largest] for n in ring.at)
         ring.flow[lake] = ring.flow[largest]
-        ring.shut[lake] = into[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
+        ring.shut[lake] = comes_in[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
     # A stream that comes back may carry less sediment, and less water where tiles of the coarser level meet.
     bed.cell_weight, bed.inflow = np.maximum(cell_weight, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
     _close(bed, ground, coarse, ring)
@@ -233,13 +233,13 @@ def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     return y, x
 
 
-def _ring(coarse: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
+def _ring(coarse: _Coarse, ground: OperatorGround, comes_in: np.ndarray) -> _Ring:
     """Return the ring of border samples, shut where water would flow into the tile from samples without a lake.
 
-    into: bool [rows, columns], whether the coarser sample's water, followed downstream, enters the tile.
+    comes_in: bool [rows, columns], whether the coarser sample's water, followed downstream, enters the tile.
     """
     at, cut = _around(coarse.to.shape, ground.rims, inset=1)
-    return _Ring(at, cut, (into & ~coarse.wet)[at] & cut, coarse.flow[at])
+    return _Ring(at, cut, (comes_in & ~coarse.wet)[at] & cut, coarse.flow[at])
 
 
 def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -260,10 +260,10 @@ def _lakes(coarse: _Coarse, ring: _Ring) -> list[np.ndarray]:
 
     Samples with one water level are one lake.
     """
-    at = np.flatnonzero(coarse.wet[ring.at] & ring.cut)
-    level = coarse.surface[ring.at][at]
+    in_lake = np.flatnonzero(coarse.wet[ring.at] & ring.cut)
+    level = coarse.surface[ring.at][in_lake]
     order = np.argsort(level, kind="stable")
-    return [] if not len(at) else np.split(at[order], np.flatnonzero(np.diff(level[order]) > LEVEL) + 1)
+    return [] if not len(in_lake) else np.split(in_lake[order], np.flatnonzero(np.diff(level[order]) > LEVEL) + 1)
 
 
 def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
@@ -272,31 +272,31 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
-    """Set the bed's closed border samples and the levels where water leaves there.
+    """Close border samples of a tile's bed to water, and set the levels above which it leaves at others.
 
     A closed sample has a level WALL metres above the coarser surface, an open one of a lake that surface; all others
     have none. Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where
-    about as much leaves, as a river that winds along the cut would count with every bend. Of these, samples are closed
-    where a river would leave that does not at the coarser level: a stream may leave to join one outside and come back
-    with it, and a tile, which ends at the outlet, would lose the river.
+    about as much leaves, as a river that winds along the cut would count with every bend. Then water is routed, up to
+    ROUNDS times, and those left open near an inflow are closed where more than MORE times the coarser outflow leaves: a
+    stream may leave to join one outside and come back with it, and a tile, which ends at the outlet, would lose it.
     """
     wet = coarse.wet[ring.at]
-    is_open = ring.cut & ~ring.shut
+    may_close = ring.cut & ~ring.shut
     inflow = _max_along(np.where(ring.shut, ring.flow, 0.0), BESIDE)
-    outflow = _max_along(np.where(is_open, ring.flow, 0.0), WANDER)
-    is_open &= ~wet  # those of lakes are decided in `set_boundary`
-    shut = ring.shut | (is_open & (inflow > LESS * outflow))
-    samples, index = _along(bed, ground, coarse, ring)
+    outflow = _max_along(np.where(may_close, ring.flow, 0.0), WANDER)
+    may_close &= ~wet  # those of lakes are decided in `set_boundary`
+    shut = ring.shut | (may_close & (inflow > LESS * outflow))
+    samples, ring_index = _along(bed, ground, coarse, ring)
     for _ in range(ROUNDS):
-        is_border = (shut | wet)[index]
+        is_border = (shut | wet)[ring_index]
         bed.border = samples[is_border]
-        bed.outlet_level = (coarse.surface[ring.at] + np.float32(WALL) * shut)[index[is_border]]
-        leaving = np.zeros(len(shut))
-        np.maximum.at(leaving, index, bed.drain().catchments[samples])
-        too_much = is_open & ~shut & (inflow > outflow) & (leaving > MORE * outflow)
+        bed.outlet_level = (coarse.surface[ring.at] + np.float32(WALL) * shut)[ring_index[is_border]]
+        leaving = np.zeros(len(shut))  # the largest drainage area that leaves near each sample of the ring
+        np.maximum.at(leaving, ring_index, bed.drain().catchments[samples])  # uses the levels
+        too_much = may_close & ~shut & (inflow > outflow) & (leaving > MORE * outflow)
         if not too_much.any():
             break
-        shut |= is_open & _max_along(too_much, WANDER)
+        shut |= may_close & _max_along(too_much, WANDER)
 
 
 def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
@@ -304,11 +304,11 @@ def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tu
 
     Samples are those of the tile, in C order.
     """
-    at, cut = _around(bed.shape, ground.rims, inset=0)
-    halves = ((n - odd + 1) // 2 for n, odd in zip(at, coarse.odd, strict=True))
-    nearest = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
-    indices = np.zeros(coarse.to.shape, np.int64)
-    indices[ring.at] = np.arange(len(ring.flow))
-    samples = at[0] * bed.shape[1] + at[1]
+    outermost, cut = _around(bed.shape, ground.rims, inset=0)
+    halves = ((n - odd + 1) // 2 for n, odd in zip(outermost, coarse.odd, strict=True))  # in coarse samples
+    nearest = tuple(np.clip(n, along.min(), along.max()) for n, along in zip(halves, ring.at, strict=True))
+    ring_indices = np.zeros(coarse.to.shape, np.int64)
+    ring_indices[ring.at] = np.arange(len(ring.flow))
+    samples = outermost[0] * bed.shape[1] + outermost[1]
     cut &= ~bed.fixed[samples]
-    return samples[cut], indices[nearest][cut]
+    return samples[cut], ring_indices[nearest][cut]

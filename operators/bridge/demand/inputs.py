@@ -11,7 +11,7 @@ WEIGHED = {
 
 
 def used_inputs(walk, node, context: tuple) -> list:
-    """Return the inputs of a node that can change its outputs.
+    """Return the inputs of a node that can change its outputs; all if animation or a driver may change its settings.
 
     walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last. The functions
     below get the node's enabled `inputs`, too.

@@ -151,15 +151,15 @@ def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
 
 
 def known_tiles(numbers: np.ndarray) -> list[tuple[int, int]]:
-    """Return columns and rows of the tiles inside the ring of a table of tiles: all around each are in the table.
+    """Return columns and rows of the tiles of a table whose neighbours, as far as it reaches, are tiles of it too.
 
-    Finer heights are known in no others. Together with the tiles around them they are all tiles of the table. numbers:
+    Finer heights are known in these alone. They and the tiles around them are all tiles of the table. numbers:
     `FinerTiles.numbers`.
     """
     rows, columns = numbers.shape
-    there = np.pad(numbers >= 0, 1, constant_values=True)
-    parts = [there[down : down + rows, across : across + columns] for down in range(3) for across in range(3)]
-    return [(int(column), int(row)) for row, column in np.argwhere(np.logical_and.reduce(parts))]
+    is_tile = np.pad(numbers >= 0, 1, constant_values=True)
+    neighbours = [is_tile[down : down + rows, across : across + columns] for down in range(3) for across in range(3)]
+    return [(int(column), int(row)) for row, column in np.argwhere(np.logical_and.reduce(neighbours))]
 
 
 def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:

@@ -235,11 +235,11 @@ def is_usable(land: Land, open_field: OpenField) -> bool:
     if not stores.changed_ns(land.folder):
         return False
     try:
-        found = open_field(land.folder)
+        derived = open_field(land.folder)
     except TerrainError as error:
         _remove_damaged(land.folder, error)
         return False
-    return land_folder.records(found.provenance, land.folder, _source_key(land.source))
+    return land_folder.records(derived.provenance, land.folder, _source_key(land.source))
 
 
 def has_tiles(land: Land, wanted: Tiles | None, open_field: OpenField) -> bool:
@@ -260,16 +260,16 @@ def build_preview(land: Land, open_field: OpenField) -> Preview:
 
     open_field: opens a store's height field. Raises TerrainError for a source or a mask that cannot be read.
     """
-    found = _previews.pop(land.folder, None)
-    if found is None:
+    built = _previews.pop(land.folder, None)
+    if built is None:
         counts["previews"] += 1
         files = {e.mask.image for e in land.stack.active if e.mask is not None and e.mask.image}
         images: dict[str, np.ndarray] = {file: read_mask(file)[::-1] for file in files}  # row 0 south
-        found = preview(open_field(land.source), land.stack, images, launch.default_threads())
-    _previews[land.folder] = found
+        built = preview(open_field(land.source), land.stack, images, launch.default_threads())
+    _previews[land.folder] = built
     while len(_previews) > MAX_PREVIEWS:
         del _previews[next(iter(_previews))]
-    return found
+    return built
 
 
 def preview_of(land: Land) -> Preview | None:
@@ -279,9 +279,9 @@ def preview_of(land: Land) -> Preview | None:
 
 def remove_old(land: Land) -> None:
     """Remove derived stores of the land's source beyond MAX_BYTES, oldest use first, except `land` and land in use."""
-    found = land_folder.shaped_stores(land.source)
-    total = sum(int(size) for _, size in found)
-    for folder, size in found:
+    stored = land_folder.shaped_stores(land.source)
+    total = sum(int(size) for _, size in stored)
+    for folder, size in stored:
         if total > MAX_BYTES and not is_in_use(folder) and str(folder) != land.folder:
             land_folder.remove(folder)
             total -= size

@@ -50,13 +50,13 @@ def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
     """
     out = change.copy()
     still = np.zeros(out.shape, bool) if missing is None else missing
-    for a, b, wall in (
+    for a, b, is_blocked in (
         (out[:-1], out[1:], still[:-1] | still[1:]),
         (out[:, :-1], out[:, 1:], still[:, :-1] | still[:, 1:]),
     ):
-        passed = np.where(wall, np.float32(0.0), np.float32(0.25) * (a - b))
-        a -= passed
-        b += passed
+        exchanged = np.where(is_blocked, np.float32(0.0), np.float32(0.25) * (a - b))
+        a -= exchanged
+        b += exchanged
     if missing is not None:
         out[missing] = 0.0
     return out
@@ -132,11 +132,11 @@ def _tile(reach: float, brush: int) -> int:
 
 
 def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray]:
-    """Return the numbers in the whole level, int32, of the tiles of each colour that can affect the target window.
+    """Return for each colour the tiles that can affect the target window, as numbers in the whole level, int32.
 
     These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
     """
-    numbers, within_reach = [], []
+    rows_and_columns, within_reach = [], []
     target = ground.target or [slice(0, n) for n in ground.heights.shape]
     for first, count, whole, side, window in zip(
         ground.first, ground.heights.shape, _whole_shape(ground), (rain.rows, rain.columns), target, strict=True
@@ -144,18 +144,18 @@ def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray
         last = min(first + count, whole) - 1
         tiles_along = np.arange(first // side, last // side + 1)
         reach = side // 2
-        numbers.append(tiles_along)
+        rows_and_columns.append(tiles_along)
         within_reach.append(
             ((tiles_along + 1) * side > first + window.start - reach)
             & (tiles_along * side < first + window.stop + reach)
         )
     needed = np.logical_and.outer(*within_reach)
     # A tile reads its neighbours of earlier colours.
-    odd_row, odd_column = (n % 2 for n in np.meshgrid(*numbers, indexing="ij"))
+    odd_row, odd_column = (n % 2 for n in np.meshgrid(*rows_and_columns, indexing="ij"))
     colours = 2 * odd_row + (odd_row ^ odd_column)
     for colour in (3, 2, 1):
         needed |= _dilate(needed & (colours == colour)) & (colours < colour)
-    tiles = np.add.outer(numbers[0] * rain.across, numbers[1]).astype(np.int32)
+    tiles = np.add.outer(rows_and_columns[0] * rain.across, rows_and_columns[1]).astype(np.int32)
     return [tiles[needed & (colours == colour)] for colour in range(4)]
 
 

@@ -40,7 +40,7 @@ def export_raster(
 ) -> list[Path]:
     """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
-    names: those to write of HEIGHTS and the names of layers, None for all. step: metres between samples, 0 for those of
+    names: which to write, HEIGHTS and names of layers; None for all. step: metres between samples, 0 for those of
     the raster. on_progress(fraction) is called repeatedly;
     an exception from it stops the export, and the file that it writes is not left; complete files stay.
     """

@@ -48,10 +48,10 @@ class ExportedRows:
         """
         height = self._field.lattice.height  # rows of the field are counted from the south
         rows = slice(height - end, height - first)
-        found = np.array(self._field.heights(rows), np.float32)
+        copied = np.array(self._field.heights(rows), np.float32)
         if self._field.valid is not None:
-            found[self._field.valid[rows] == 0] = np.nan
-        return found[::-1]
+            copied[self._field.valid[rows] == 0] = np.nan
+        return copied[::-1]
 
     def _computed(self, first: int, end: int) -> np.ndarray:
         """Return the rows `first` to `end` (exclusive) of points interpolated on the surface; those in holes are NaN.
@@ -59,10 +59,10 @@ class ExportedRows:
         Rows are counted from the north.
         """
         columns, rows = self.axes[0], self.axes[1].positions(first, end, is_reversed=True)
-        found = np.empty((end - first, columns.inside), np.float32)
+        computed = np.empty((end - first, columns.inside), np.float32)
         for column in range(0, columns.inside, MAX_COLUMNS):
-            part = found[:, column : column + MAX_COLUMNS]
+            part = computed[:, column : column + MAX_COLUMNS]
             heights, inside = heights_on_grid(self._field, columns.positions(column, column + part.shape[1]), rows)
             part[...] = heights
             part[~inside] = np.nan
-        return found
+        return computed

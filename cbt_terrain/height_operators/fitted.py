@@ -41,14 +41,14 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
 
     def adapt_parameters(entry: Entry) -> Mapping[str, float]:
         """Return the parameters with heights moved and rates scaled to the relief, within their ranges."""
-        found = dict(entry.parameters)
+        adapted = dict(entry.parameters)
         for parameter in entry.declaration.parameters:
             key = entry.effect, parameter.name
-            if parameter.name in found and key in HEIGHTS | RATES:
-                value = found[parameter.name]
+            if parameter.name in adapted and key in HEIGHTS | RATES:
+                value = adapted[parameter.name]
                 value = move_height(value) if key in HEIGHTS else value * ratio
-                found[parameter.name] = min(max(value, parameter.min), parameter.max)
-        return found
+                adapted[parameter.name] = min(max(value, parameter.min), parameter.max)
+        return adapted
 
     entries = (replace(e, parameters=adapt_parameters(e), mask=adapt_mask(e.mask)) for e in stack.entries)
     return Stack(tuple(entries), (foot, high))

@@ -82,13 +82,13 @@ def still(
     bed = np.ascontiguousarray(bed, np.float32)
     holes = np.zeros(bed.shape, bool) if missing is None else missing
     # The sum of depth and bed, both of single precision, is exact in float64, so that still water stays still.
-    under = float(np.float32(sea)) - bed.astype(np.float64)
-    depth = np.where((under > 0.0) & ~holes, under + surge, 0.0)
+    below_sea = float(np.float32(sea)) - bed.astype(np.float64)
+    depth = np.where((below_sea > 0.0) & ~holes, below_sea + surge, 0.0)
     border = holes.copy()
     border[[0, -1]] = True
     border[:, [0, -1]] = True
     outlets = np.flatnonzero(border)
-    deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
+    deep = np.where(holes, 0.0, np.maximum(below_sea, 0.0)).reshape(-1)[outlets]
     fluxes, old_fluxes = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
     fraction, left = np.ones_like(fluxes[0]), 0.0

@@ -41,11 +41,11 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
 
         Under lakes it is lowered only where the floor is above that surface.
         """
-        way, water = to[y, x].astype(np.int64), wet[y, x] | wet[after]
+        way, is_wet = to[y, x].astype(np.int64), wet[y, x] | wet[after]
         offsets = way // 3 - 1, way % 3 - 1
         j, i = (2 * n + s.start + half * step for n, s, step in zip((y, x), coarse, offsets, strict=True))
         level = surface[after]
-        lowered = ~water | (heights[j, i] > level)
+        lowered = ~is_wet | (heights[j, i] > level)
         np.minimum.at(path_level, (j[lowered], i[lowered]), level[lowered])
 
     def breach_dams(after: Positions) -> None:
@@ -60,13 +60,13 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         lower_path(half=1, after=below)
         breach_dams(below)
         y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)  # a path ends where there is no receiver
-    cut = np.zeros(bed.shape, bool)
+    is_cut = np.zeros(bed.shape, bool)
     for side, border in zip(sides(bed.shape), ground.rims, strict=True):
-        cut[side] |= not border
-    constant = cut | bed.fixed.reshape(bed.shape)
-    dams = np.isfinite(max_ground) & ~constant
+        is_cut[side] |= not border
+    unchanged = is_cut | bed.fixed.reshape(bed.shape)
+    dams = np.isfinite(max_ground) & ~unchanged
     heights[dams] += np.minimum(max_ground - heights, np.float32(0.0))[dams] * bed.weight.reshape(bed.shape)[dams]
-    bed.path = np.flatnonzero(np.isfinite(path_level) & ~constant)
+    bed.path = np.flatnonzero(np.isfinite(path_level) & ~unchanged)
     # The trench is so deep that no other pass is lower.
     bed.path_level = path_level.reshape(-1)[bed.path] - np.float32(WALL)
 
@@ -80,6 +80,10 @@ def _find_outlets(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np
     y, x = np.nonzero(~wet & (to != 4) & (flow >= MIN_AREA))
     is_outlet = np.zeros(len(y), bool)
     for way in (0, 1, 2, 3, 5, 6, 7, 8):
-        beside = neighbour(y, x, way)
-        is_outlet |= wet[beside] & (surface[beside] >= surface[y, x] - np.float32(LEVEL)) & (flow[beside] < flow[y, x])
+        neighbours = neighbour(y, x, way)
+        is_outlet |= (
+            wet[neighbours]
+            & (surface[neighbours] >= surface[y, x] - np.float32(LEVEL))
+            & (flow[neighbours] < flow[y, x])
+        )
     return y[is_outlet], x[is_outlet]

@@ -71,15 +71,15 @@ def shaped_stores(source: str) -> list[tuple[Path, int]]:
     """
     beside = folder_beside(source)
     owned_files.check_folder(beside)
-    found = []
+    by_use = []
     with suppress(OSError):
         for folder in beside.iterdir():
             if not is_land_name(folder.name):
                 continue
             owned_files.check_folder(folder)
             if _is_removable(folder):
-                found.append((folder.stat().st_mtime, folder, bytes_in(folder)))
-    return [(folder, size) for _, folder, size in sorted(found)]
+                by_use.append((folder.stat().st_mtime, folder, bytes_in(folder)))
+    return [(folder, size) for _, folder, size in sorted(by_use)]
 
 
 def _is_removable(folder: Path) -> bool:
@@ -96,24 +96,24 @@ def read_mask(file: str) -> np.ndarray:
     """Read an image in the folder of masks, float32 [rows, columns], row 0 north. Raises TerrainError."""
     try:
         with open_regular(Path(file)) as handle:
-            found = np.lib.format.read_array(handle, allow_pickle=False)
-        if found.ndim != 2 or found.dtype != np.float32 or not np.isfinite(found).all():
+            weights = np.lib.format.read_array(handle, allow_pickle=False)
+        if weights.ndim != 2 or weights.dtype != np.float32 or not np.isfinite(weights).all():
             raise ValueError("expected finite float32 in rows and columns")
     except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as reason:
         raise TerrainError(
             f"The mask {file} is damaged ({reason})", fix="delete the file, it is written again"
         ) from reason
-    return found
+    return weights
 
 
 def bytes_in(folder: Path) -> int:
     """Add up the sizes of all files below a folder; another Blender may remove some meanwhile."""
-    found = 0
+    total = 0
     for inner, _, names in os.walk(folder):
         for name in names:
             with suppress(OSError):
-                found += os.lstat(os.path.join(inner, name)).st_size
-    return found
+                total += os.lstat(os.path.join(inner, name)).st_size
+    return total
 
 
 def remove(folder: Path) -> None:

@@ -80,26 +80,26 @@ class LevelPlan:
         An entry that is applied to a whole level is a run by itself. The entries between two of these form a run that
         is applied within each tile, which reads nothing of other tiles. A mask that reads the whole level starts a run.
         """
-        found: list[list[int]] = []
+        runs: list[list[int]] = []
         for number, entry in enumerate(self.entries):
             is_whole = self.how(number, level) == WHOLE
             reads_whole = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
-            if is_whole or reads_whole or not found or self.how(found[-1][-1], level) == WHOLE:
-                found.append([])
-            found[-1].append(number)
-        return found
+            if is_whole or reads_whole or not runs or self.how(runs[-1][-1], level) == WHOLE:
+                runs.append([])
+            runs[-1].append(number)
+        return runs
 
     def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
         """Return the rows and columns around a tile that each entry of a run reads, and last those of the result.
 
         Each entry computes the region that the next one reads. numbers: the run's entries, by index.
         """
-        found = [(BAND, BAND)]
+        margins = [(BAND, BAND)]
         for number in reversed(numbers):
             halo = self.halo(self.entries[number], level) if self.how(number, level) == TILES else None
             rows, columns = halo or (0, 0)
-            found.append((found[-1][0] + rows, found[-1][1] + columns))
-        return found[::-1]
+            margins.append((margins[-1][0] + rows, margins[-1][1] + columns))
+        return margins[::-1]
 
     def _max_halo(self, level: Level) -> tuple[int, int]:
         """Return the largest number of rows and columns beyond a tile and its BAND that a run reads."""

@@ -104,29 +104,31 @@ class LevelRun:
         Return each entry's change, none at level 0, and its statistics by tile. tiles: those to compute. The land after
         all entries is blended, not each change, so that depths that are nowhere negative stay so.
         """
-        level, first, changes = self.work.level, None, []
+        level, first_mask, changes = self.work.level, None, []
         start = land.crop(level.whole)  # the land before the run, as `land` is updated below
         for number, arrays in zip(self.numbers, self.coarse, strict=True):
             entry = self.shaping.entries[number]
             assert arrays is not None  # the coarsest level is computed as a whole
             mask, count = self.work.mask(entry, land), num_arrays(entry.declaration, level)
             change = [finer(array, level.shape) for array in arrays[:count]]
-            first = mask if number == self.numbers[0] else first  # the mask of the first entry
+            first_mask = mask if number == self.numbers[0] else first_mask
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
             changes += [change] if level.number else []
         sums = [TileSums.zeros(level) for _ in self.numbers]
         if all(self.shaping.plan.how(number, level) == UPSAMPLED for number in self.numbers):
             return changes, sums
-        rest = np.ones(level.shape, np.float32)  # weight of the interpolated coarser level
+        coarse_weight = np.ones(level.shape, np.float32)  # weight of the interpolated coarser level
         for tile in tiles:
-            rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
+            coarse_weight[level.window(tile, BAND, BAND)] -= level.weights(tile)
         names = {layer.name for number in self.numbers for layer in self.shaping.entries[number].declaration.layers}
-        land.layers |= {name: land.layers[name] * rest for name in names}  # copies, since changes may share the arrays
+        land.layers |= {
+            name: land.layers[name] * coarse_weight for name in names
+        }  # copies, since changes may share the arrays
         for total in (land.total, *(array for change in changes for array in change)):
-            total *= rest
+            total *= coarse_weight
         for tile in tiles:
             window, weights = level.window(tile, BAND, BAND), level.weights(tile)
-            tile_changes, tile_land = self._compute_tile(tile, start, first, sums)
+            tile_changes, tile_land = self._compute_tile(tile, start, first_mask, sums)
             land.total[window] += tile_land.total * weights
             for name in names:
                 land.layers[name][window] += tile_land.layers[name] * weights
@@ -151,20 +153,20 @@ class LevelRun:
             assert arrays is not None
             entry, window = self.shaping.entries[number], land.window
             mask = mask if number == self.numbers[0] else self.work.mask(entry, land)
-            here = within(target, window)
+            inner = within(target, window)
             coarser = np.stack([finer_window(array, *window) for array in arrays])
-            change = coarser[(slice(num_arrays(entry.declaration, level)), *here)]
+            change = coarser[(slice(num_arrays(entry.declaration, level)), *inner)]
             if self.shaping.plan.how(number, level) == TILES:
                 cost = self.shaping.plan.cost(entry, window)
                 report = self.shaping.progress(cost, level, entry)
                 report(0.0)
                 # A mask of 0 everywhere spares the work.
-                if mask is None or entry.declaration.masks or mask[here].any():
+                if mask is None or entry.declaration.masks or mask[inner].any():
                     with _counted(self.shaping, entry, entry_sums, cost):
                         change = apply_tile(self.work, entry, land, mask, coarser, target, report)
                 self.shaping.done += cost
-            land, mask = land.crop(target), None if mask is None else mask[here]
-            entry_sums.add(level, tile, change[0] - coarser[0][here], mask, target)
+            land, mask = land.crop(target), None if mask is None else mask[inner]
+            entry_sums.add(level, tile, change[0] - coarser[0][inner], mask, target)
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
             changes.append(change[(slice(None), *within(windows[-1], target))])
         return changes, land

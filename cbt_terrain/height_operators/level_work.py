@@ -205,9 +205,9 @@ def _pack_change(effect: HeightOperator, change: Change, count: int) -> np.ndarr
 
     Layers that the operator did not write are 0. count: `num_arrays`, which leaves out the state at level 0.
     """
-    none, found = np.zeros_like(change.heights), change.layers | change.state
+    zeros, arrays = np.zeros_like(change.heights), change.layers | change.state
     names = [*_layer_names(effect), *effect.state][: count - 1]
-    return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
+    return np.stack([change.heights, *(arrays.get(name, zeros) for name in names)], dtype=np.float32)
 
 
 def apply_whole(

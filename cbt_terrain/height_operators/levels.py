@@ -29,8 +29,8 @@ def finer(samples: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 def coarser(samples: np.ndarray) -> np.ndarray:
     """Return every second sample. The last one of a side with an even number is repeated."""
-    odd = np.pad(samples, [(0, 1 - n % 2) for n in samples.shape], mode="edge")
-    return np.ascontiguousarray(odd[::2, ::2])
+    odd_sized = np.pad(samples, [(0, 1 - n % 2) for n in samples.shape], mode="edge")
+    return np.ascontiguousarray(odd_sized[::2, ::2])
 
 
 def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:

@@ -48,10 +48,10 @@ def load_image(file: str, folder: Path) -> np.ndarray:
 def _shape_in(array_file: Path) -> tuple[int, int] | None:
     """Return the rows and columns in the header of a .npy file; None if the file is missing or damaged."""
     try:
-        found = re.search(rb"'shape': \((\d{1,9}), (\d{1,9})\)", read_start(array_file, PAGE_BYTES, links=False))
+        match = re.search(rb"'shape': \((\d{1,9}), (\d{1,9})\)", read_start(array_file, PAGE_BYTES, links=False))
     except OSError:
         return None
-    return None if found is None else (int(found[1]), int(found[2]))
+    return None if match is None else (int(match[1]), int(match[2]))
 
 
 def child_main() -> None:

@@ -36,15 +36,15 @@ def values_of(
     `layers` as they are. heights(window): returns float32 metres of the ground. missing: bool [rows, columns] of the
     level, holes, or None.
     """
-    found = {name: layers[name] for name in names if name in BY_PRODUCTS}
+    results = {name: layers[name] for name in names if name in BY_PRODUCTS}
     requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]
     if requests:
         field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
-        found |= {request.name: np.empty(level.shape, np.float32) for request in requests}
+        results |= {request.name: np.empty(level.shape, np.float32) for request in requests}
         for rows, values in on_samples(field, requests, threads=threads):
             for request in requests:
-                found[request.name][rows] = values[request.name]
-    return found
+                results[request.name][rows] = values[request.name]
+    return results
 
 
 def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> HeightField:

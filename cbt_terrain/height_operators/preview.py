@@ -105,8 +105,8 @@ def preview(
     step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
     if source.valid is not None:
-        near = [np.rint(position).astype(np.int64) for position in positions]
-        heights[source.valid[np.ix_(*near)] == 0] = np.nan
+        nearest = [np.rint(position).astype(np.int64) for position in positions]
+        heights[source.valid[np.ix_(*nearest)] == 0] = np.nan
     start = time.perf_counter()
     result = from_array(
         heights, step_x, step_y, source_max=source.source_max, holes=source.valid is not None, threads=threads,
@@ -116,8 +116,8 @@ def preview(
     digest = compute_digest(result.raster.digest, stack.key())  # the stack's stands for the layers
     layers = _Layers(states[-1].ground.layers, rows, columns)
     result = result.with_raster(digest=digest, layers=layers, place=source.raster.place)
-    left = stack.active[len(states) - 1 :]
-    left_out_entry = (left[0].name or left[0].declaration.label) if left else ""
+    left_out = stack.active[len(states) - 1 :]
+    left_out_entry = (left_out[0].name or left_out[0].declaration.label) if left_out else ""
     ms = [state.ms for state in states[1:]]  # states[0] is the ground before the first entry
     return Preview(result, ms, max(level.step_x, level.step_y), left_out_entry, build_ms)
 
@@ -176,8 +176,8 @@ def _compute_weights(
 
 def _ground(source: HeightField, level: Level) -> OperatorGround:
     """Return a level of the source as the ground that the first operator changes."""
-    found = LevelGround.of(source, level)
-    heights = np.ascontiguousarray(found.heights)
+    samples = LevelGround.of(source, level)
+    heights = np.ascontiguousarray(samples.heights)
     return OperatorGround(
         heights,
         level.step_x,
@@ -185,8 +185,8 @@ def _ground(source: HeightField, level: Level) -> OperatorGround:
         whole=level.shape,
         size=levels_of(source.lattice)[0].size,
         level=level.number,
-        missing=found.missing,
-        layers=found.layers,
+        missing=samples.missing,
+        layers=samples.layers,
     )
 
 

@@ -181,7 +181,7 @@ def _fade(ground: OperatorGround) -> np.ndarray:
     spacings = ground.step_y, ground.step_x
     whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     sizes = ground.size or tuple((whole - 1) * spacings)
-    wide = FADE * min(sizes)
+    fade_width = FADE * min(sizes)
 
     def fade_along(first: int, count: int, spacing: float, size: float) -> np.ndarray:
         """Return weights along one axis: 1 inside, smoothly to 0 at both borders of the raster, float64 [count].
@@ -189,7 +189,7 @@ def _fade(ground: OperatorGround) -> np.ndarray:
         first: number of the first sample in the raster. spacing: metres between samples. size: the raster's, metres.
         """
         metres = np.arange(first, first + count) * spacing
-        t = np.clip(np.minimum(metres, size - metres) / max(wide, spacing), 0.0, 1.0)
+        t = np.clip(np.minimum(metres, size - metres) / max(fade_width, spacing), 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
     north, east = map(fade_along, ground.first, ground.heights.shape, spacings, sizes)
@@ -255,9 +255,9 @@ def example(evaluate: Evaluate) -> None:
     values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
     change = evaluate("rivers", heights, step=20.0, **values)
     wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0
-    left, highest = 8.0 + change.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
-    assert 8.0 / (1.0 + wave) ** 10 - 1e-5 < left < highest + 1e-5
-    assert abs(change.layers["wear"][4, 4] - (8.0 - left)) < 1e-5 and change.layers["flow"][4, 4] == 400.0
+    remaining, highest = 8.0 + change.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
+    assert 8.0 / (1.0 + wave) ** 10 - 1e-5 < remaining < highest + 1e-5
+    assert abs(change.layers["wear"][4, 4] - (8.0 - remaining)) < 1e-5 and change.layers["flow"][4, 4] == 400.0
     change.heights[4, 4] = 0.0
     assert not change.heights.any()
 

@@ -174,8 +174,8 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
     levels, shape_ = shaping.plan.levels, (shaping.heights.lattice.height, shaping.heights.lattice.width)
     depths, counts = shaping.depths, [level.tile_count for level in levels]
     if state is None:
-        none = np.zeros(shape_, np.float32)
-        return Shaped(none, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
+        zeros = np.zeros(shape_, np.float32)
+        return Shaped(zeros, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
     left_max, left_mean_square = _left_out(shaping, state)
     # After an early finish the change is added without spikes at cliffs. A coarse level that was requested as the
     # finest is interpolated level by level.
@@ -186,9 +186,9 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
     if state.level.number and shaping.heights.valid is not None:
         missing = shaping.heights.valid == 0
         total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
-    left = float(np.sqrt(left_mean_square)), float(left_max)
+    left_out = float(np.sqrt(left_mean_square)), float(left_max)
     total, finest = np.ascontiguousarray(total), state.level.number
-    return Shaped(total, layers, depths, finest, shaping.tiles, counts, shaping.added, left, early)
+    return Shaped(total, layers, depths, finest, shaping.tiles, counts, shaping.added, left_out, early)
 
 
 def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
@@ -214,5 +214,9 @@ def _left_out(shaping: Shaping, state: LevelState) -> tuple[float, float]:
     """
     if state.level.number:
         return state.max_change.max(), state.mean_square.mean()
-    left = sorted(set(range(state.level.tile_count)) - set(shaping.tiles[0])) if not state.level.is_whole else []
-    return (state.max_change[left].max(), state.mean_square[left].mean()) if left else (0.0, 0.0)
+    not_computed = (
+        sorted(set(range(state.level.tile_count)) - set(shaping.tiles[0])) if not state.level.is_whole else []
+    )
+    return (
+        (state.max_change[not_computed].max(), state.mean_square[not_computed].mean()) if not_computed else (0.0, 0.0)
+    )

@@ -101,5 +101,5 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     wanted = request["wanted"] and [None if pairs is None else dict(map(tuple, pairs)) for pairs in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)
-    more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
-    return run_shape(request["source"], stack, request["store"], wanted, on_progress, **more)
+    options = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
+    return run_shape(request["source"], stack, request["store"], wanted, on_progress, **options)

@@ -103,17 +103,17 @@ def _plan_levels(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:
 
 def _read_earlier(source: str) -> list[dict]:
     """Return the JSON of the newest shaped stores of a source, the newest last."""
-    found = []
+    newest = []
     with suppress(OSError):
         files = [
             folder / store_folder.JSON_NAME for folder in folder_beside(source).iterdir() if is_land_name(folder.name)
         ]
-        found = sorted((file.stat().st_mtime, file) for file in files if file.is_file())[-NUM_EARLIER:]
-    read = []
-    for _, file in found:
+        newest = sorted((file.stat().st_mtime, file) for file in files if file.is_file())[-NUM_EARLIER:]
+    contents = []
+    for _, file in newest:
         with suppress(TerrainError):
-            read.append(stores.read_json(file.parent))
-    return read
+            contents.append(stores.read_json(file.parent))
+    return contents
 
 
 def _measured_rates(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:

@@ -168,7 +168,7 @@ def _slide_snow(
     at least 2; each has two halves, slabs of two rows that begin at even and at odd rows. values: the operator's
     parameters by name.
     """
-    arguments, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
+    arguments, mean_snow, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     arguments.height, arguments.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
     arguments.falls = wp.vec3f(*(_repose(values) * step for step in steps))  # metres between neighbours at rest
@@ -179,15 +179,15 @@ def _slide_snow(
         # The order of slabs alternates, else those of one parity would give more than the others. The first half also
         # settles pairs along the rows.
         for along, parity in ((1, odd), (0, 1 - odd)):
-            first = -((parity + ground.first[0]) % 2)
+            first = -((parity + ground.first[0]) % 2)  # -1 if only the second row of the first slab is in the raster
             inputs = [first, along, (odd + ground.first[1]) % 2, arguments]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
             # Moving snow is in rows of one parity after each half; the mean of four halves hides that comb.
             if k >= sweeps - 2:
-                rest += np.float32(0.25) * loose
+                mean_snow += np.float32(0.25) * loose
         ground.progress(0.5 + 0.5 * (k + 1) / sweeps)
-    return rest
+    return mean_snow
 
 
 def _with_walls(bed: np.ndarray, missing: np.ndarray | None) -> np.ndarray:

@@ -156,8 +156,8 @@ def file_identity(image: str) -> tuple:
     if not image:
         return ()
     try:
-        found = os.stat(image)
-        digest = _file_digest(os.path.realpath(image), found.st_size, found.st_mtime_ns)
+        status = os.stat(image)
+        digest = _file_digest(os.path.realpath(image), status.st_size, status.st_mtime_ns)
         return Path(image).suffix.lower(), digest  # the suffix decides how it is read
     except (OSError, ValueError):
         return (image,)  # reading it raises the error

@@ -98,7 +98,7 @@ def settle_scree(
     kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`. values: the operator's parameters
     by name.
     """
-    slope, rest = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
+    slope, mean_scree = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
     launch.spread(kernels.vary_repose, slope.height, inputs, step="scree", threads=ground.threads, cost=cost)
     breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
@@ -110,9 +110,9 @@ def settle_scree(
         for _half in sweep(slope, number, ground.threads, recorded):
             # Moving scree is in rows of one parity after each half; the mean of four halves hides that comb.
             if number >= sweeps - 2:
-                rest += np.float32(0.25) * scree
+                mean_scree += np.float32(0.25) * scree
         ground.progress((number + 1) / sweeps)
-    return rest
+    return mean_scree
 
 
 def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
@@ -124,7 +124,7 @@ def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None
     spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
     spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)
     for along, parity in ((1, odd), (0, 1 - odd)):
-        first = -((parity ^ slope.first_row) & 1)
+        first = -((parity ^ slope.first_row) & 1)  # row of the first slab: -1 if only its second row is in the raster
         slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope]
         spread(kernels.settle_slabs, slabs, inputs, cost=0.5 * slope.width)
         yield

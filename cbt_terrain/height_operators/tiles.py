@@ -97,11 +97,11 @@ class Level:
 
     def tiles_in(self, window: Window) -> set[int]:
         """Return the tiles whose weight is not 0 somewhere in a window."""
-        found = []
+        ranges = []
         for axis, count in zip(window, self.tiles, strict=True):
             first, last = (axis.start - BAND) // TILE, (axis.stop - 1 + BAND) // TILE
-            found.append(range(max(first, 0), min(last, count - 1) + 1))
-        return {j * self.tiles[1] + i for j in found[0] for i in found[1]}
+            ranges.append(range(max(first, 0), min(last, count - 1) + 1))
+        return {j * self.tiles[1] + i for j in ranges[0] for i in ranges[1]}
 
     def parent(self, tile: int) -> int:
         """Return the number of the tile of the next coarser level that contains a tile."""
@@ -115,10 +115,12 @@ def _weights(axis: slice, number: int, count: int) -> np.ndarray:
 
     There are no ramps at the level's ends. number: the tile's position along the axis, of `count` tiles.
     """
-    at = np.arange(axis.start, axis.stop, dtype=np.float32)
+    positions = np.arange(axis.start, axis.stop, dtype=np.float32)
     low, high = number * TILE, (number + 1) * TILE
-    up = np.clip((at - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(at)
-    down = np.clip(((high + BAND) - at) / (2 * BAND), 0.0, 1.0) if number < count - 1 else np.ones_like(at)
+    up = np.clip((positions - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(positions)
+    down = (
+        np.clip(((high + BAND) - positions) / (2 * BAND), 0.0, 1.0) if number < count - 1 else np.ones_like(positions)
+    )
     return up * down
 
 

@@ -99,20 +99,20 @@ def water_surface(
         wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
-    deep, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
-    corners, sides = _triangles(deep, wet, missing)
+    signed_depth, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
+    corners, sides = _triangles(signed_depth, wet, missing)
     used, numbers = _number_items(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
     west, south, _, _ = lattice.rectangle()
     x, y = west + column * lattice.step_x, south + row * lattice.step_y
     positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
     uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
-    fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
+    speeds = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
     attributes = {
         NORMALS: Attribute(np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(used), 1)), POINT),
         UV: Attribute(uv, POINT),
-        "water_depth": Attribute(deep.ravel()[used].astype(np.float32), POINT, "m"),
-        "water_speed": Attribute(fast.astype(np.float32), POINT, "m/s"),
+        "water_depth": Attribute(signed_depth.ravel()[used].astype(np.float32), POINT, "m"),
+        "water_speed": Attribute(speeds.astype(np.float32), POINT, "m/s"),
         LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),
     }
     lines, line_numbers = _number_items(sides, 4 * heights.size)
@@ -120,8 +120,8 @@ def water_surface(
     width = heights.shape[1]
     ends = np.stack([start, start + np.array([1, width, width + 1, width - 1])[towards]], axis=-1)
     surface = Surface(positions, numbers[corners], line_numbers[sides], numbers[ends], attributes)
-    values = deep.ravel()[used]
-    surface, _ = cut(surface, [Side(lambda _positions: values)], threads=threads)
+    depths = signed_depth.ravel()[used]
+    surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)
     attributes = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
     for name in ("water_depth", "water_speed"):
         attributes[name] = Attribute(np.maximum(attributes[name].array, 0.0), POINT, attributes[name].unit)
@@ -194,13 +194,15 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     if missing is not None:
         cells &= ~(missing[:-1, :-1] | missing[:-1, 1:] | missing[1:, :-1] | missing[1:, 1:])
     row, column = np.nonzero(cells)
-    at = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])
-    z = deep.ravel()[at]
-    north_east = (np.minimum(z[:, 0], z[:, 2]) >= np.minimum(z[:, 1], z[:, 3]))[:, None]
-    corners = np.where(north_east, at[:, [0, 1, 2, 0, 2, 3]], at[:, [0, 1, 3, 1, 2, 3]])
+    cell_corners = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])
+    corner_depths = deep.ravel()[cell_corners]
+    north_east = (
+        np.minimum(corner_depths[:, 0], corner_depths[:, 2]) >= np.minimum(corner_depths[:, 1], corner_depths[:, 3])
+    )[:, None]
+    corners = np.where(north_east, cell_corners[:, [0, 1, 2, 0, 2, 3]], cell_corners[:, [0, 1, 3, 1, 2, 3]])
     kinds = SIDES_NORTH_EAST, SIDES_NORTH_WEST
     north_east_sides, north_west_sides = (
-        np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds
+        np.stack([4 * cell_corners[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds
     )
     return corners.ravel(), np.where(north_east, north_east_sides, north_west_sides).ravel()
 

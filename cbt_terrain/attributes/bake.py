@@ -144,8 +144,8 @@ class _MapGround:
         """Return the finest level of a tile's texels, 0 or below it; `side`: texels along a side of the image."""
         raster, (west, south, east, north) = self.field.raster, self.tiling.box(tile)
         across, along = (side * self.tiling.margin * texel for texel in self.tiling.texel(side))
-        is_there = is_finer(raster, (west - across, south - along, east + across, north + along))
-        return min(max(self.image_level(side), min_level(raster)), 0.0) if is_there else 0.0
+        has_finer = is_finer(raster, (west - across, south - along, east + across, north + along))
+        return min(max(self.image_level(side), min_level(raster)), 0.0) if has_finer else 0.0
 
     def image_level(self, side: int) -> float:
         """Return the level at which decals are sampled, for images of `side` texels.
@@ -153,8 +153,8 @@ class _MapGround:
         It is about log2 of the texel over the sample spacing, below 0 for texels finer than samples.
         """
         lattice = self.field.lattice
-        finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
-        return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
+        ratio = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
+        return round((math.log2(ratio) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
 def _image(ground: _MapGround, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:

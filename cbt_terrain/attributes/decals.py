@@ -35,10 +35,10 @@ class DecalPicture:
     @cached_property
     def mips(self) -> list[np.ndarray]:
         """Return the image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
-        found = [self.values]
-        while max(found[-1].shape[:2]) > 1:
-            found.append(_halve(found[-1]))
-        return found
+        mips = [self.values]
+        while max(mips[-1].shape[:2]) > 1:
+            mips.append(_halve(mips[-1]))
+        return mips
 
 
 def _halve(image: np.ndarray) -> np.ndarray:

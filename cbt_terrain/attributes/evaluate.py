@@ -66,10 +66,10 @@ class EffectRequest:
 
     def key(self, heights: HeightField) -> tuple:
         """Return everything that the values depend on, except the surface: equal keys give equal values."""
-        where = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
+        placement = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
         views = tuple(view.key() for view in self.views)
         scale = float(self.vertical_scale), float(self.vertical_offset)
-        return self.plan, heights.key, scale, where, views, self.geometry_metres
+        return self.plan, heights.key, scale, placement, views, self.geometry_metres
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,9 @@ def evaluate(
         ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
         if request.surface is not last.surface() or key != last.request:
             keys = _keys_of_steps(request, heights)
-            found = _evaluate_steps(heights, request, values, keys, max_bytes, ran)
+            results = _evaluate_steps(heights, request, values, keys, max_bytes, ran)
             names = request.plan.attributes
-            attributes = {name: Attribute(found[name], POINTS, ATTRIBUTES[name].unit) for name in names}
+            attributes = {name: Attribute(results[name], POINTS, ATTRIBUTES[name].unit) for name in names}
             values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
         history.values = values
         return Evaluated(values.source.attributes, ran, values.nbytes)
@@ -148,16 +148,16 @@ def _evaluate_steps(
     # By name, the points to compute; None, all points, where nothing is reused.
     which = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
     which |= dict.fromkeys(which.keys() - reused)
-    found = values.reuse({name: ATTRIBUTES[name].width for name, some in which.items() if some is not None})
+    results = values.reuse({name: ATTRIBUTES[name].width for name, points in which.items() if points is not None})
     for step in set(steps) - set(nonzero):
-        found[step.name] = values.zeros(ATTRIBUTES[step.name].width)
+        results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
     for group in _group_steps(nonzero, reused):
         start = time.perf_counter()
-        computed = _complete_group(group, places[group[0].family], which[group[0].name], found, values, dropped)
+        computed = _complete_group(group, places[group[0].family], which[group[0].name], results, values, dropped)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
-        ran |= {step.name: Ran(ms, found[step.name].nbytes, computed) for step in group}
+        ran |= {step.name: Ran(ms, results[step.name].nbytes, computed) for step in group}
     values.forget_others({*which, *places})
-    return found
+    return results
 
 
 def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
@@ -216,11 +216,11 @@ def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: in
     """
     effects = [ATTRIBUTES[step.name] for step in steps]
     # Two copies of points and of the levels of both families.
-    left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
+    bytes_left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     dropped = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
-        left -= NUMBER * count * effect.width
-        if left < 0:
+        bytes_left -= NUMBER * count * effect.width
+        if bytes_left < 0:
             dropped.add(effect.name)
     return dropped
 
@@ -251,8 +251,10 @@ def _group_steps(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Gr
     order: list[tuple[tuple, Group]] = []
     for step in steps:
         kind = (ATTRIBUTES[step.name].make, step.family, ATTRIBUTES[step.name].scaled, step.name in reused)
-        after = max((group_of.get(name, -1) for name in ATTRIBUTES[step.name].reads_with(step.parameters)), default=-1)
-        number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
+        last_read = max(
+            (group_of.get(name, -1) for name in ATTRIBUTES[step.name].reads_with(step.parameters)), default=-1
+        )
+        number = next((k for k in range(last_read + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
             order.append((kind, []))
         order[number][1].append(step)
@@ -269,35 +271,35 @@ def _compute_group(
     requests for these attributes.
     """
     wanted = {step.name: ATTRIBUTES[step.name].defaults() | dict(step.parameters) for step in group}
-    found = ATTRIBUTES[group[0].name].make(places, wanted, read)
-    for name, array in found.items():
+    results = ATTRIBUTES[group[0].name].make(places, wanted, read)
+    for name, array in results.items():
         if not np.isfinite(array).all():
             raise places.field.raster.damage(f"its heights give values of {name} that are not finite")
-    return found
+    return results
 
 
 def _complete_group(
     group: Group,
     places: SamplePoints,
     which: np.ndarray | None,
-    found: dict[str, np.ndarray],
+    results: dict[str, np.ndarray],
     values: EffectValues,
     dropped: set[str],
 ) -> int:
-    """Compute a group's values at the points that lack them, into `found`; return the number of these points.
+    """Compute a group's values at the points that lack them, into `results`; return the number of these points.
 
-    which: indices of the points to compute, where `found` has the others from the last surface; None for all. values:
+    which: indices of the points to compute, where `results` has the others from the last surface; None for all. values:
     stores whole arrays for the next surface. dropped: names of the attributes whose values of the last surface are
     dropped, to keep memory bounded.
     """
-    read = {name: found[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
+    read = {name: results[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _compute_group(group, places, read).items():
             values.put(name, array, drop_last=name in dropped)
-            found[name] = array
+            results[name] = array
         return len(places)
     if len(which):
         read_there = {name: array[which] for name, array in read.items()}
         for name, array in _compute_group(group, places.only(which), read_there).items():
-            found[name][which] = array
+            results[name][which] = array
     return len(which)

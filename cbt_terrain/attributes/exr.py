@@ -41,10 +41,10 @@ class ExrFile:
         self._waiting: list[Future] = []
         self._offsets: list[int] = []
         kind = HALF if depth == 16 else FLOAT
-        listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
+        channel_list = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
         box = struct.pack("<iiii", 0, 0, side - 1, (lines or side) - 1)
         entries = (
-            ("channels", "chlist", listed),
+            ("channels", "chlist", channel_list),
             (COMMENT, "string", text.encode("latin-1")),
             ("compression", "compression", b"\x03"),  # zlib, 16 lines a block
             ("dataWindow", "box2i", box),
@@ -119,16 +119,16 @@ def comment_of(path: Path) -> str | None:
             end = head.find(b"screenWindowWidth\0float\0")
             if not head.startswith(MAGIC) or start < 0 or end < 0:
                 return None
-            text = start + len(COMMENT) + 8  # after the name and type, which end with 0
-            (length,) = struct.unpack("<i", head[text : text + 4])
-            window = head.find(b"dataWindow\0box2i\0") + 21  # after name, type and size
-            last_line = struct.unpack("<iiii", head[window : window + 16])[3]
+            text_start = start + len(COMMENT) + 8  # after the name and type, which end with 0
+            (length,) = struct.unpack("<i", head[text_start : text_start + 4])
+            window_start = head.find(b"dataWindow\0box2i\0") + 21  # after name, type and size
+            last_line = struct.unpack("<iiii", head[window_start : window_start + 16])[3]
             # The table follows the last entry (24 bytes of name and type, size, value) and the header's final 0.
             file.seek(end + 33 + 8 * (last_line // BLOCK))
-            (last,) = struct.unpack("<Q", file.read(8))
-            file.seek(last + 4)  # a block: number of its first line, size, data
+            (last_block,) = struct.unpack("<Q", file.read(8))
+            file.seek(last_block + 4)  # a block: number of its first line, size, data
             (size,) = struct.unpack("<i", file.read(4))
-            whole = last > 0 and file.seek(0, 2) == last + 8 + size
+            is_complete = last_block > 0 and file.seek(0, 2) == last_block + 8 + size
     except (OSError, struct.error):
         return None
-    return head[text + 4 : text + 4 + length].decode("latin-1") if whole else None
+    return head[text_start + 4 : text_start + 4 + length].decode("latin-1") if is_complete else None

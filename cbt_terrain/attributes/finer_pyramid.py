@@ -54,15 +54,15 @@ def is_finer(raster: HeightRaster, box: Box) -> bool:
         return False
     lattice, differs = raster.lattice, _table(raster, raster.finer)[0]
     west, south, _, _ = lattice.rectangle()
-    sides = []
+    ranges = []
     for first, ends, step, count in (
         (south, box[1::2], lattice.step_y, len(differs)),
         (west, box[::2], lattice.step_x, differs.shape[1]),
     ):
         metres = step * (SIDE >> raster.finer.bits)  # of a tile
         low, high = (int(np.clip(math.floor((end - first) / metres), -1, count)) for end in ends)
-        sides.append(slice(max(low, 0), high + 1))
-    return bool(differs[sides[0], sides[1]].any())
+        ranges.append(slice(max(low, 0), high + 1))
+    return bool(differs[ranges[0], ranges[1]].any())
 
 
 def _table(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footprint.FinerPlaces]:
@@ -82,11 +82,12 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
     bits: a raster cell has 2^bits finer cells a side. differs: where tiles have finer heights, bool [rows, columns].
     """
     rows, columns = differs.shape
-    around = np.pad(differs, 1, mode="edge")
+    padded = np.pad(differs, 1, mode="edge")
     beside = np.zeros((rows, columns), np.int32)
     for row in range(3):
         for column in range(3):
-            beside |= ~around[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
+            # bit 3 * row + column: that one of the 3 x 3 tiles around has no finer heights
+            beside |= ~padded[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
     places = footprint.FinerPlaces()
     places.bits, places.columns = bits, columns
     places.beside = flat(np.where(differs, beside, np.int32(-1)), wp.int32)
@@ -99,30 +100,30 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
 def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tuple[np.ndarray, wp.array]:
     """Return the coarser levels of the finer heights, and all levels for kernels, an array of one struct."""
     lattice, sides = raster.lattice, pyramid_sides(tiles.bits)
-    size, where = tiles.pyramid_size(lattice), np.argwhere(_table(raster, tiles)[0])
+    size, positions = tiles.pyramid_size(lattice), np.argwhere(_table(raster, tiles)[0])
     shapes = {PYRAMID: ((size,), np.float32)}
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
         """Compute the coarser levels of all tiles, those of a range of tiles on each thread."""
-        levels = _split_levels(arrays[PYRAMID], sides, len(where))
-        ranges = launch.ranges(len(where), max(1, min(threads, len(where))))
+        levels = _split_levels(arrays[PYRAMID], sides, len(positions))
+        ranges = launch.ranges(len(positions), max(1, min(threads, len(positions))))
         with launch.timed("prefilter"):
-            launch.together([partial(_fill_levels, raster, tiles, where, levels, slice(*ends)) for ends in ranges])
+            launch.together([partial(_fill_levels, raster, tiles, positions, levels, slice(*ends)) for ends in ranges])
 
     # derive_large caches them in the store only if the raster itself is large.
     is_large = size >= derived_arrays.MIN_CACHED
     derive = derived_arrays.derive if is_large else derived_arrays.derive_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
-    numbers = np.full(tiles.numbers.shape, -1, np.int32)
-    numbers[tuple(where.T)] = np.arange(len(where))
+    level_numbers = np.full(tiles.numbers.shape, -1, np.int32)
+    level_numbers[tuple(positions.T)] = np.arange(len(positions))
     packed = finer_jet.FinerHeights()
     packed.bits, packed.columns = tiles.bits, tiles.numbers.shape[1]
-    packed.tiles, packed.numbers = flat(tiles.numbers, wp.int32), flat(numbers, wp.int32)
+    packed.tiles, packed.numbers = flat(tiles.numbers, wp.int32), flat(level_numbers, wp.int32)
     packed.cells_x, packed.cells_y = lattice.cells_x << tiles.bits, lattice.cells_y << tiles.bits
-    packed.levels = _pack_levels(lattice, tiles, coarser, len(where))
-    found = wp.array([packed], dtype=finer_jet.FinerHeights, device=launch.DEVICE)
-    found.parts = packed  # its arrays live as long
-    return coarser, found
+    packed.levels = _pack_levels(lattice, tiles, coarser, len(positions))
+    array = wp.array([packed], dtype=finer_jet.FinerHeights, device=launch.DEVICE)
+    array.parts = packed  # its arrays live as long
+    return coarser, array
 
 
 def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count: int) -> Pyramid:
@@ -153,14 +154,14 @@ def _split_levels(values: np.ndarray, sides: list[int], count: int) -> list[np.n
 
 
 def _fill_levels(
-    raster: HeightRaster, tiles: FinerTiles, where: np.ndarray, levels: list[np.ndarray], some: slice
+    raster: HeightRaster, tiles: FinerTiles, positions: np.ndarray, levels: list[np.ndarray], some: slice
 ) -> None:
-    """Fill the coarser levels of some tiles. where: row and column of each tile, int64 [tiles, 2]."""
+    """Fill the coarser levels of the tiles `some`, a range. positions: row and column of each, int64 [tiles, 2]."""
     around = 1 << tiles.bits  # finer cells that the coarsest level reads beyond a tile
     last = raster.lattice.cells_y << tiles.bits, raster.lattice.cells_x << tiles.bits
     for number in range(some.start, some.stop):
         stopping.check()
-        first = SIDE * where[number]
+        first = SIDE * positions[number]
         low = np.maximum(first - around, 0)
         high = np.minimum(first + SIDE + around, last)
         heights = _window(raster, tiles, low, high)
@@ -170,14 +171,14 @@ def _fill_levels(
             rows, columns = (np.arange(-1, len(out[number]) - 1) + (first[k] - low[k] >> level) for k in (0, 1))
             extended = np.pad(heights, 1, mode="reflect", reflect_type="odd")
             rows, columns = (
-                np.clip(at + 1, 0, size - 1) for at, size in zip((rows, columns), extended.shape, strict=True)
+                np.clip(indices + 1, 0, size - 1) for indices, size in zip((rows, columns), extended.shape, strict=True)
             )
             out[number] = extended[np.ix_(rows, columns)]
 
 
 def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the heights of finer samples from row and column `low` to `high`, float32; the raster's between tiles."""
-    found = np.empty(high - low + 1, np.float32)
+    heights = np.empty(high - low + 1, np.float32)
     for row in range(low[0] // SIDE, -(-high[0] // SIDE)):
         for column in range(low[1] // SIDE, -(-high[1] // SIDE)):
             y0, x0 = max(SIDE * row, low[0]), max(SIDE * column, low[1])
@@ -188,8 +189,8 @@ def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.n
                 part = tiles.heights[number, y : y + y1 - y0 + 1, x : x + x1 - x0 + 1]
             else:
                 part = raster_heights(raster, tiles.bits, np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
-            found[y0 - low[0] : y1 - low[0] + 1, x0 - low[1] : x1 - low[1] + 1] = part
-    return found
+            heights[y0 - low[0] : y1 - low[0] + 1, x0 - low[1] : x1 - low[1] + 1] = part
+    return heights
 
 
 def _halve(heights: np.ndarray) -> np.ndarray:
@@ -197,9 +198,9 @@ def _halve(heights: np.ndarray) -> np.ndarray:
 
     They are those of the kernel `halve_level`; beyond the border heights are 2 last - mirrored.
     """
-    found = heights.astype(np.float64)
+    sums = heights.astype(np.float64)
     for _ in range(2):  # along rows, then along columns
-        first, last = 2.0 * found[:1] - found[1:2], 2.0 * found[-1:] - found[-2:-1]
-        before, after = np.concatenate([first, found[1:-1:2]]), np.concatenate([found[1::2], last])
-        found = ((before + after) + 2.0 * found[::2]).T
-    return (found * 0.0625).astype(np.float32)
+        first, last = 2.0 * sums[:1] - sums[1:2], 2.0 * sums[-1:] - sums[-2:-1]
+        before, after = np.concatenate([first, sums[1:-1:2]]), np.concatenate([sums[1::2], last])
+        sums = ((before + after) + 2.0 * sums[::2]).T
+    return (sums * 0.0625).astype(np.float32)

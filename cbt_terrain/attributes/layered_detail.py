@@ -111,14 +111,14 @@ def _compute_masks(
             for mask, number in zip(arrays[masks], numbers, strict=True):
                 weights = values[NAMES[number // 4]][..., number % 4]
                 mask[rows] = np.rint(weights * np.float32(ALL))
-        for values, found in zip(arrays[masks], arrays[maxima], strict=True):
-            fill_max_cells(values, found)
+        for values, max_cells in zip(arrays[masks], arrays[maxima], strict=True):
+            fill_max_cells(values, max_cells)
 
     shapes = {
         masks: ((len(numbers), lattice.height, lattice.width), np.uint8),
         maxima: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
     }
-    found = derive_large(field.raster, shapes, fill)
+    derived = derive_large(field.raster, shapes, fill)
     for name in shapes:
         remove_old(field, f"{name.removesuffix(digest)}*.npy", name, MAX_CACHED)
-    return list(map(LayerMask, found[masks], found[maxima]))
+    return list(map(LayerMask, derived[masks], derived[maxima]))

@@ -43,8 +43,8 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
             pyramid = scaled_pyramid(
                 raster, vertical_scale=1.0, vertical_offset=0.0, threads=places.threads, name=f"{PYRAMID}_{name}"
             )
-            where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
-            inputs = [pyramid, *where, flat(out, wp.float32)]
+            points = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
+            inputs = [pyramid, *points, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
     return values
 

@@ -69,18 +69,18 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
     the C library's sines. sun: x, y, z towards it and the angle of its disc in radians.
     """
     x, y, z, angle = sun
-    level = math.sqrt(x * x + y * y)
+    horizontal = math.sqrt(x * x + y * y)
     radius = max(angle / 2.0, MIN_RADIUS)
-    elevation = math.atan2(z, level)
+    elevation = math.atan2(z, horizontal)
     if elevation <= -radius:
         return None
     azimuth = math.atan2(y, x)
     strips = np.zeros(STRIPS, SunStrip.numpy_dtype())
     for k in range(STRIPS):
-        across = (2 * k + 1) / STRIPS - 1.0
+        across = (2 * k + 1) / STRIPS - 1.0  # from the disc's centre to the strip's middle, in radii
         # Near the zenith a disc covers every azimuth, but no ground hides it there.
-        turned = azimuth + across * radius / max(math.cos(elevation), radius)
-        strips["azimuth"][k] = _rounded_to_single(math.cos(turned)), _rounded_to_single(math.sin(turned))
+        strip_azimuth = azimuth + across * radius / max(math.cos(elevation), radius)
+        strips["azimuth"][k] = _rounded_to_single(math.cos(strip_azimuth)), _rounded_to_single(math.sin(strip_azimuth))
         strips["half_height"][k] = _rounded_to_single(math.sqrt(1.0 - across * across))
     elevation = _rounded_to_single(elevation)
     low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))

@@ -99,11 +99,11 @@ def comment_of(path: Path) -> str | None:
         with open_regular(path, links=True) as file:
             head = file.read(4096)
             file.seek(-len(END), 2)
-            whole = file.read() == END
+            is_complete = file.read() == END
     except OSError:
         return None
     start = head.find(b"tEXt" + KEYWORD + b"\0")
-    if not whole or not head.startswith(SIGNATURE) or start < 4:
+    if not is_complete or not head.startswith(SIGNATURE) or start < 4:
         return None
     (length,) = struct.unpack(">I", head[start - 4 : start])
     return head[start + 4 + len(KEYWORD) + 1 : start + 4 + length].decode("latin-1")

@@ -39,9 +39,9 @@ def scaled_pyramid(
     with caching:
         if not raster.cache.pyramid:
             raster.cache.pyramid.append(_coarser_levels(raster, threads, name))  # complete ones only
-    found = pack_pyramid(raster, raster.cache.pyramid[0])
-    found.height_scale, found.height_offset = vertical_scale, vertical_offset
-    return found
+    packed = pack_pyramid(raster, raster.cache.pyramid[0])
+    packed.height_scale, packed.height_offset = vertical_scale, vertical_offset
+    return packed
 
 
 def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray:
@@ -79,17 +79,17 @@ def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
     """
     lattice = raster.lattice
     sizes = np.array(samples_by_level(lattice))
-    found = kernels.Pyramid()
-    found.samples = codes.pack_samples(raster.samples, raster.steps)
-    found.coarser = flat(coarser, wp.float32)
+    packed = kernels.Pyramid()
+    packed.samples = codes.pack_samples(raster.samples, raster.steps)
+    packed.coarser = flat(coarser, wp.float32)
     # First sample of each level in `coarser`; level 0 is not in it.
     first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]
-    found.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
-    found.rows = wp.array(sizes[:, 0], dtype=wp.int32, device=launch.DEVICE)
-    found.columns = wp.array(sizes[:, 1], dtype=wp.int32, device=launch.DEVICE)
-    found.levels = len(sizes)
-    found.step_x, found.step_y = lattice.step_x, lattice.step_y
-    found.per_x, found.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    found.west, found.south, _, _ = lattice.rectangle()
-    found.height_scale, found.height_offset = 1.0, 0.0
-    return found
+    packed.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
+    packed.rows = wp.array(sizes[:, 0], dtype=wp.int32, device=launch.DEVICE)
+    packed.columns = wp.array(sizes[:, 1], dtype=wp.int32, device=launch.DEVICE)
+    packed.levels = len(sizes)
+    packed.step_x, packed.step_y = lattice.step_x, lattice.step_y
+    packed.per_x, packed.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
+    packed.west, packed.south, _, _ = lattice.rectangle()
+    packed.height_scale, packed.height_offset = 1.0, 0.0
+    return packed

@@ -141,9 +141,9 @@ def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None"
     """
     if noise is None or noise.jitter == 0.0:
         return grid.inverse_distance
-    ew, ns, across = grid.inverse_distance
+    ew, ns, diagonal = grid.inverse_distance
     axes = math.sqrt(ew / ns)
-    return wp.vec3f(ew * axes, ns / axes, DIAGONAL * across)
+    return wp.vec3f(ew * axes, ns / axes, DIAGONAL * diagonal)
 
 
 def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:

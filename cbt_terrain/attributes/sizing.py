@@ -30,7 +30,7 @@ def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_of
     The heights come from stored ranges. tiling: how the raster is divided into tiles.
     """
     lattice = field.lattice
-    found = np.empty((tiling.rows, tiling.columns, 2, 3))
+    corners = np.empty((tiling.rows, tiling.columns, 2, 3))
     sides = []
     for axis, first, size, count, step in (
         (0, tiling.west, tiling.width, tiling.columns, lattice.step_x),
@@ -38,11 +38,11 @@ def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_of
     ):
         low = first + np.arange(count) * size
         ends = np.stack([low, low + size], axis=1)
-        found[..., axis] = ends if axis == 0 else ends[:, None]
+        corners[..., axis] = ends if axis == 0 else ends[:, None]
         sides.append((ends - first) / step)  # in samples
     heights = rectangle_ranges(field, *sides) * vertical_scale + vertical_offset
-    found[..., 2] = np.sort(heights, axis=-1)
-    return found.reshape(-1, 2, 3)
+    corners[..., 2] = np.sort(heights, axis=-1)
+    return corners.reshape(-1, 2, 3)
 
 
 def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False) -> np.ndarray:
@@ -124,14 +124,14 @@ def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeReq
     """
     raster, spacing = field.raster, min(field.lattice.step_x, field.lattice.step_y)
     finer = np.array([is_finer(raster, tiling.box(tile)) for tile in range(len(tiling))])
-    found = np.where(finer, spacing * 2.0 ** min_level(raster), spacing)
+    finest = np.where(finer, spacing * 2.0 ** min_level(raster), spacing)
     for decal in {decal for request in requests for decal in dict(request.parameters).get("decals", ())}:
         west, south, east, north = decal.box
         for tile in range(len(tiling)):
             box = tiling.box(tile)
             if west <= box[2] and box[0] <= east and south <= box[3] and box[1] <= north:
-                found[tile] = min(found[tile], decal.pixel)
-    return found
+                finest[tile] = min(finest[tile], decal.pixel)
+    return finest
 
 
 def _side(tiling: Tiling, metres: float) -> int:

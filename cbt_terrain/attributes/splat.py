@@ -96,9 +96,9 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         structs.append(struct)
         for rule in layer.rules:
-            at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
-            at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
-            rules.append(_rule(rule, at, lowest, highest))
+            source = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
+            source = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else source
+            rules.append(_rule(rule, source, lowest, highest))
             if rule.of == splat_rules.IMAGE and rule.image is not None:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)

@@ -104,17 +104,17 @@ class EffectValues:
         """Return the indices of the points that the last surface lacks or has at another level, int32 [n].
 
         None, for all, if they are more than MAX_FRESH of all, as it is faster then to compute all, and if both surfaces
-        have no common point. levels, last: float32, of the
-        points of this surface and of the last one, whose levels may be None.
+        have no common point. levels, last: float32, of the points of this surface and of the last one, whose levels may
+        be None.
         """
         if last is None or not len(self._runs):
             return None
-        fresh, found = np.empty(self._count, np.int32), np.zeros(1, np.int32)
+        fresh, num_fresh = np.empty(self._count, np.int32), np.zeros(1, np.int32)
         runs = shared(self._runs, wp.vec3i), len(self._runs)
         arrays = [flat(array, wp.float32) for array in (levels, last)]
-        inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
+        inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(num_fresh, wp.int32)]
         launch.once(kernels.list_fresh, inputs, step="kept")
-        return fresh[: found[0]] if found[0] <= MAX_FRESH * self._count else None
+        return fresh[: num_fresh[0]] if num_fresh[0] <= MAX_FRESH * self._count else None
 
     def new_points(self) -> np.ndarray:
         """Return the indices of the points that the last surface lacks, int32 [n]; others keep their values."""

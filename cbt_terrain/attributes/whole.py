@@ -80,8 +80,8 @@ def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.nda
         verify_array(folder / f"{file}.npy", shape, np.float32)
     except (OSError, TerrainError):
         return None
-    found = derived_arrays.load(field.raster, {file: (shape, np.float32)})
-    return found[file] if found is not None and all_finite(found[file]) else None
+    loaded = derived_arrays.load(field.raster, {file: (shape, np.float32)})
+    return loaded[file] if loaded is not None and all_finite(loaded[file]) else None
 
 
 def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarray:

@@ -62,17 +62,17 @@ def ramp_start(
     of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
     continuous where the step changes, and no vertex jumps.
     """
-    last, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
-    max_splits = max(request.max_leaves, roots)
-    if step > MAX_STEP or (step == 0 and leaves < NEAR * max_splits):
-        return last
+    factor_at_step, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
+    max_leaves = max(request.max_leaves, roots)
+    if step > MAX_STEP or (step == 0 and leaves < NEAR * max_leaves):
+        return factor_at_step
     marks = history.hints.marks
-    _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_splits, finer_by=1)
+    _, splits = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_leaves, finer_by=1)
     history.hints.marks = marks  # those of the search
     # leaves at the next finer step, and where the limit is between both counts, 0 .. 1
-    finer = int(found[0]) + roots if len(found) else FAR_OVER * max_splits
-    fraction = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
-    return last * 2.0 ** (fraction / STEPS_PER_OCTAVE)
+    finer = int(splits[0]) + roots if len(splits) else FAR_OVER * max_leaves
+    fraction = (finer - max_leaves) / (finer - leaves) if finer > max_leaves else 0.0
+    return factor_at_step * 2.0 ** (fraction / STEPS_PER_OCTAVE)
 
 
 def count_splits(
@@ -116,10 +116,10 @@ def count_splits(
             has_errors=int(min(criterion.error_px2, criterion.metres2) < math.inf),
         )
     launch.slices(count, [[domain, criterion, struct] for struct in structs], step="budget", recorded=scratch.launches)
-    noted = np.minimum(scratch.numpy("count_measured")[:slices] // spacing, MARKS)
+    num_marks = np.minimum(scratch.numpy("count_measured")[:slices] // spacing, MARKS)
     marks = scratch.numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)
-    found = [row[:n] for row, n in zip(marks, noted, strict=True)]
-    history.hints.marks = np.concatenate(found) / 2.0**cell_bits
+    marks_by_slice = [row[:n] for row, n in zip(marks, num_marks, strict=True)]
+    history.hints.marks = np.concatenate(marks_by_slice) / 2.0**cell_bits
     first = int(scratch.numpy("count_from_step")[:slices].max())
     splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
     too_fine = int(np.count_nonzero(splits > max_splits))  # each slice knows only its own splits

@@ -115,7 +115,7 @@ class Outcome:
         tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
         hundredth.
         """
-        stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
+        stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
             self.domain,
             self.arrays,
@@ -125,7 +125,7 @@ class Outcome:
             self.tree.bits,
             self.squares,
             stack,
-            found,
+            result,
         ]
         launch.once(find_largest, inputs, step="bound")
         bound2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
@@ -138,8 +138,8 @@ class Outcome:
         """
         if self.relaxed < math.inf:
             return self.relaxed
-        found = replace(self, max_depth=1).search(what, -1.0)
-        return min(max(found.value / request, 1.0), MAX_FACTOR) if found else 1.0
+        worst = replace(self, max_depth=1).search(what, -1.0)
+        return min(max(worst.value / request, 1.0), MAX_FACTOR) if worst else 1.0
 
     def stopped_above(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value above `threshold` of a quantity if a leaf at the depth limit is too coarse."""
@@ -193,10 +193,10 @@ def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | No
     """
     if not criterion.error_px or not spans.views:
         return None
-    found = _bound_px(criterion, spans, outcome)
-    if found.reason:  # ground in the guard band may be nearer than the visible ground
-        found = _bound_px(criterion, spans, replace(outcome, arrays=outcome.in_frame()))
-    return found
+    bound = _bound_px(criterion, spans, outcome)
+    if bound.reason:  # ground in the guard band may be nearer than the visible ground
+        bound = _bound_px(criterion, spans, replace(outcome, arrays=outcome.in_frame()))
+    return bound
 
 
 def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
@@ -223,13 +223,13 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
     value = too_coarse.value + (relaxed_request - finest) if too_coarse else guaranteed
     precision = (worst_leaf.fixed - source) * spans_per_metre
-    found = _limit_bound(relaxed_request, value, precision, source * spans_per_metre, stopped=too_coarse is not None)
-    if found.value <= criterion.error_px:
-        return found
-    seen = min(spans.pixels(found.value), LARGEST)
-    assert found.terms is not None, "_limit_bound gives terms"
-    terms = Terms.shares(seen, found.terms.geometric, found.terms.precision, found.terms.source)
-    return Bound(seen, found.reason, terms)
+    bound = _limit_bound(relaxed_request, value, precision, source * spans_per_metre, stopped=too_coarse is not None)
+    if bound.value <= criterion.error_px:
+        return bound
+    pixels = min(spans.pixels(bound.value), LARGEST)
+    assert bound.terms is not None, "_limit_bound gives terms"
+    terms = Terms.shares(pixels, bound.terms.geometric, bound.terms.precision, bound.terms.source)
+    return Bound(pixels, bound.reason, terms)
 
 
 def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
@@ -312,8 +312,8 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
     it is between `source_low` and `source_high`. This inverts `metres2_of` in kernels/refine/diamond.py: an error is
     not refined below a quarter of the tolerance that the source leaves, nor below a quarter of `fixed`.
     """
-    left = max(weighed - source_low, 0.8 * weighed)
-    return max(weighed, 0.8 * weighed + source_high, 0.25 * left + fixed, 1.25 * fixed)
+    remaining = max(weighed - source_low, 0.8 * weighed)
+    return max(weighed, 0.8 * weighed + source_high, 0.25 * remaining + fixed, 1.25 * fixed)
 
 
 def _limit_bound(request: float, value: float, precision: float, source: float, stopped: bool) -> Bound:

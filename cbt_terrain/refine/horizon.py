@@ -112,13 +112,13 @@ def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
 
     The levels below FINEST are empty.
     """
-    wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
-    finest = np.empty((high, wide, 2), np.float32)
-    inputs = [domain, wide, flat(finest, wp.float32)]
-    launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
-    found, first, wide_levels = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
-    low, high = found.reshape(-1, 2).T
-    return low.copy(), -high, first, wide_levels
+    columns, rows = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
+    finest = np.empty((rows, columns, 2), np.float32)
+    inputs = [domain, columns, flat(finest, wp.float32)]
+    launch.spread(fill_blocks, rows, inputs, step="horizon", threads=threads, cost=20.0 * columns)
+    levels, first, wide = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
+    low, negative_high = levels.reshape(-1, 2).T
+    return low.copy(), -negative_high, first, wide
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:

@@ -63,27 +63,27 @@ def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criter
     Then a plain recursion over triangles gives a mesh without cracks. roots: triangles of the root squares. depth:
     number of bisections down to which it holds.
     """
-    found: dict[Point, bool] = {}
+    decisions: dict[Point, bool] = {}
 
     def visit(triangles: Sequence[Triangle], depth_left: int, parents_of: dict[Point, set[Point]]) -> None:
         """Evaluate the criterion on the diamonds of these triangles and of all below, and note their parents."""
         for left, apex, right in triangles if depth_left else ():
             parents_of.setdefault(middle(left, right), set()).add(apex)
-            found[middle(left, right)] = is_split(middle(left, right), length(left, right))
+            decisions[middle(left, right)] = is_split(middle(left, right), length(left, right))
             visit(children((left, apex, right)), depth_left - 1, parents_of)
 
     def split(vertex: Point) -> None:
         """Mark a diamond, given by its split vertex, and all its ancestors as split."""
-        found[vertex] = True
+        decisions[vertex] = True
         for parent in parents[vertex]:
-            if found.get(parent) is False:
+            if decisions.get(parent) is False:
                 split(parent)
 
     parents: dict[Point, set[Point]] = {}
     visit(roots, depth, parents)
-    for vertex in [vertex for vertex, wanted in found.items() if wanted]:
+    for vertex in [vertex for vertex, wanted in decisions.items() if wanted]:
         split(vertex)
-    return lambda vertex, _longest: found[vertex]
+    return lambda vertex, _longest: decisions[vertex]
 
 
 def edges(triangle: Triangle) -> list[frozenset[Point]]:

@@ -78,10 +78,10 @@ def _refine_to_limit(
     start, found = hints.step, Found(0)
     hints.step = found
     # Where the last refinement kept to the limit without relaxing, this one may, too.
-    plain = not request.is_limited or (start is not None and start.step == 0)
-    if plain:
+    may_fit = not request.is_limited or (start is not None and start.step == 0)
+    if may_fit:
         slices = _walk(field, request, history, threads, max_leaves)
-    low, too_many = int(plain), 0
+    low, too_many = int(may_fit), 0  # step 0 is not searched after a walk of it
     while slices is None:
         last_relaxed = start if start and start.step else None
         found = hints.step = search(field.lattice, request, history, threads, max_leaves, last_relaxed, low)

@@ -18,6 +18,7 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
     (max_depth, depths), lattice = depths_from_bytes(tree), field.lattice
     cell_bits = max_depth - lattice.square_bits
     sizes = np.int64(1) << max_depth - depths.astype(np.int64)
+    # The numbers after the last square, up to a power of two, are no squares.
     depths = (
         depths[np.cumsum(sizes) - sizes < lattice.squares << max(0, cell_bits)].astype(np.int64) - lattice.square_bits
     )

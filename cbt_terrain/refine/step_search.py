@@ -76,11 +76,11 @@ class _Search:
 
         It is `coarsest` + 1 if there is none.
         """
-        first, found = self._splits(finest, coarsest, goal)
-        self.known[first : coarsest + 1] = found
-        if len(found) and first <= self.high:
+        first, counts = self._splits(finest, coarsest, goal)
+        self.known[first : coarsest + 1] = counts
+        if len(counts) and first <= self.high:
             # A finer step of the window has more than `goal` splits.
-            self.high, self._reached = first, int(found[0]) if first == finest else goal
+            self.high, self._reached = first, int(counts[0]) if first == finest else goal
         if goal == self._max_splits and first > finest:
             self.low = max(self.low, first)
         return first

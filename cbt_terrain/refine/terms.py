@@ -74,8 +74,8 @@ def weighed_as(error_m: float, source: float, mean: float) -> float:
 
     mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
     """
-    left = left_of(error_m, source)
-    return min((left + source) / mean, left * (1.25 / (1.25 * mean - 0.25)))
+    remaining = left_of(error_m, source)
+    return min((remaining + source) / mean, remaining * (1.25 / (1.25 * mean - 0.25)))
 
 
 def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> Rounding:
@@ -92,7 +92,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
     times = 2.0 if lattice.is_padded else 1.0  # vertices cut at the border are rounded twice
-    x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
+    x, y, z = (times * rounding_m for rounding_m in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
     finer = field.raster.finer
@@ -100,8 +100,8 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
         lean *= 1 << finer.bits
     # The float64 rounding of the positions at which displacement is evaluated adds to this.
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
-    along = steepest(field.parts) * abs(vertical_scale)
-    detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
+    detail_slope = steepest(field.parts) * abs(vertical_scale)
+    detail = detail_slope * (cells * (lattice.step_x + lattice.step_y) + spare) if detail_slope else 0.0
     near = (0.0, 0.0)
     if (lattice.anchor_x or lattice.anchor_y) and cells:
         relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / cells

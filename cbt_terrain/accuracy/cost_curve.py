@@ -56,11 +56,11 @@ class CostCurve:
         the points are levelled to the nearest monotone curve (least squares of the logarithms). Raises TerrainError for
         fewer than two different errors and for values outside of SMALLEST .. LARGEST.
         """
-        found: dict[float, list] = {}
+        costs_by_error: dict[float, list] = {}
         for error, *costs in points:
-            found.setdefault(error, []).append(costs)
-        errors = sorted(found, reverse=True)
-        medians = [[statistics.median(pair[k] for pair in found[error]) for error in errors] for k in (0, 1)]
+            costs_by_error.setdefault(error, []).append(costs)
+        errors = sorted(costs_by_error, reverse=True)
+        medians = [[statistics.median(pair[k] for pair in costs_by_error[error]) for error in errors] for k in (0, 1)]
         names = "triangles", "ms"
         triangles, ms = (
             tuple(_make_monotone(_positive_numbers(name, costs))) for name, costs in zip(names, medians, strict=True)
@@ -136,10 +136,10 @@ def _positive_numbers(name: str, values: Sequence) -> tuple[float, ...]:
     """
     try:
         numbers = tuple(float(v) for v in values if not isinstance(v, str | bool))
-        good = len(numbers) == len(values) and all(SMALLEST <= n <= LARGEST for n in numbers)
+        is_valid = len(numbers) == len(values) and all(SMALLEST <= n <= LARGEST for n in numbers)
     except (TypeError, ValueError, OverflowError):
-        good = False
-    if not good:
+        is_valid = False
+    if not is_valid:
         expected = f"finite numbers above 0, from {SMALLEST:g} to {LARGEST:g}"
         raise TerrainError(f"The cost curve's {name} are {values!r}", expected=expected)
     return numbers

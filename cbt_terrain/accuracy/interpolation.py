@@ -19,10 +19,10 @@ def interpolation(field: HeightField) -> Errors:
     distances, (height, width) = [], field.samples.shape
     for row in range(0, height, ROWS):
         # The rows of the block, one before it and two after it.
-        inside, mirrored = _with_mirrored(row - 1, min(row + ROWS + 2, height + 1), height)
-        h = 2 * field.heights(inside).astype(np.float64) - field.heights(mirrored)
-        inside, mirrored = _with_mirrored(-1, width + 1, width)
-        wide = (2 * h[:, inside] - h[:, mirrored]).T
+        nearest, mirrored = _with_mirrored(row - 1, min(row + ROWS + 2, height + 1), height)
+        h = 2 * field.heights(nearest).astype(np.float64) - field.heights(mirrored)
+        nearest, mirrored = _with_mirrored(-1, width + 1, width)
+        wide = (2 * h[:, nearest] - h[:, mirrored]).T
         linear, cubic = _linear(wide).T, _cubic(wide).T
         count = min(ROWS, height - row)
         # The middles of sides along rows, those of sides along columns, and the centres of cells.
@@ -33,12 +33,12 @@ def interpolation(field: HeightField) -> Errors:
 def _with_mirrored(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return for numbers `first` .. `end` - 1 the nearest of `count` samples, and the sample mirrored at that one.
 
-    Twice the height of the first minus that of the other goes on straight beyond the border, and inside is the height
-    of the sample.
+    Twice the height of the first minus that of the other goes on straight beyond the border, and is the height of the
+    sample inside.
     """
     numbers = np.arange(first, end)
-    inside = np.clip(numbers, 0, count - 1)
-    return inside, 2 * inside - numbers
+    nearest = np.clip(numbers, 0, count - 1)
+    return nearest, 2 * nearest - numbers
 
 
 def _linear(h: np.ndarray) -> np.ndarray:

@@ -96,8 +96,12 @@ def measure(
     if sight is not None:
         sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
         sight.states(_part_of_progress(on_progress, 0.4, 0.7))
-        there, _ = mesh.differences_at(sight.visible_points())  # the reference's differences from itself are 0
-        screen, hidden = sight.errors(np.zeros_like(difference), difference, (np.zeros_like(there), there))
+        seen_differences, _ = mesh.differences_at(
+            sight.visible_points()
+        )  # the reference's differences from itself are 0
+        screen, hidden = sight.errors(
+            np.zeros_like(difference), difference, (np.zeros_like(seen_differences), seen_differences)
+        )
         on_progress(0.8)
         outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
     on_progress(1.0)
@@ -175,8 +179,8 @@ def popping(
     sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
-    there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
-    return sight.errors(samples[0], samples[1], there)[0]
+    seen_differences = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
+    return sight.errors(samples[0], samples[1], seen_differences)[0]
 
 
 def shading_change(
@@ -199,8 +203,8 @@ def shading_change(
     """
     sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     points = sight.visible_points()
-    found = [MeasuredMesh(sight.ground, surface).normals_at(points) for surface in (before, after)]
-    (first, in_first), (second, in_second) = found
+    results = [MeasuredMesh(sight.ground, surface).normals_at(points) for surface in (before, after)]
+    (first, in_first), (second, in_second) = results
     change = 255.0 * lengths((first - second).T)
     return errors_of(change[(in_first >= 0) & (in_second >= 0)])
 

@@ -172,9 +172,9 @@ class MeasuredMesh:
         valid = self.ground.field.valid
         if valid is not None:
             # A sample is ground if one of its four cells has no missing corner.
-            beside = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
-            ground = np.lib.stride_tricks.sliding_window_view(beside, (2, 2)).any(axis=(2, 3))
-            self.covered = ~np.isnan(difference) & ground
+            is_whole_cell = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
+            is_ground = np.lib.stride_tricks.sliding_window_view(is_whole_cell, (2, 2)).any(axis=(2, 3))
+            self.covered = ~np.isnan(difference) & is_ground
             difference[~self.covered] = 0.0
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):

@@ -61,7 +61,7 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
     flips = _flips(sight.covered(), sight, margin=0)
     if not sum(len(places) for places in flips):
         return None
-    flips = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)
+    crossings = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)
     rays = _Rays(sight, mesh, positions)
     columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
     cover = np.zeros(rows * columns, bool)
@@ -69,13 +69,13 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
         cover[row * columns :][: len(places)] = rays.meet(places)
         on_progress((row * columns + len(places)) / len(cover))
     cover = cover.reshape(rows, columns)
-    crossings = _crossings(_flips(cover, sight, MARGIN), rays.meet)
+    mesh_crossings = _crossings(_flips(cover, sight, MARGIN), rays.meet)
     first, segment = _lines(cover)
-    points = np.concatenate(flips)
+    points = np.concatenate(crossings)
     distance = np.zeros(len(points))
     # size and south-west corner of the area that is searched, pixels from the frame's middle
     inputs = [columns, rows, 0.5 - columns / 2, 0.5 - rows / 2, sight.eye, shared(first, wp.int32)]
-    inputs += [shared(segment, wp.vec2i), shared(np.concatenate(crossings), wp.vec2d)]
+    inputs += [shared(segment, wp.vec2i), shared(np.concatenate(mesh_crossings), wp.vec2d)]
     inputs += [shared(points, wp.vec2d), shared(distance, wp.float64)]
     launch.spread(kernels.nearest, len(points), inputs, step="measure", threads=threads, cost=50)
     return errors_of(distance)
@@ -98,14 +98,14 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
     Both are float64 [n, 2] in pixels. flips: the first pixel of each pair. covers: returns for positions in the frame
     whether a ray there hits the surface; it is called for the first pixels, and HALVINGS times (bisection).
     """
-    found = []
+    crossings = []
     for places, step in zip(flips, np.eye(2), strict=True):
-        first, along, size = covers(places), np.zeros((len(places), 1)), 0.5
+        is_first_covered, along, size = covers(places), np.zeros((len(places), 1)), 0.5
         for _ in range(HALVINGS):
-            along[covers(places + (along + size) * step) == first] += size
+            along[covers(places + (along + size) * step) == is_first_covered] += size
             size /= 2
-        found.append(places + (along + size) * step)
-    return found
+        crossings.append(places + (along + size) * step)
+    return crossings
 
 
 def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,15 +114,18 @@ def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32 [n,
     2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
     """
-    beside, above = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
+    row_flips, column_flips = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
     # Number of each flip in the order of `_flips`: those in rows first.
-    number = [np.cumsum(beside).reshape(beside.shape) - 1, np.cumsum(above).reshape(above.shape) - 1 + beside.sum()]
-    sides = beside[:-1], above[:, :-1], beside[1:], above[:, 1:]  # south, west, north, east
-    numbers = number[0][:-1], number[1][:, :-1], number[0][1:], number[1][:, 1:]
+    flip_numbers = [
+        np.cumsum(row_flips).reshape(row_flips.shape) - 1,
+        np.cumsum(column_flips).reshape(column_flips.shape) - 1 + row_flips.sum(),
+    ]
+    sides = row_flips[:-1], column_flips[:, :-1], row_flips[1:], column_flips[:, 1:]  # south, west, north, east
+    side_numbers = flip_numbers[0][:-1], flip_numbers[1][:, :-1], flip_numbers[0][1:], flip_numbers[1][:, 1:]
     mixed = np.argwhere(sides[0] | sides[1] | sides[2] | sides[3])
     squares = mixed[:, 0], mixed[:, 1]
     crossed = np.stack([side[squares] for side in sides], axis=1)
-    crossing = np.stack([number[squares] for number in numbers], axis=1)
+    crossing = np.stack([numbers[squares] for numbers in side_numbers], axis=1)
     # crossed sides first, in their order
     crossing = np.take_along_axis(crossing, np.argsort(~crossed, axis=1, kind="stable"), axis=1)
     doubled = crossed.all(axis=1)  # squares with two lines

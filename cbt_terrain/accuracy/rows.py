@@ -104,8 +104,8 @@ def curve_of(rows: Sequence[Row]) -> CostCurve:
 
 def unsteady_row(rows: Sequence[Row]) -> Row | None:
     """Return the row of the cost curve whose runs differ most, if by more than MAX_SPREAD: then there is no curve."""
-    found = max(curve_rows(rows), key=lambda row: _spread_factor(row.spread_ms), default=None)
-    return found if found is not None and is_unsteady(found.spread_ms) else None
+    unsteadiest = max(curve_rows(rows), key=lambda row: _spread_factor(row.spread_ms), default=None)
+    return unsteadiest if unsteadiest is not None and is_unsteady(unsteadiest.spread_ms) else None
 
 
 def is_unsteady(spread_ms: tuple[float, float] | None) -> bool:
@@ -162,8 +162,8 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 def median_count(counts: Sequence[int]) -> float:
     """Return the median of counts, of an even number of them the mean of the two in the middle; whole where it can."""
-    found = statistics.median(counts)
-    return int(found) if found == int(found) else found
+    median = statistics.median(counts)
+    return int(median) if median == int(median) else median
 
 
 def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:

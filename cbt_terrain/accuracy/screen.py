@@ -243,10 +243,10 @@ def pixel_blocks(columns: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
 
     The middles are float64 [n, 2], in pixels from the frame's middle.
     """
-    for row, here in _row_blocks(rows, columns):
-        places = np.empty((here, columns, 2))
+    for row, num_rows in _row_blocks(rows, columns):
+        places = np.empty((num_rows, columns, 2))
         places[..., 0] = np.arange(columns) + (0.5 - columns / 2)
-        places[..., 1] = np.arange(row, row + here)[:, None] + (0.5 - rows / 2)
+        places[..., 1] = np.arange(row, row + num_rows)[:, None] + (0.5 - rows / 2)
         yield row, places.reshape(-1, 2)
 
 

@@ -55,10 +55,10 @@ def sweep(
 
     def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
         """Return a cached sight: it is the same for every setting, and takes longest to compute."""
-        found = look(reference, view, *frame.placement_and_heights, threads=threads)
-        if found.key not in sights and len(sights) == MAX_SIGHTS:
+        new_sight = look(reference, view, *frame.placement_and_heights, threads=threads)
+        if new_sight.key not in sights and len(sights) == MAX_SIGHTS:
             del sights[next(iter(sights))]
-        return sights.setdefault(found.key, found)
+        return sights.setdefault(new_sight.key, new_sight)
 
     for i, setting in enumerate(settings):
 
@@ -142,9 +142,9 @@ def _measure_setting(
         before = surface if frame.after else None
         del update, surface  # their memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
-        found = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
-        runs.append(fastest_run(found))
-        times = [run["cpu"] for run in found]
+        timed = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
+        runs.append(fastest_run(timed))
+        times = [run["cpu"] for run in timed]
         spreads.append((min(times), max(times)))
         if frame.after is not None and before is not None:
             changes += _transitions(terrain, criterion, before, frame.after, threads, sight)

@@ -33,8 +33,7 @@ class Fitted(Update):
 
     `worst_m`: the exact largest distance of the delivered heights from the surface, metres; with finer tiles a bound of
     it, because the stored error of their change counts. `bound_m` includes the rounding of plane coordinates and of the
-    source. `rounds`: meshes it took; 0 if the interpolating
-    mesh was best.
+    source. `rounds`: meshes it took; 0 if the interpolating mesh was best.
     """
 
     worst_m: float = 0.0
@@ -78,9 +77,9 @@ def fit(
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
         else:  # of the mesh as it is delivered: the cut at the border makes two of some triangles
-            ended = Terrain(field, threads).update(criterion, **heights)
-            plain = whole.update(replace(criterion, max_triangles=ended.leaves), **heights)
-            plain = replace(plain, relaxed=ended.relaxed)
+            delivered = Terrain(field, threads).update(criterion, **heights)
+            plain = whole.update(replace(criterion, max_triangles=delivered.leaves), **heights)
+            plain = replace(plain, relaxed=delivered.relaxed)
         assert plain.bound_m is not None  # the criterion has an error in metres
         best = None
         if plain.relaxed > 1.0:
@@ -165,13 +164,13 @@ def _fit_within(
     # Steps that are too fine, and fine enough for `plain_m`. A fit gains MAX_GAIN at most, and step 0 is the request.
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
-    found = None
+    best = None
     while high - low > 1:
         step = (low + high) // 2
         factor = 2.0 ** (step / STEPS_PER_OCTAVE)
         mesh = fitter.run(error_m * factor)
         if mesh is not None and len(fitter.end_at_borders(mesh).triangles) <= triangle_limit:
-            found, high = replace(mesh, relaxed=factor), step
+            best, high = replace(mesh, relaxed=factor), step
         else:
             low = step
-    return found
+    return best

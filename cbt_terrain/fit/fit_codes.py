@@ -46,32 +46,34 @@ def make_codes(
     base = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)
     values = np.concatenate([[0.0], np.ldexp(base * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
     between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
-    found = np.empty_like(field.error)
-    for group_errors, part in zip(field.table, codes.parts(field.lattice, len(found)), strict=True):
+    diamond_codes = np.empty_like(field.error)
+    for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
         new = np.searchsorted(between, group_errors / START)
-        codes.translate(field.error[part], np.maximum(new, plain.has_finer), found[part])
+        codes.translate(field.error[part], np.maximum(new, plain.has_finer), diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:
-        _restore_in_tiles(field, plain, found, values, threads)
-    return found, np.tile(values, len(field.table))
+        _restore_in_tiles(field, plain, diamond_codes, values, threads)
+    return diamond_codes, np.tile(values, len(field.table))
 
 
-def _restore_in_tiles(field: HeightField, plain: Domain, found: np.ndarray, values: np.ndarray, threads: int) -> None:
+def _restore_in_tiles(
+    field: HeightField, plain: Domain, diamond_codes: np.ndarray, values: np.ndarray, threads: int
+) -> None:
     """Raise the codes of cells in finer tiles to those of their own errors, rounded up, and others to stay nested.
 
     So the walk splits what interpolation splits there: raised codes of a cell would split all of its finer cells.
-    found: codes of all diamonds. values: float32 [256], metres of the codes.
+    diamond_codes: those of all diamonds, changed in place. values: float32 [256], metres of the codes.
     """
     lattice, stack = field.lattice, wp.zeros(1024, wp.vec3i, device="cpu")
     part = slice(lattice.cell_base, lattice.node_count)
     cells = hierarchy.stored_at(lattice, lattice.cell_depth)
     cells.base = 0
-    errors, metres = field.table[lattice.groups][field.error[part]], values[found[part]]
+    errors, metres = field.table[lattice.groups][field.error[part]], values[diamond_codes[part]]
     inputs = [plain, cells, flat(errors, wp.float32), flat(metres, wp.float32)]
     cost = 2.0 * cells.columns
     launch.spread(finer_kernels.restore_in_tiles, cells.rows, inputs, step="fit codes", threads=threads, cost=cost)
     hierarchy.saturate_cells(cells, 0.25, flat(metres, wp.float32), "fit codes", threads)
     cell_codes = np.zeros(len(metres), np.uint8)
     codes.encode_part(metres, values, cell_codes, threads)
-    inputs = [plain, cells, flat(cell_codes, wp.uint8), flat(found, wp.uint8), stack]
+    inputs = [plain, cells, flat(cell_codes, wp.uint8), flat(diamond_codes, wp.uint8), stack]
     launch.once(finer_kernels.raise_to_cells, inputs, step="fit codes")

@@ -185,9 +185,9 @@ class Fitter:
         """
         m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
-        left = left_of(error_m, self.source)
+        remaining = left_of(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
-        m.error, m.bound, m.raised = error_m, left - min(rounded, left / 2), self.raised
+        m.error, m.bound, m.raised = error_m, remaining - min(rounded, remaining / 2), self.raised
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -286,12 +286,12 @@ class Fitter:
         )
         largest = position_rounding(self.field, self.depth, *self.placement)
         for axis, (cells, span, step, anchor, slope) in enumerate(axes):
-            off = largest[axis]
+            offset = largest[axis]
             if self.finer is None:
                 positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step - anchor
-                off = float(np.abs(positions.astype(np.float32) - positions).max())
-            off *= times
-            error += off * (slope * self.scale + steeper / step) * (1.0 + 4.0 * off * divided / step)
+                offset = float(np.abs(positions.astype(np.float32) - positions).max())
+            offset *= times
+            error += offset * (slope * self.scale + steeper / step) * (1.0 + 4.0 * offset * divided / step)
         return error
 
     def ns_each(self, triangles: int) -> float:

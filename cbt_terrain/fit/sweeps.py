@@ -100,9 +100,9 @@ class Sweeps:
             self.m.round = rounds
             self.fitter.tell_progress()
             beyond = self._sweep()
-            found = self.refine(LOCAL if beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS else 0.0)
-            later = found["later"]
-            if found["splits"] - later + found["pins"] <= later:  # the next walk is due
+            counts = self.refine(LOCAL if beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS else 0.0)
+            later = counts["later"]
+            if counts["splits"] - later + counts["pins"] <= later:  # the next walk is due
                 break
 
     def _sweep(self) -> int:

@@ -64,11 +64,11 @@ class GridAxis:
 
         is_reversed: count positions from the raster's last sample backwards.
         """
-        last = (self.samples - 1) * self.den
-        at = np.minimum(np.arange(first, end, dtype=np.int64) * self.num, last)
-        at = last - at if is_reversed else at
-        cells = np.minimum(at // self.den, self.samples - 2)
-        return CellPositions(cells.astype(np.int32), (at - cells * self.den) / self.den)
+        last = (self.samples - 1) * self.den  # all offsets are in 1 / den cells
+        offsets = np.minimum(np.arange(first, end, dtype=np.int64) * self.num, last)
+        offsets = last - offsets if is_reversed else offsets
+        cells = np.minimum(offsets // self.den, self.samples - 2)
+        return CellPositions(cells.astype(np.int32), (offsets - cells * self.den) / self.den)
 
 
 def grid_axes(lattice: Lattice, step: float = 0.0) -> tuple[GridAxis, GridAxis]:

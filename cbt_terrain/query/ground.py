@@ -62,13 +62,13 @@ def ground_at(
     """
     surface, places = pack_surface(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
     count = len(places)
-    found = GroundSamples(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
+    samples = GroundSamples(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
-    outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
+    outputs = [shared(array, kind) for array, kind in zip(samples, kinds, strict=True)]
     inputs = [count, surface, shared(places, wp.vec2d), *outputs]
     blocks = -(-count // int(kernels.BLOCK))
     launch.spread(kernels.ground_at, blocks, inputs, step="query", threads=threads, cost=COST * int(kernels.BLOCK))
-    return found
+    return samples
 
 
 def profile(

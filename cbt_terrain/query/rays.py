@@ -96,6 +96,6 @@ def _hits(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> 
 
     origins, directions: float64 [n, 3]. distance: float64 [n] metres, infinite where a ray hits nothing.
     """
-    hit = np.isfinite(distance)[:, None]
+    is_hit = np.isfinite(distance)[:, None]
     with np.errstate(invalid="ignore"):
-        return Hits(distance, np.where(hit, origins + distance[:, None] * directions, np.nan))
+        return Hits(distance, np.where(is_hit, origins + distance[:, None] * directions, np.nan))

@@ -95,9 +95,13 @@ class OpenFolder(NamedTuple):
         Raises OSError, and NotOursError for a link, or another entry than a file, in a derived folder; in a folder that
         the user chose a link is replaced. source, source_name: that folder and the file's name in it.
         """
-        found = self.find(name)
-        if found is not None and derived_components(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):
-            raise _not_ours(self.path / name, found, "a file")
+        status = self.find(name)
+        if (
+            status is not None
+            and derived_components(self.path)
+            and (is_link(status) or not stat.S_ISREG(status.st_mode))
+        ):
+            raise _not_ours(self.path / name, status, "a file")
         old, new = source.at(source_name), self.at(name)
         os.replace(old["path"], new["path"], src_dir_fd=old["dir_fd"], dst_dir_fd=new["dir_fd"])
 
@@ -148,29 +152,29 @@ def _close(folder: OpenFolder) -> None:
 
 def _open_below(folder: OpenFolder, name: str, make: bool) -> OpenFolder:
     """Open a real folder inside an open one. make: create it if it is missing. Raises as `open_folder`."""
-    found = folder.find(name)
-    if found is None and make:
+    status = folder.find(name)
+    if status is None and make:
         with suppress(FileExistsError):  # another process has just created it
             os.mkdir(**folder.at(name))
-        found = folder.find(name)
-    if found is None:
+        status = folder.find(name)
+    if status is None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(folder.path / name))
-    if is_link(found) or not stat.S_ISDIR(found.st_mode):
-        raise _not_ours(folder.path / name, found, "a folder")
+    if is_link(status) or not stat.S_ISDIR(status.st_mode):
+        raise _not_ours(folder.path / name, status, "a folder")
     if folder.descriptor is None:
         return OpenFolder(folder.path / name, None)
     try:
         return OpenFolder(folder.path / name, os.open(**folder.at(name), flags=_PASS | _FOLDER | _NO_LINK))
     except OSError as reason:
-        found = folder.find(name)  # a link may have taken its place
-        if found is not None and not stat.S_ISDIR(found.st_mode):
-            raise _not_ours(folder.path / name, found, "a folder") from reason
+        status = folder.find(name)  # a link may have taken its place
+        if status is not None and not stat.S_ISDIR(status.st_mode):
+            raise _not_ours(folder.path / name, status, "a folder") from reason
         raise
 
 
-def is_link(found: os.stat_result) -> bool:
+def is_link(status: os.stat_result) -> bool:
     """Return whether an `lstat` is that of a symbolic link or of a reparse point of Windows, such as a junction."""
-    return stat.S_ISLNK(found.st_mode) or bool(getattr(found, "st_file_attributes", 0) & _REPARSE_POINT)
+    return stat.S_ISLNK(status.st_mode) or bool(getattr(status, "st_file_attributes", 0) & _REPARSE_POINT)
 
 
 def real_path(path: str | os.PathLike) -> Path:
@@ -180,21 +184,21 @@ def real_path(path: str | os.PathLike) -> Path:
 
 def is_real_folder(path: str | os.PathLike) -> bool:
     """Return whether a path is a folder and no link."""
-    found = _lstat(path)
-    return found is not None and stat.S_ISDIR(found.st_mode) and not is_link(found)
+    status = _lstat(path)
+    return status is not None and stat.S_ISDIR(status.st_mode) and not is_link(status)
 
 
 def is_real_file(path: str | os.PathLike) -> bool:
     """Return whether a path is a regular file and no link."""
-    found = _lstat(path)
-    return found is not None and stat.S_ISREG(found.st_mode) and not is_link(found)
+    status = _lstat(path)
+    return status is not None and stat.S_ISREG(status.st_mode) and not is_link(status)
 
 
 def check_no_link(path: str | os.PathLike, then: str = "try again") -> None:
     """Raise NotOursError for a link. then: the user's next step once the link is gone."""
-    found = _lstat(path)
-    if found is not None and is_link(found):
-        raise _not_ours(Path(path), found, "a file or a folder", then)
+    status = _lstat(path)
+    if status is not None and is_link(status):
+        raise _not_ours(Path(path), status, "a file or a folder", then)
 
 
 def _lstat(path: str | os.PathLike) -> os.stat_result | None:
@@ -210,13 +214,13 @@ def touch(path: str | os.PathLike) -> None:
     os.utime(path, follow_symlinks=os.utime not in os.supports_follow_symlinks)
 
 
-def _not_ours(path: Path, found: os.stat_result, expected: str, then: str = "try again") -> NotOursError:
+def _not_ours(path: Path, status: os.stat_result, expected: str, then: str = "try again") -> NotOursError:
     """Return the error of a path that holds a link or an entry of another kind than `expected`.
 
-    found: its `lstat`. then: the user's next step once it is moved away.
+    status: its `lstat`. then: the user's next step once it is moved away.
     """
-    what = "a link" if is_link(found) else "a folder" if stat.S_ISDIR(found.st_mode) else "a file"
-    if not is_link(found) and not stat.S_ISDIR(found.st_mode) and not stat.S_ISREG(found.st_mode):
+    what = "a link" if is_link(status) else "a folder" if stat.S_ISDIR(status.st_mode) else "a file"
+    if not is_link(status) and not stat.S_ISDIR(status.st_mode) and not stat.S_ISREG(status.st_mode):
         what = "a device or a pipe"
     return NotOursError(
         f"{shown(path, 1000)} is {what}",
@@ -233,9 +237,9 @@ def check_folder(path: str | os.PathLike, *names: str) -> None:
     try:
         with open_folder(path) as folder:
             for name in names:
-                found = folder.find(name)
-                if found is not None and (is_link(found) or not stat.S_ISDIR(found.st_mode)):
-                    raise _not_ours(folder.path / name, found, "a folder")
+                status = folder.find(name)
+                if status is not None and (is_link(status) or not stat.S_ISDIR(status.st_mode)):
+                    raise _not_ours(folder.path / name, status, "a folder")
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as reason:
@@ -255,11 +259,11 @@ def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
     path = Path(path)
     try:
         with open_folder(path.absolute().parent, may_be_link=may_be_link) as folder:
-            found = folder.find(path.name)
-            if found is None:
+            status = folder.find(path.name)
+            if status is None:
                 return
-            if is_link(found) or not stat.S_ISREG(found.st_mode):
-                raise _not_ours(path, found, "a file")
+            if is_link(status) or not stat.S_ISREG(status.st_mode):
+                raise _not_ours(path, status, "a file")
             with suppress(FileNotFoundError):
                 os.unlink(**folder.at(path.name))
     except FileNotFoundError:
@@ -297,11 +301,11 @@ def remove_tree(
 
 def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, bool], bool]) -> None:
     """Raise NotOursError for an entry that is a link or that `may_remove` refuses."""
-    found = folder.find(name)
-    if found is None:
+    status = folder.find(name)
+    if status is None:
         return
-    is_folder = stat.S_ISDIR(found.st_mode)
-    if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not may_remove(name, is_folder):
+    is_folder = stat.S_ISDIR(status.st_mode)
+    if is_link(status) or not (is_folder or stat.S_ISREG(status.st_mode)) or not may_remove(name, is_folder):
         raise _foreign_error(f"{shown(folder.path, 1000)} holds {shown(name)!r}")
 
 
@@ -318,8 +322,8 @@ def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
     if depth > MAX_DEPTH:
         raise _foreign_error(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
     with suppress(FileNotFoundError):
-        found = os.stat(**folder.at(name), follow_symlinks=False)
-        if not stat.S_ISDIR(found.st_mode) or is_link(found):
+        status = os.stat(**folder.at(name), follow_symlinks=False)
+        if not stat.S_ISDIR(status.st_mode) or is_link(status):
             os.unlink(**folder.at(name))
             return
         with folder.open_inner(name) as inner:
@@ -336,8 +340,8 @@ def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -
     try:
         with open_folder(path) as folder:
             for name in filter(may_remove, folder.entries()):
-                found = folder.find(name)
-                if found is not None and stat.S_ISREG(found.st_mode) and not is_link(found):
+                status = folder.find(name)
+                if status is not None and stat.S_ISREG(status.st_mode) and not is_link(status):
                     with suppress(FileNotFoundError):
                         os.unlink(**folder.at(name))
     except FileNotFoundError:
@@ -348,7 +352,7 @@ def remove_empty(path: str | os.PathLike) -> None:
     """Remove an empty folder. Raises OSError for any other and for a missing one, and NotOursError for a link."""
     path = Path(path)
     with open_folder(path.absolute().parent, may_be_link=True) as above:
-        found = above.find(path.name)
-        if found is not None and is_link(found):
-            raise _not_ours(path, found, "a folder")
+        status = above.find(path.name)
+        if status is not None and is_link(status):
+            raise _not_ours(path, status, "a folder")
         os.rmdir(**above.at(path.name))

@@ -176,10 +176,10 @@ def remove_abandoned(parent: Path) -> None:
     """Remove the private folders in `parent` that belong to no living process."""
     try:
         with os.scandir(parent) as entries:
-            found = [Path(entry.path) for entry in entries if is_partial_name(entry.name)]
+            folders = [Path(entry.path) for entry in entries if is_partial_name(entry.name)]
     except OSError:
         return
-    for folder in found:
+    for folder in folders:
         remove_if_abandoned(folder, folder.name.removeprefix(PREFIX))
 
 
@@ -253,11 +253,11 @@ def _open_lock(folder: Path) -> int | None:
         try:
             return os.open(folder / LOCK, os.O_RDWR | NO_LINK)
         except FileNotFoundError:
-            found = os.listdir(folder)
-            if not found:
+            names = os.listdir(folder)
+            if not names:
                 owned_files.remove_empty(folder)  # left by a killed process, or new: then it is created again
                 raise
-            if LOCK not in found:  # a writer would have one
+            if LOCK not in names:  # a writer would have one
                 return None
     raise FileNotFoundError(folder / LOCK)
 
@@ -272,8 +272,8 @@ def _is_there(path: Path, file: int) -> bool:
 
 def _is_ours(folder: Path) -> bool:
     """Return whether a folder is a real one of this user; nothing in a link or in another user's folder is opened."""
-    found = folder.lstat()
-    return stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
+    status = folder.lstat()
+    return stat.S_ISDIR(status.st_mode) and (not hasattr(os, "getuid") or status.st_uid == os.getuid())
 
 
 def _age(folder: Path) -> float:

@@ -214,8 +214,8 @@ def wait(overlay: bool = False) -> None:
 
 def kernel_modules() -> list[ModuleType]:
     """Return every module with kernels for an import or a frame, except those in RARE."""
-    found = [module for room in (field, tree, refine, budget, mesh) for module in modules_of(room)]
-    return [module for module in found if module.__name__ not in RARE]
+    modules = [module for room in (field, tree, refine, budget, mesh) for module in modules_of(room)]
+    return [module for module in modules if module.__name__ not in RARE]
 
 
 def overlay_modules() -> list[ModuleType]:
@@ -238,8 +238,8 @@ def modules_of(package: ModuleType) -> list[ModuleType]:
 
 def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
     """Return the kernels that a module defines, without imported ones."""
-    found = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
-    return [kernel for kernel in found if kernel.module.name == module.__name__]
+    kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    return [kernel for kernel in kernels if kernel.module.name == module.__name__]
 
 
 def compiled_file(module: ModuleType) -> Path:

@@ -43,8 +43,8 @@ class Candidates:
         """
         if not len(self._keys):
             return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
-        number = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return self._first[number], (self._keys[number] == keys) & (self._count[number] >= count)
+        run = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        return self._first[run], (self._keys[run] == keys) & (self._count[run] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
         """Reserve `count` candidates and return the index of the first; `add` has to follow once they are written.

@@ -136,8 +136,14 @@ class ScatterGround:
         reads = self.scatter.reads()
         positive = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(positive):
-            some = positions[positive]
-            places = SamplePoints(self.field, some, footprint_levels(self.field, some, ()), *self.scale, threads)
+            positive_positions = positions[positive]
+            places = SamplePoints(
+                self.field,
+                positive_positions,
+                footprint_levels(self.field, positive_positions, ()),
+                *self.scale,
+                threads,
+            )
             for request, column in reads:
                 density[positive] *= values_at(places, [request])[request.name][:, column]
 

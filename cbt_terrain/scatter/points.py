@@ -159,14 +159,14 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
     surface: that of the terrain's last update. Raises TerrainError before the first one.
     """
     places = points.positions[:, :2].astype(np.float64)
-    number = terrain.triangles_at(places)
-    there = np.flatnonzero(number >= 0)
-    a, b, c = (surface.positions[surface.triangles[number[there], k]].astype(np.float64) for k in range(3))
-    (ux, uy), (vx, vy), (px, py) = (b - a)[:, :2].T, (c - a)[:, :2].T, (places[there] - a[:, :2]).T
+    triangle = terrain.triangles_at(places)
+    on_triangle = np.flatnonzero(triangle >= 0)
+    a, b, c = (surface.positions[surface.triangles[triangle[on_triangle], k]].astype(np.float64) for k in range(3))
+    (ux, uy), (vx, vy), (px, py) = (b - a)[:, :2].T, (c - a)[:, :2].T, (places[on_triangle] - a[:, :2]).T
     area = ux * vy - uy * vx
     s, t = (px * vy - py * vx) / area, (ux * py - uy * px) / area
     positions = points.positions.copy()
-    positions[there, 2] = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
+    positions[on_triangle, 2] = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
     return replace(points, positions=positions)
 
 

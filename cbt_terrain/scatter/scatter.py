@@ -75,12 +75,12 @@ class Scatter:
 
     def reads(self) -> list[tuple[AttributeRequest, int]]:
         """Return the attributes whose product is the density, each with the column of its values; none for 1."""
-        found = []
+        requests = []
         if self.where.rules or self.where.strength != 1.0:
-            found.append((_splat(0, self._density_layers()), 1))
+            requests.append((_splat(0, self._density_layers()), 1))
         if self.on >= 0:
-            found.append((_splat(self.on // 4, self.layers), self.on % 4))
-        return found
+            requests.append((_splat(self.on // 4, self.layers), self.on % 4))
+        return requests
 
     def _density_layers(self) -> tuple[Layer, ...]:
         """Return two layers, one everywhere and over it one whose weight, from its rules, is the density."""

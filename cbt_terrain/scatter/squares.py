@@ -75,7 +75,7 @@ def squares_in_view(
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
     halvings = -max(0, int(np.ceil(np.log2(tiles))))
-    numbers, found = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of the final ones
+    numbers, final_squares = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of the final ones
     while len(numbers):
         density_range = np.empty((len(numbers), 2))
         packed = _pack_squares(field, west, south, side * 2.0**-halvings)
@@ -92,12 +92,12 @@ def squares_in_view(
             count = tile().count(halvings, Squares(depth, numbers, ranks, divided).of_tile(seed)[1], ranks)
             divided &= (count > FEW) & (high > EVEN * low) & (halvings < FINEST)
             final = ~divided & (count > 0)
-            found.append((depth[final], numbers[final], count[final], low[final] > 0))
+            final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))
         if divided.sum() > MAX_DIVIDED:
             raise too_many_error(f"more than {MAX_CANDIDATES:,}")
         numbers = _quarter(numbers[divided])
         halvings += 1
-    squares = Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
+    squares = Squares(*map(np.concatenate, zip(NOTHING, *final_squares, strict=True)))
     if squares.count.sum() > MAX_CANDIDATES:
         raise too_many_error(f"more than {MAX_CANDIDATES:,}")
     return squares

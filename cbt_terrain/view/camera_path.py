@@ -162,8 +162,8 @@ def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> 
     A single number comes as a list of one, from `_read_number`. where: the keyframe, in errors.
     """
     value: Any = data.get(name)
-    good = isinstance(value, list) and len(value) == count
-    if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
+    is_list = isinstance(value, list) and len(value) == count
+    if not is_list or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         wrong = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
         raise _path_error(path, f"{where} has {name} {wrong!r}", expected)

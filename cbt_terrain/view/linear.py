@@ -78,18 +78,19 @@ def min_stretch(matrix: np.ndarray) -> float:
     """
     columns = np.asarray(matrix, np.float64).T.tolist()
     for _ in range(SWEEPS):
-        apart = True
+        at_right_angles = True
         for p, q in ((0, 1), (0, 2), (1, 2)):
             a, b = columns[p], columns[q]
+            # dot products
             aa, bb, ab = (add_up(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
             if abs(ab) > 1e-16 * math.sqrt(aa * bb):
-                apart = False
+                at_right_angles = False
                 zeta = (bb - aa) / (2 * ab)
                 t = math.copysign(1 / (abs(zeta) + math.sqrt(1 + zeta * zeta)), zeta)
                 c = 1 / math.sqrt(1 + t * t)
                 columns[p] = [c * x - c * t * y for x, y in zip(a, b, strict=True)]
                 columns[q] = [c * t * x + c * y for x, y in zip(a, b, strict=True)]
-        if apart:
+        if at_right_angles:
             break
     return min(length(column) for column in columns)
 

@@ -65,8 +65,8 @@ class Spans:
 
     def pixels(self, spans: float) -> float:
         """Convert an error in spans (pixel footprints) to pixels on screen, in the view where it is largest."""
-        seen = zip(self.views, self.wholes, self.widenings, strict=True)
-        return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in seen)
+        by_view = zip(self.views, self.wholes, self.widenings, strict=True)
+        return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in by_view)
 
     def excess_of_edges(self, depth: int) -> float:
         """Return the factor >= 1 by which float32 corners make edges of leaves down to `depth` longer than allowed."""
@@ -83,9 +83,9 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
     wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
     scales = [factor * largest for factor, (largest, _) in zip(wide, slants, strict=True)]
-    seen = tuple(views), tuple(wholes), tuple(wide)
+    by_view = tuple(views), tuple(wholes), tuple(wide)
     if not views or not criterion.measures_edges:
-        return Spans(*seen, tuple(scales))
+        return Spans(*by_view, tuple(scales))
     # Spans are at the largest slant, but edges may be across the view. All views share one scale for edges, which must
     # not depend on the widening of errors in each view.
     secants = [secant_of(v) for v in views]
@@ -95,7 +95,7 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
     offset = max(largest_offset(v, placement, plan.off) for v in views)
     allowed = min(_stretch(longest, plan.unit_bits, plan.depth, offset), 1 + MAX_STRETCH)
-    return Spans(*seen, tuple(scales), edge / allowed, longest, allowed, offset, plan.unit_bits)
+    return Spans(*by_view, tuple(scales), edge / allowed, longest, allowed, offset, plan.unit_bits)
 
 
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:

@@ -160,19 +160,19 @@ class View:
 
 def listed_views(views: "Iterable[View] | View") -> list[View]:
     """Return views as a list: those of a list, of a generator, or a single one. Raises TerrainError for others."""
-    found: list = list(views) if isinstance(views, Iterable) else [views]
-    for view in found:
+    listed: list = list(views) if isinstance(views, Iterable) else [views]
+    for view in listed:
         if not isinstance(view, View):
             raise TerrainError(f"The views have {shown(repr(view))} among them", expected="View objects, one a camera")
-    return found
+    return listed
 
 
 def _read_point(position: ArrayLike, name: str) -> np.ndarray:
     """Return a point as float64 [3], metres; TerrainError for anything else. name: what errors call the point."""
-    found = vectors(position, 3, f"view's {name}")
-    if len(found) != 1:
-        raise TerrainError(f"The view's {name} has {len(found)} points", expected="one point: x, y and z in metres")
-    return found[0]
+    points = vectors(position, 3, f"view's {name}")
+    if len(points) != 1:
+        raise TerrainError(f"The view's {name} has {len(points)} points", expected="one point: x, y and z in metres")
+    return points[0]
 
 
 def _check_resolution(resolution: object) -> tuple[float, float]:

@@ -94,13 +94,13 @@ def raise_kinds(grid: TileGrid, opened: Opened) -> list[tuple[int, bool]]:
     for level, is_centre in pass_depths(grid):
         for vertices in shared_vertices(grid, level, is_centre):
             kinds = opened()
-            at = entries_of(grid.lattice, vertices)
-            found = kinds[at]
-            for child, there in children_of(grid.lattice, vertices, is_centre):
+            entries = entries_of(grid.lattice, vertices)
+            united = kinds[entries]
+            for child, has_child in children_of(grid.lattice, vertices, is_centre):
                 if level or is_centre:  # sides of single cells have their kinds from the tiles
-                    found[there] |= kinds[child[there]]
-            kinds[at] = found
-            if (found == GROUND_AND_HOLE).any():
+                    united[has_child] |= kinds[child[has_child]]
+            kinds[entries] = united
+            if (united == GROUND_AND_HOLE).any():
                 both[level, is_centre] = None
     return list(both)
 
@@ -121,14 +121,14 @@ def raise_errors(
         values, finer = table[level // 2], table[below // 2 if below >= 0 else -1]
         for vertices in shared_vertices(grid, level, is_centre):
             error = opened()
-            at = entries_of(grid.lattice, vertices)
-            metres = values[error[at]]
-            for child, there in children_of(grid.lattice, vertices, is_centre):
-                metres[there] = np.maximum(metres[there], finer[error[child[there]]])
+            entries = entries_of(grid.lattice, vertices)
+            metres = values[error[entries]]
+            for child, has_child in children_of(grid.lattice, vertices, is_centre):
+                metres[has_child] = np.maximum(metres[has_child], finer[error[child[has_child]]])
             if kinds is not None:
-                both = kinds()[at] == GROUND_AND_HOLE
+                both = kinds()[entries] == GROUND_AND_HOLE
                 metres[both] = np.maximum(metres[both], np.float32(longest(level, is_centre)))
-            error[at] = np.searchsorted(values, metres, side="left")
+            error[entries] = np.searchsorted(values, metres, side="left")
 
 
 def unite_ranges(grid: TileGrid, opened: Opened) -> None:
@@ -143,18 +143,18 @@ def unite_ranges(grid: TileGrid, opened: Opened) -> None:
             continue  # they are complete in each tile
         for vertices in shared_vertices(half, level, is_centre):
             ranges = opened()
-            found = np.zeros((len(vertices.x), 2), np.uint16)
-            for child, there in children_of(half.lattice, vertices, is_centre):
-                found[there] = np.maximum(found[there], ranges[child[there]] ^ flip)
-            ranges[entries_of(half.lattice, vertices)] = found ^ flip
+            united = np.zeros((len(vertices.x), 2), np.uint16)
+            for child, has_child in children_of(half.lattice, vertices, is_centre):
+                united[has_child] = np.maximum(united[has_child], ranges[child[has_child]] ^ flip)
+            ranges[entries_of(half.lattice, vertices)] = united ^ flip
 
 
 def near_vertices(grid: TileGrid, number: int) -> tuple[np.ndarray, LatticeVertices]:
     """Return which of `TileGrid.near_border` a tile has, bool [n], and these vertices, in samples of the raster."""
     near, box = grid.near_border, grid.box(number)
-    there = exist(grid.local(box), near)
-    x, y, level = near.chosen(there)
-    return there, LatticeVertices(x + box.x0, y + box.y0, level)
+    exists = exist(grid.local(box), near)
+    x, y, level = near.chosen(exists)
+    return exists, LatticeVertices(x + box.x0, y + box.y0, level)
 
 
 def join_borders(
@@ -175,19 +175,19 @@ def join_borders(
     """
     for is_first in (True, False):
         for number, values in rows:
-            there, vertices = near_vertices(grid, number)
-            whole, at = opened(), entries_of(grid.lattice, vertices)
+            exists, vertices = near_vertices(grid, number)
+            whole, entries = opened(), entries_of(grid.lattice, vertices)
             if is_first:
-                whole[at] = 0
+                whole[entries] = 0
             else:
-                found = tables(number)[np.asarray(vertices.level) // 2, values()[there]]
-                whole[at] = unite(whole[at], found)
+                translated = tables(number)[np.asarray(vertices.level) // 2, values()[exists]]
+                whole[entries] = unite(whole[entries], translated)
 
 
-def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, opened: Opened) -> None:
+def write_large(grid: TileGrid, large: Sequence[LargeError], table: np.ndarray, opened: Opened) -> None:
     """Write the errors of diamonds of cells as large as a tile, each the largest over all tiles.
 
-    found: the errors over single tiles. table: metres of the codes, float32 [groups, 256]. opened: function that maps
+    large: these errors over single tiles. table: metres of the codes, float32 [groups, 256]. opened: function that maps
     the codes of the terrain.
     """
     for level in range(grid.bits - 1, grid.lattice.levels):
@@ -197,15 +197,15 @@ def write_large(grid: TileGrid, found: Sequence[LargeError], table: np.ndarray, 
         if level >= grid.bits:  # `join_borders` has written the centres of tiles
             for vertices in parts:
                 error[entries_of(grid.lattice, vertices)] = 0
-        chosen = [item for item in found if item.level == level]
+        chosen = [item for item in large if item.level == level]
         if chosen:
             x, y = (np.array([item[axis] for item in chosen], np.int64) for axis in (0, 1))
             metres = np.array([item.error for item in chosen], np.float32)
-            at = entries_of(grid.lattice, LatticeVertices(x, y, level))
+            entries = entries_of(grid.lattice, LatticeVertices(x, y, level))
             values = np.searchsorted(table[level // 2], metres, side="left").astype(np.uint8)
             order = np.argsort(values, kind="stable")  # the last of several for one entry remains
-            at, values = at[order], values[order]
-            error[at] = np.maximum(error[at], values)
+            entries, values = entries[order], values[order]
+            error[entries] = np.maximum(error[entries], values)
 
 
 def tables_between(before: Sequence[int], wanted: Sequence[int]) -> np.ndarray:

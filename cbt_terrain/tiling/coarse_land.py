@@ -54,9 +54,9 @@ class CoarseLand:
         """Return the interpolated heights of a box, its last samples included, float32 metres; NaN inside of holes."""
         last, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
         for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
-            at = np.arange(first, end + 1)
-            cell = np.minimum(at >> self.bits, cells)
-            parts.append((cell, (at - (cell << self.bits)) / (1 << self.bits)))
+            positions = np.arange(first, end + 1)
+            cell = np.minimum(positions >> self.bits, cells)
+            parts.append((cell, (positions - (cell << self.bits)) / (1 << self.bits)))
         (j, t), (i, s) = parts
         nodes = self.field.heights(slice(j[0], j[-1] + 2), slice(i[0], i[-1] + 2)).astype(np.float64)
         j, i = j - j[0], i - i[0]
@@ -73,22 +73,22 @@ class CoarseLand:
         """
         last, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
         for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
-            at = np.arange(first, end + 1)
-            sides.append([np.clip(at - before >> self.bits, 0, cells) for before in (1, 0)])
+            positions = np.arange(first, end + 1)
+            sides.append([np.clip(positions - before >> self.bits, 0, cells) for before in (1, 0)])
         (south, north), (west, east) = sides
         top, left = int(south[0]), int(west[0])
         known = valid[top : int(north[-1]) + 2, left : int(east[-1]) + 2] > 0
         cut = ~(known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:])
-        found = [cut[np.ix_(j - top, i - left)] for j in (south, north) for i in (west, east)]
-        return np.logical_and.reduce(found)
+        around = [cut[np.ix_(j - top, i - left)] for j in (south, north) for i in (west, east)]
+        return np.logical_and.reduce(around)
 
     def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
         """Return the coarser store's errors of a tile's diamonds: float32 metres in the layout of the tile."""
         local = grid.local(box)
         base, pages = local.layout()
-        found = np.zeros(local.node_count, np.float32)
+        errors = np.zeros(local.node_count, np.float32)
         for group in range(local.groups):
-            image = found[base[group] : base[group + 1]]
+            image = errors[base[group] : base[group + 1]]
             # the vertices of two levels in rows; an image has pages of 32 x 32
             rows = np.zeros((len(image) // (32 * int(pages[group])), 32 * int(pages[group])), np.float32)
             for level in range(2 * group, min(2 * group + 2, local.levels)):
@@ -110,12 +110,12 @@ class CoarseLand:
         cells = pages_of(
             self._cell_errors(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding
         )
-        found[base[-2] :] = cells
-        return found
+        errors[base[-2] :] = cells
+        return errors
 
-    def large_errors(self, found: list[LargeError]) -> Iterator[LargeError]:
-        """Yield the errors of `found`, diamonds as large as a tile or larger, with the coarser store's values."""
-        for item in found:
+    def large_errors(self, large: list[LargeError]) -> Iterator[LargeError]:
+        """Yield the errors `large`, of diamonds as large as a tile or larger, with the coarser store's values."""
+        for item in large:
             x, y = np.array([item.x]), np.array([item.y])
             is_centre = bool(item.x & item.y & 1 << item.level)
             yield item._replace(error=float(self._errors_at(x, y, item.level, is_centre)[0]))
@@ -130,8 +130,8 @@ class CoarseLand:
             base, pages = self.field.lattice.layout()
             group = above // 2
             shift = self.bits + 2 * group
-            at = base[group] + tile_index(x >> shift, y >> shift, pages[group])
-            return self.field.table[group][self.field.error[at]] + self.rounding
+            entries = base[group] + tile_index(x >> shift, y >> shift, pages[group])
+            return self.field.table[group][self.field.error[entries]] + self.rounding
         error = self._cell_errors(x >> self.bits, y >> self.bits)
         if not is_centre:  # a side is of two cells
             error = np.maximum(error, self._cell_errors(x - 1 >> self.bits, y - 1 >> self.bits))
@@ -141,5 +141,5 @@ class CoarseLand:
         """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres."""
         lattice = self.field.lattice
         columns, rows = lattice.extent(lattice.cell_depth)
-        at = cell_entries(lattice, np.clip(x, 0, columns - 1), np.clip(y, 0, rows - 1))
-        return self.field.table[lattice.groups][self.field.error[at]]
+        entries = cell_entries(lattice, np.clip(x, 0, columns - 1), np.clip(y, 0, rows - 1))
+        return self.field.table[lattice.groups][self.field.error[entries]]

@@ -127,14 +127,14 @@ def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None,
     table = codes.tables(codes.nested(local, list(map(codes.exponent_of, largest))))
     codes.encode_with_table(local, errors, table, stored, threads)
     near = tile.grid.near_border
-    there = exist(local, near)
-    at = entries_of(local, near.chosen(there))
+    exists = exist(local, near)
+    entries = entries_of(local, near.chosen(exists))
 
     def near_values(values: np.ndarray) -> np.ndarray:
         """Return the values of the vertices near the border, 0 for those that do not exist."""
-        found = np.zeros(len(near.x), np.uint8)
-        found[there] = values[at]
-        return found
+        result = np.zeros(len(near.x), np.uint8)
+        result[exists] = values[entries]
+        return result
 
     return TileErrors(stored, near_values(stored), None if kinds is None else near_values(kinds), largest)
 
@@ -211,29 +211,29 @@ def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeT
 
     height: height(x, y) returns the height of any vertex of the lattice, metres: that of the nearest sample.
     """
-    lattice, found = grid.lattice, []
+    lattice, diamonds = grid.lattice, []
     for level in range(grid.bits - 1, lattice.levels):
         half = 1 << level
         is_root = level == lattice.levels - 1
         for x, y in _cells_over(grid, box, 2 * half):  # their diamonds have their vertex in the middle
             corners = _centre_corners(x, y, 2 * half, is_root, height)
-            found.append(LargeTriangles((2 * x + 1) * half, (2 * y + 1) * half, level, corners))
+            diamonds.append(LargeTriangles((2 * x + 1) * half, (2 * y + 1) * half, level, corners))
         # Such a cell has a corner of each of two sides' diamonds.
         for x, y in _cells_over(grid, box, half) if level >= grid.bits else []:
             for dx in (0, 1):
                 dy = dx if (x + y) & 1 else 1 - dx
                 corner = _side_corner(x + dx, y + dy, 1 - 2 * dx, 1 - 2 * dy, half, height)
-                found.append(LargeTriangles((x + dx) * half, (y + dy) * half, level, [corner]))
-    return found
+                diamonds.append(LargeTriangles((x + dx) * half, (y + dy) * half, level, [corner]))
+    return diamonds
 
 
-def large_errors(tile: TileSamples, found: list[LargeTriangles], threads: int) -> list[LargeError]:
+def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int) -> list[LargeError]:
     """Return the errors over one tile of large diamonds, those of cells that are at least as large as a tile.
 
-    found: position, level and triangles of each such diamond.
+    diamonds: position, level and triangles of each.
     """
     counted, errors = tile.inner(tile.measured), []
-    for x, y, level, corners in found:
+    for x, y, level, corners in diamonds:
         largest = np.zeros(len(counted), np.float64)
         cost = 0.1 * counted.shape[1]
         for corner in corners:
@@ -248,13 +248,13 @@ def _cells_over(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]
 
     side: at least that of a tile. Samples on the raster's border also count for the padding beyond it.
     """
-    found = []
+    axes = []
     for first, last, cells, span in zip(
         box[:2], box[2:], (grid.lattice.cells_x, grid.lattice.cells_y), grid.lattice.span, strict=True
     ):
         beyond = [last // side] if last == cells < span and last % side == 0 else []
-        found.append([first // side, *beyond])
-    return [(x, y) for y in found[1] for x in found[0]]
+        axes.append([first // side, *beyond])
+    return [(x, y) for y in axes[1] for x in axes[0]]
 
 
 def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) -> list[Corner]:

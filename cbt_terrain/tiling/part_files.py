@@ -111,8 +111,8 @@ def blocks_of(folder: Path, record: dict) -> Iterator[Block]:
 
 def numbers_of(folder: Path, kind: str) -> list[int]:
     """Return the numbers of the parts of a kind that have a file, in ascending order."""
-    found = (file.name.removeprefix(f"{kind}-").removesuffix(".part") for file in folder.glob(f"{kind}-*.part"))
-    return sorted(int(number) for number in found if number.isdecimal())
+    names = (file.name.removeprefix(f"{kind}-").removesuffix(".part") for file in folder.glob(f"{kind}-*.part"))
+    return sorted(int(number) for number in names if number.isdecimal())
 
 
 def remove_parts(folder: Path, kind: str) -> None:

@@ -109,15 +109,15 @@ class TileGrid:
     @cached_property
     def near_border(self) -> LatticeVertices:
         """Return the vertices of a tile whose errors depend on its neighbours, in samples from its first one."""
-        found = []
+        by_level = []
         for level in range(self.levels):
             half = 1 << level
             along = np.arange(0, self.side + half + 1, half)
             across = np.unique([0, half, self.side - half, self.side, self.side + half])
             x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
             chosen = np.unique((y * (4 * self.side) + x)[((x >> level) | (y >> level)) & 1 == 1])
-            found.append((chosen % (4 * self.side), chosen // (4 * self.side), np.full(len(chosen), level)))
-        return LatticeVertices(*map(np.concatenate, zip(*found, strict=True)))
+            by_level.append((chosen % (4 * self.side), chosen // (4 * self.side), np.full(len(chosen), level)))
+        return LatticeVertices(*map(np.concatenate, zip(*by_level, strict=True)))
 
 
 def _pairs(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,11 +141,11 @@ def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
         ]
     ).reshape(-1, 4)[vertices.level]
     x, y = vertices.x >> vertices.level, vertices.y >> vertices.level
-    centre = (x & y & 1) == 1
-    inside = np.where(
-        centre, (x >> 1 < counts[..., 0]) & (y >> 1 < counts[..., 1]), (x <= counts[..., 2]) & (y <= counts[..., 3])
+    is_centre = (x & y & 1) == 1
+    is_in_extent = np.where(
+        is_centre, (x >> 1 < counts[..., 0]) & (y >> 1 < counts[..., 1]), (x <= counts[..., 2]) & (y <= counts[..., 3])
     )
-    return inside & (vertices.x >= 0) & (vertices.y >= 0)
+    return is_in_extent & (vertices.x >= 0) & (vertices.y >= 0)
 
 
 def entries_of(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
@@ -263,7 +263,7 @@ def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarra
     """
     for area in owned_areas(grid, box):
         table = tables[area.group].tobytes()
-        target, at = (area.paged(whole), None) if area.is_paged else (whole, area.positions())
-        values = target if at is None else target[at]
+        target, entries = (area.paged(whole), None) if area.is_paged else (whole, area.positions())
+        values = target if entries is None else target[entries]
         values = np.frombuffer(values.tobytes().translate(table), np.uint8).reshape(values.shape)
-        target[... if at is None else at] = values
+        target[... if entries is None else entries] = values

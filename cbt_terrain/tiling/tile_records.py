@@ -104,11 +104,11 @@ def _is_measured(record: dict, grid: TileGrid) -> bool:
     )
 
 
-def _are_vertices(found: Sequence, grid: TileGrid) -> bool:
+def _are_vertices(items: Sequence, grid: TileGrid) -> bool:
     """Return whether all items are x, y and level of a vertex of the terrain's lattice."""
-    if not all(_is_count(value, 1 << 31) for item in found for value in item):
+    if not all(_is_count(value, 1 << 31) for item in items for value in item):
         return False
-    x, y, level = np.array(found, np.int64).reshape(-1, 3).T
+    x, y, level = np.array(items, np.int64).reshape(-1, 3).T
     return bool((level < grid.lattice.levels).all() and exist(grid.lattice, LatticeVertices(x, y, level)).all())
 
 

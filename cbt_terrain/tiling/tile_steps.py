@@ -76,11 +76,11 @@ def measure(
 
     Without a change nothing is written. Arguments are as of `measured`.
     """
-    found = measured(work, number, limits, threads, before, exponents, coarse)
-    if found is None:
+    changes = measured(work, number, limits, threads, before, exponents, coarse)
+    if changes is None:
         return False
-    write_measured(work, number, found, has_record=before is not None)
-    return found.codes is not None
+    write_measured(work, number, changes, has_record=before is not None)
+    return changes.codes is not None
 
 
 class MeasuredTile(NamedTuple):
@@ -99,18 +99,18 @@ class MeasuredTile(NamedTuple):
     ranges: np.ndarray | None = None
 
 
-def write_measured(work: TileWork, number: int, found: MeasuredTile, has_record: bool) -> None:
+def write_measured(work: TileWork, number: int, changes: MeasuredTile, has_record: bool) -> None:
     """Write the changes of a tile into the arrays of a work, and its record. has_record: it has an earlier one."""
     grid, box = work.grid, work.grid.box(number)
     if has_record:
         work.note(MEASURED, number)  # it is not measured while its arrays are written
-    if found.codes is not None:
-        put(grid, box, found.codes, work.open("error"))
-        work.open("borders")[number] = found.border
-    if found.ranges is not None:
+    if changes.codes is not None:
+        put(grid, box, changes.codes, work.open("error"))
+        work.open("borders")[number] = changes.border
+    if changes.ranges is not None:
         half = TileGrid(halved(grid.lattice), grid.bits - 1)
-        put(half, half.box(number), found.ranges, work.open("ranges"))
-    work.note(MEASURED, number, **found.record)
+        put(half, half.box(number), changes.ranges, work.open("ranges"))
+    work.note(MEASURED, number, **changes.record)
 
 
 def write_parts(work: TileWork) -> None:
@@ -126,17 +126,17 @@ def write_parts(work: TileWork) -> None:
         with suppress(ValueError, OSError):
             blocks = {block.name: block.values for block in part_files.blocks_of(work.folder, record)}
             state = {name: record[name] for name in STATE}
-            found = MeasuredTile(state, blocks.get("codes"), blocks.get("border"), blocks.get("ranges"))
-            if _fits(work, number, found):
-                write_measured(work, number, found, has_record=number in before)
+            changes = MeasuredTile(state, blocks.get("codes"), blocks.get("border"), blocks.get("ranges"))
+            if _fits(work, number, changes):
+                write_measured(work, number, changes, has_record=number in before)
 
 
-def _fits(work: TileWork, number: int, found: MeasuredTile) -> bool:
+def _fits(work: TileWork, number: int, changes: MeasuredTile) -> bool:
     """Return whether arrays of a tile have the shapes that it needs; border is there if codes are."""
     local, near = work.grid.local(work.grid.box(number)), len(work.grid.near_border.x)
     wanted = {"codes": (local.node_count,), "border": (2, near), "ranges": (local.range_count, 2)}
-    arrays = {name: getattr(found, name) for name in wanted}
-    is_paired = (found.codes is None) == (found.border is None)
+    arrays = {name: getattr(changes, name) for name in wanted}
+    is_paired = (changes.codes is None) == (changes.border is None)
     return is_paired and all(array is None or array.shape == wanted[name] for name, array in arrays.items())
 
 
@@ -175,25 +175,31 @@ def measured(
     state: dict[str, Any] = {
         name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
     }
-    around, ranges = _digest((content, sorted(heights.items()))), _digest((content, limits.scale))
+    around_digest, ranges_digest = _digest((content, sorted(heights.items()))), _digest((content, limits.scale))
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == content and not is_rounded
-    if is_measured and state["ranges"] == ranges and state["above"][0] == around:
+    if is_measured and state["ranges"] == ranges_digest and state["above"][0] == around_digest:
         return None
-    stored, border, intervals = None, None, None
+    stored, border, ranges = None, None, None
     tile = TileSamples(grid, box, window, work.decoded(raw), valid)
     if not is_measured:
-        found = code_errors(tile, *_errors(tile, coarse, is_near, threads), threads)
-        stored = found.codes
-        border = np.stack([found.border, np.zeros_like(found.border) if found.kinds is None else found.kinds])
-        state |= {"errors": content, "largest": found.largest, "climbs": hierarchy.climbs(tile.inner(tile.samples))}
-        state["exponents"] = tile_exponents(work, number, found.largest)
-    if state["ranges"] != ranges and grid.lattice.range_depth:
-        intervals = measure_ranges(tile, limits.scale, threads)
-    if state["above"] is None or state["above"][0] != around:
+        tile_errors = code_errors(tile, *_errors(tile, coarse, is_near, threads), threads)
+        stored = tile_errors.codes
+        border = np.stack(
+            [tile_errors.border, np.zeros_like(tile_errors.border) if tile_errors.kinds is None else tile_errors.kinds]
+        )
+        state |= {
+            "errors": content,
+            "largest": tile_errors.largest,
+            "climbs": hierarchy.climbs(tile.inner(tile.samples)),
+        }
+        state["exponents"] = tile_exponents(work, number, tile_errors.largest)
+    if state["ranges"] != ranges_digest and grid.lattice.range_depth:
+        ranges = measure_ranges(tile, limits.scale, threads)
+    if state["above"] is None or state["above"][0] != around_digest:
         large = large_errors(tile, triangles, threads)
-        state["above"] = [around, large if coarse is None else large + list(coarse.large_errors(large))]
-    return MeasuredTile(state | {"ranges": ranges}, stored, border, intervals)
+        state["above"] = [around_digest, large if coarse is None else large + list(coarse.large_errors(large))]
+    return MeasuredTile(state | {"ranges": ranges_digest}, stored, border, ranges)
 
 
 def _errors(
@@ -296,15 +302,15 @@ def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeErro
 
     records: of the measured tiles by number. large: errors of diamonds as large as a tile or larger.
     """
-    found = [0.0] * (work.grid.lattice.groups + 1)
+    largest = [0.0] * (work.grid.lattice.groups + 1)
     for record in records.values():
         *groups, cells = record["largest"]
-        found[-1] = max(found[-1], cells)
+        largest[-1] = max(largest[-1], cells)
         for group, error in enumerate(groups):
-            found[group] = max(found[group], error)
+            largest[group] = max(largest[group], error)
     for item in large:
-        found[item.level // 2] = max(found[item.level // 2], item.error)
-    return found
+        largest[item.level // 2] = max(largest[item.level // 2], item.error)
+    return largest
 
 
 def _nested(largest: Sequence[float]) -> list[float]:
@@ -331,6 +337,6 @@ def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]
     A depth is (level, whether its vertices are centres).
     """
     rows = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
-    same = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
-    borders.join_borders(work.grid, rows, kinds, lambda _number: same, np.bitwise_or)
+    identity = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
+    borders.join_borders(work.grid, rows, kinds, lambda _number: identity, np.bitwise_or)
     return borders.raise_kinds(work.grid, kinds)

@@ -195,11 +195,11 @@ class TileWork:
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
         """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""
-        found = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), self.arrays()[name][1])
-        for row in range(0, len(found), COPIED_ROWS):
-            part, y = found[row : row + COPIED_ROWS], box.y0 + row
+        copied = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), self.arrays()[name][1])
+        for row in range(0, len(copied), COPIED_ROWS):
+            part, y = copied[row : row + COPIED_ROWS], box.y0 + row
             part[:] = self.open(name)[y : y + len(part), box.x0 : box.x1 + 1]
-        return found
+        return copied
 
     def border(self, number: int, kind: int) -> np.ndarray:
         """Return the codes (0) or kinds of cells (1) near the border of a tile, uint8 as `TileGrid.near_border`."""
@@ -252,11 +252,11 @@ class TileWork:
         kind: READ for units, MEASURED for tiles, and others. number: of the only part; None for all parts.
         """
         marks = [f'"{kind}"'.encode()] if number is None else [f'"{kind}"'.encode(), b'"number": %d,' % number]
-        found: dict[int, dict] = {}
+        latest: dict[int, dict] = {}
         for record in sorted(self._records_with(marks), key=lambda record: record["at"]):
             if record["kind"] == kind:
-                found[record["number"]] = record
-        return found
+                latest[record["number"]] = record
+        return latest
 
     def _records_with(self, marks: list[bytes]) -> Iterator[dict]:
         """Yield the whole records of all processes that worked on tiles; damaged lines are left out.

@@ -113,7 +113,7 @@ class UnpackedFiles:
         if self._folder is None:
             return text
         inner = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
-        return inner.sub(lambda found: str(self._archives[int(found[1])]), text)
+        return inner.sub(lambda match: str(self._archives[int(match[1])]), text)
 
     def _remove_oldest(self) -> None:
         """Remove files until at most MAX_UNPACKED_BYTES remain, but not the latest one.

@@ -51,20 +51,20 @@ def channels_by_name(channels: list[ExrChannel], name: str) -> list[ExrChannel]:
     """
     for fold in (str, str.casefold):
         sought = fold(name)
-        found = [
+        candidates = [
             [channel]
             for channel in channels
             if sought in map(fold, (channel.name, channel.full_name, f"{channel.part_name}.{channel.name}"))
         ]
-        if not found:
+        if not candidates:
             groups: dict[tuple, list[ExrChannel]] = {}
             for channel in channels:
                 if sought in (fold(channel.part_name), fold(channel.layer)):
                     layer = channel.layer if sought != fold(channel.part_name) else None
                     groups.setdefault((channel.part, layer), []).append(channel)
-            found = list(groups.values())
-        if found:
-            meant = [likeliest(group, channels) for group in found]
+            candidates = list(groups.values())
+        if candidates:
+            meant = [likeliest(group, channels) for group in candidates]
             return sorted(meant, key=lambda channel: _rank(channel, channels))
     return []
 
@@ -80,8 +80,8 @@ def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, in
     Names of heights come first, colours, vectors and other quantities last.
     """
     text, component = channel.full_name.casefold(), channel.component
-    beside = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
-    is_vector = {"x", "y", "z"} <= beside or VECTOR.search(text) is not None
+    components = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
+    is_vector = {"x", "y", "z"} <= components or VECTOR.search(text) is not None
     if OTHER.search(text):
         rank = 6
     elif HEIGHT.search(text):
@@ -92,7 +92,7 @@ def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, in
         rank = 5
     else:
         rank = {"z": 1, "y": 2, "v": 2, "r": 3, "red": 3}.get(component, 4)
-    order = COMPONENTS.index(component) + 1 if component in COMPONENTS else 0
+    order = COMPONENTS.index(component) + 1 if component in COMPONENTS else 0  # green and blue come after all others
     return (
         rank,
         len(COMPONENTS) + 1 if component in ("g", "b", "green", "blue", "u") else order,

@@ -93,11 +93,11 @@ def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChann
     """
     if not channels:
         raise TerrainError(f"{path} has no channels", expected="a channel of heights", fix="get the file again")
-    found = channels_by_name(channels, name) if name else [likeliest(channels, channels)]
-    if not found:
+    candidates = channels_by_name(channels, name) if name else [likeliest(channels, channels)]
+    if not candidates:
         known = ", ".join(c.full_name for c in channels)
         raise TerrainError(f"{path} has no channel {shown(name)!r}", fix=f"choose one of {shown(known, 500)}")
-    channel, *others = found
+    channel, *others = candidates
     if channel.sampling != (1, 1):
         raise TerrainError(
             f"{path} stores channel {shown(channel.full_name)!r} at a fraction of the resolution",

@@ -47,14 +47,14 @@ def keep_only_drivers(wanted: set[str]) -> list[str]:
     _env._have_registered_drivers = False  # so that rasterio registers them again
     _env.GDALEnv().start()
     with rasterio.Env() as env:
-        left = sorted(env.drivers())
-    if set(left) != wanted:
+        remaining = sorted(env.drivers())
+    if set(remaining) != wanted:
         raise TerrainError(
-            f"GDAL {rasterio.__gdal_version__} keeps the drivers {shown(', '.join(left))}, so no file is opened",
+            f"GDAL {rasterio.__gdal_version__} keeps the drivers {shown(', '.join(remaining))}, so no file is opened",
             expected=f"only {', '.join(sorted(wanted))}",
             fix="install rasterio 1.4",
         )
-    return left
+    return remaining
 
 
 def open_raster(path: Path, settings: ImportSettings) -> Raster:

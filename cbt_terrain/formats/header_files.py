@@ -17,11 +17,11 @@ MAX_HEADER_BYTES = 1 << 20
 def header_of(path: Path) -> Path | None:
     """Return the header beside a file of such a suffix, or None if there is none."""
     try:
-        found = [path.with_suffix(suffix) for suffix in (".hdr", ".HDR") if path.with_suffix(suffix).is_file()]
+        headers = [path.with_suffix(suffix) for suffix in (".hdr", ".HDR") if path.with_suffix(suffix).is_file()]
     except (OSError, ValueError):
         return None
     form = FORMATS.get(path.suffix.lower())
-    return found[0] if found and form is not None and form.has_header else None
+    return headers[0] if headers and form is not None and form.has_header else None
 
 
 def lacks_header(path: Path) -> bool:

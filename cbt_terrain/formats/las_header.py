@@ -28,8 +28,8 @@ def las_damage(file: BinaryIO) -> str:
     if not header_bytes <= first_point <= size or RECORD_BYTES * num_records > first_point - header_bytes:
         return f"it cannot hold {num_records:,} records before its points"
     if form < COMPRESSED:
-        whole = first_point + num_points * point_bytes <= size
-        return "" if whole else f"it cannot hold {num_points:,} points of {point_bytes} bytes"
+        fits = first_point + num_points * point_bytes <= size
+        return "" if fits else f"it cannot hold {num_points:,} points of {point_bytes} bytes"
     return _chunks_damage(file, first_point, size)
 
 

@@ -44,10 +44,10 @@ class _Header:
 
     def count(self) -> int:
         """Return the next count of items. Raises ValueError if the rest of the file has fewer bytes than that."""
-        found = self.number(self.count_code)
-        if found > self.size - self.file.tell():
+        count = self.number(self.count_code)
+        if count > self.size - self.file.tell():
             raise ValueError
-        return found
+        return count
 
     def skip(self, num_bytes: int) -> None:
         """Pass over bytes and their padding to a multiple of 4."""
@@ -61,8 +61,8 @@ class _Header:
 
         tag: the tag that a list must have here. Raises ValueError for another one.
         """
-        found, length = self.number(), self.count()
-        if found not in (0, tag) or (length and found != tag):
+        found_tag, length = self.number(), self.count()
+        if found_tag not in (0, tag) or (length and found_tag != tag):
             raise ValueError
         for _ in range(length):
             read_item()

@@ -18,13 +18,13 @@ def png_damage(file: BinaryIO) -> str:
         head = file.read(8)
         if len(head) < 8:
             return "it ends before its last chunk"
-        left, kind = struct.unpack(">I4s", head)
+        bytes_left, kind = struct.unpack(">I4s", head)
         check = zlib.crc32(kind)
-        while left:
-            piece = file.read(min(left, PIECE))
+        while bytes_left:
+            piece = file.read(min(bytes_left, PIECE))
             if not piece:
                 return "it ends inside a chunk"
-            check, left = zlib.crc32(piece, check), left - len(piece)
+            check, bytes_left = zlib.crc32(piece, check), bytes_left - len(piece)
         if file.read(4) != struct.pack(">I", check):
             return f"its chunk {kind.decode('ascii', 'replace')} differs from its checksum"
         if kind == END:

@@ -143,8 +143,8 @@ def _pieces(path: Path) -> Iterator[np.ndarray]:
             is_ground = np.asarray(points.classification) == GROUND
             if "withheld" in points.point_format.dimension_names:
                 is_ground &= np.asarray(points.withheld) == 0
-            found = np.stack([np.asarray(axis)[is_ground] for axis in (points.x, points.y, points.z)])
-            yield found[:, np.isfinite(found).all(axis=0)]
+            coordinates = np.stack([np.asarray(axis)[is_ground] for axis in (points.x, points.y, points.z)])
+            yield coordinates[:, np.isfinite(coordinates).all(axis=0)]
 
 
 def _extent(path: Path) -> GroundExtent:
@@ -227,10 +227,10 @@ def _dilate(mask: np.ndarray, steps: int) -> np.ndarray:
 def _dilate_along(mask: np.ndarray, axis: int) -> np.ndarray:
     """Return a mask united with itself one cell before and after along an axis."""
     turned = np.moveaxis(mask, axis, 0)
-    found = turned.copy()
-    found[1:] |= turned[:-1]
-    found[:-1] |= turned[1:]
-    return np.moveaxis(found, 0, axis)
+    dilated = turned.copy()
+    dilated[1:] |= turned[:-1]
+    dilated[:-1] |= turned[1:]
+    return np.moveaxis(dilated, 0, axis)
 
 
 def _sum_around(values: np.ndarray) -> np.ndarray:
@@ -238,10 +238,10 @@ def _sum_around(values: np.ndarray) -> np.ndarray:
     rows = values.copy()
     rows[1:] += values[:-1]
     rows[:-1] += values[1:]
-    found = rows.copy()
-    found[:, 1:] += rows[:, :-1]
-    found[:, :-1] += rows[:, 1:]
-    return found
+    sums = rows.copy()
+    sums[:, 1:] += rows[:, :-1]
+    sums[:, :-1] += rows[:, 1:]
+    return sums
 
 
 def _in_memory(heights: np.ndarray, grid: FileGrid) -> DatasetReader:

@@ -64,11 +64,11 @@ def check_named(path: Path, kind: str = "height map") -> None:
     expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-        regular = path.is_file()
+        is_regular = path.is_file()
     except (OSError, ValueError) as reason:
         message = getattr(reason, "strerror", None) or reason
         raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
-    if not regular:
+    if not is_regular:
         raise TerrainError(f"{shown(path)} {what}", expected=expected)
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
@@ -87,10 +87,10 @@ def check_neighbours(path: Path) -> None:
         blocking = _blocking_in(str(folder), folder.stat().st_mtime_ns)
     except OSError:
         return
-    found = next((other for other in blocking if os.path.basename(other).casefold().startswith(starts)), None)
-    if found is not None:
+    blocker = next((other for other in blocking if os.path.basename(other).casefold().startswith(starts)), None)
+    if blocker is not None:
         raise TerrainError(
-            f"{shown(found)}, beside {shown(path.name)}, is a pipe, a socket or a device",
+            f"{shown(blocker)}, beside {shown(path.name)}, is a pipe, a socket or a device",
             expected="a file",
             fix="remove or rename it",
         )

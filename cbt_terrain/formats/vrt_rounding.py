@@ -20,12 +20,12 @@ def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: Roundi
 
     stored: name of the type of the band's values.
     """
-    found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
+    roundings = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
     # A value that the VRT's type holds unchanged has its file's rounding alone.
-    is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
+    is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in roundings]
     return tuple(
         rounding if exact else SourceRounding(stored, before=rounding, lossy=rounding.lossy)
-        for rounding, exact in zip(found, is_exact, strict=True)
+        for rounding, exact in zip(roundings, is_exact, strict=True)
     )
 
 
@@ -34,14 +34,14 @@ def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) 
 
     number: which of the VRT's texts in `mosaic`. rounding_of: returns the rounding of a file's band, None if unknown.
     """
-    found: dict[SourceRounding, None] = {}
+    roundings: dict[SourceRounding, None] = {}
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if isinstance(source, int):
             inner: Iterable[SourceRounding | None] = _roundings(mosaic, source, source_band, rounding_of)
         else:
             inner = [rounding_of(source, source_band)]
-        found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
-    return found
+        roundings |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)
+    return roundings
 
 
 def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:

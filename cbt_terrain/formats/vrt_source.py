@@ -152,10 +152,10 @@ def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> P
     source = source if source.is_absolute() else path.parent / source
     what = f"{shown(path)} names the source {shown(text)!r}"
     try:
-        regular = "\0" not in text and _is_local(source, path) and source.is_file()
+        is_regular = "\0" not in text and _is_local(source, path) and source.is_file()
     except (OSError, ValueError):
-        regular = False
-    if not regular or "<" in str(source) or str(source).startswith("/vsi"):
+        is_regular = False
+    if not is_regular or "<" in str(source) or str(source).startswith("/vsi"):
         raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
     if source.suffix.lower() not in suffixes:
         raise TerrainError(what, expected=f"one of {', '.join(sorted(suffixes))}")
@@ -253,10 +253,10 @@ class _Reader:
         Names without a pattern may have any value; numbers of rectangles are below LARGEST_NUMBER.
         """
         pattern = _PATTERNS.get(name)
-        good = pattern is None or pattern.fullmatch(value) is not None
-        if good and name in _RECTANGLE:
-            good = math.fabs(float(value)) < LARGEST_NUMBER
-        if not good:
+        is_valid = pattern is None or pattern.fullmatch(value) is not None
+        if is_valid and name in _RECTANGLE:
+            is_valid = math.fabs(float(value)) < LARGEST_NUMBER
+        if not is_valid:
             self._refuse(f"the value {shown(value, 40)!r} for {name} in <{element}>")
 
     def _refuse(self, what: str) -> None:

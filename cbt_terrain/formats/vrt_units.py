@@ -81,14 +81,16 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
     number = len(mosaic.texts) - 1
     vrt_scale = _vrt_scale(mosaic, number, band)
     # Equal units may have different names, so compare metres.
-    found = {(s.metres and f"{s.metres:.7g}", s.scale, s.offset): s for s in _scales(mosaic, number, band, scale_of)}
-    if len(found) > 1:
-        texts = ", ".join(scale.text for scale in list(found.values())[:3])
+    different = {
+        (s.metres and f"{s.metres:.7g}", s.scale, s.offset): s for s in _scales(mosaic, number, band, scale_of)
+    }
+    if len(different) > 1:
+        texts = ", ".join(scale.text for scale in list(different.values())[:3])
         return [
             f"The files of the mosaic give their heights in different ways ({texts}), and the VRT takes their values "
             "as they are: convert them to metres first, each file by itself."
         ]
-    for scale in found.values():
+    for scale in different.values():
         lacks_unit = not vrt_scale.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
         lacks_scale = scale.is_scaled and not vrt_scale.is_scaled
         if lacks_unit or lacks_scale:
@@ -148,12 +150,12 @@ def _scales(mosaic: Mosaic, number: int, band: int, scale_of: ScaleOf) -> set[He
     its sources. Sources that the VRT scales are left out, because it may have converted them, and so are unknown ones.
     scale_of: returns the conversion of a file's band, None if it is unknown.
     """
-    vrt_scale, found = _vrt_scale(mosaic, number, band), set()
+    vrt_scale, scales = _vrt_scale(mosaic, number, band), set()
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if scaling == (1.0, 0.0):
             if isinstance(source, int):
                 inner: Iterable[HeightScale | None] = _scales(mosaic, source, source_band, scale_of)
             else:
                 inner = [scale_of(source, source_band)]
-            found |= {vrt_scale.over(scale) for scale in inner if scale is not None}
-    return found
+            scales |= {vrt_scale.over(scale) for scale in inner if scale is not None}
+    return scales

@@ -292,9 +292,9 @@ def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[flo
     for rows in samples.row_blocks(0, total):
         for tiles in samples.groups():
             heights, _, values = samples.block(rows, samples.columns_of(tiles))
-            for layer, some, lacks_range in zip(layers, [heights, *values], lack_range, strict=True):
+            for layer, array, lacks_range in zip(layers, [heights, *values], lack_range, strict=True):
                 if lacks_range:
-                    layer.widen(some)
+                    layer.widen(array)
         on_progress(rows.stop / total)
 
 
@@ -322,7 +322,7 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
             heights, inside, values = samples.block(rows, columns)
             if not samples.layers[0].form.is_integer:
                 samples.layers[0].widen(heights)
-            coded = [layer.encode(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
+            coded = [layer.encode(array) for layer, array in zip(samples.layers, [heights, *values], strict=True)]
             if inside is not None and samples.layers[0].form.keeps_missing:
                 coded[0][~inside] = np.nan
             for k, tile_columns, file, _, _ in tiles:

@@ -45,6 +45,7 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
     on_line = np.take_along_axis(signs, order, 1)[:, 0] == 0
     pairs = np.concatenate([np.stack([b, c], 1)[on_line], np.stack([a, b], 1)[~on_line], np.stack([a, c], 1)[~on_line]])
     pairs, numbers = np.unique(np.sort(pairs, 1), axis=0, return_inverse=True)
+    # New vertices: p across from a corner on the line, q and r on both edges of a corner that is alone.
     p, q, r = np.split(len(mesh.positions) + numbers.reshape(-1), np.cumsum([on_line.sum(), (~on_line).sum()]))
     halves = [(a[on_line], b[on_line], p), (a[on_line], p, c[on_line])]
     a, b, c = a[~on_line], b[~on_line], c[~on_line]

@@ -37,10 +37,10 @@ CODINGS = {"terrarium": HeightCoding(1 / 256, -32768.0), "mapbox": HeightCoding(
 
 def tile_of(path: Path) -> tuple[int, int, int] | None:
     """Return the zoom, column and row of a web map tile with a path that ends with z/x/y and a suffix; else None."""
-    found = _TILE.fullmatch("/".join((*path.parts[-3:-1], path.stem)))
-    if not found:
+    match = _TILE.fullmatch("/".join((*path.parts[-3:-1], path.stem)))
+    if not match:
         return None
-    zoom, column, row = map(int, found.groups())
+    zoom, column, row = map(int, match.groups())
     return (zoom, column, row) if zoom <= MAX_ZOOM and max(column, row) < 1 << zoom else None
 
 
@@ -128,12 +128,12 @@ def _recognise_coding(path: Path, dataset: DatasetReader) -> str:
     tile = tile_of(path)
     assert tile is not None, "its path is that of a tile"
     pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width  # metres
-    found = []
+    possible = []
     for name, coding in CODINGS.items():
         heights = np.where(valid, codes * coding.scale + coding.offset, np.nan)
         steps = np.abs(np.concatenate([np.diff(heights, axis=0).ravel(), np.diff(heights, axis=1).ravel()]))
         steps = steps[np.isfinite(steps)]
         low, high = CERTAIN_M
         if steps.size and low < np.nanmin(heights) and np.nanmax(heights) < high and steps.mean() < pixel:
-            found.append(name)
-    return found[0] if len(found) == 1 else ""
+            possible.append(name)
+    return possible[0] if len(possible) == 1 else ""

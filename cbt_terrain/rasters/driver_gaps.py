@@ -91,7 +91,9 @@ def _correct_netcdf(path: Path, dataset: DatasetReader, band: int, facts: BandFa
     from rasterio.crs import CRS
 
     grid, notes = facts.grid, list(facts.notes)
-    names, values = next(((pair, found) for pair in AXES if (found := _axes(path, dataset, pair))), ((), ()))
+    names, values = next(
+        ((pair, coordinates) for pair in AXES if (coordinates := _axes(path, dataset, pair))), ((), ())
+    )
     if grid.transform is None and not grid.problem and values:
         grid = grid._replace(transform=_transform(*values))
     units = {text for name, text in dataset.tags().items() if name.endswith("#units")}
@@ -111,7 +113,7 @@ def _axes(path: Path, dataset: DatasetReader, names: tuple[str, str]) -> tuple[n
     """
     import rasterio
 
-    found = []
+    axes = []
     for name, count in zip(names, (dataset.width, dataset.height), strict=True):
         try:
             with (
@@ -126,8 +128,8 @@ def _axes(path: Path, dataset: DatasetReader, names: tuple[str, str]) -> tuple[n
         step = (values[-1] - values[0]) / (count - 1)
         if not (abs(step) > 0.0 and np.abs(np.diff(values) - step).max() <= MAX_UNEVEN * abs(step)):
             return None
-        found.append(values)
-    return found[0], found[1]
+        axes.append(values)
+    return axes[0], axes[1]
 
 
 def _transform(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float]:

@@ -81,8 +81,8 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
         fit, _, rank, _ = np.linalg.lstsq(pixels - middle, ground - shift, rcond=None)
         if rank == 3:  # the points are not on one line
             # Distances of the points from the grid, in cells.
-            off = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
-            if lengths(off).max() <= MAX_GCP_CELLS:
+            offsets = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
+            if lengths(offsets).max() <= MAX_GCP_CELLS:
                 (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]
                 a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
                 return FileGrid(crs, without_rounded_skew((a, b, c, d, e, f)))

@@ -48,17 +48,19 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
     x, y = grid.positions(width / 2, height / 2)
     step = max(length((a, d)), length((b, e)), 1.0)
     # Two points along x and two along y, and as unit vectors from the centre of the Earth.
-    found = _degrees(grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5]))
-    if found is None or not np.isfinite(found[0]).all():
+    transformed = _degrees(
+        grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5])
+    )
+    if transformed is None or not np.isfinite(transformed[0]).all():
         return []
-    longitude, latitude = np.radians(found[0])
+    longitude, latitude = np.radians(transformed[0])
     points = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     along_x, along_y, up = points[:, 1] - points[:, 0], points[:, 3] - points[:, 2], points.sum(axis=1)
     if (np.cross(along_x, along_y) * up).sum() >= 0.0:
         return []
     name = grid.name[:80]
-    east = _within_180(found[0][0, 1::2] - found[0][0, ::2]) * np.cos(latitude.mean())
-    north = found[0][1, 1::2] - found[0][1, ::2]
+    east = _within_180(transformed[0][0, 1::2] - transformed[0][0, ::2]) * np.cos(latitude.mean())
+    north = transformed[0][1, 1::2] - transformed[0][1, ::2]
     ways = " and ".join(map(_direction, east, north))
     return [
         f"x and y of {name} run {ways}, so the ground comes out mirrored: import it with "

@@ -31,10 +31,10 @@ def sidecars(path: Path) -> list[Path]:
     wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
     try:
         names = _names_in(str(path.parent), os.stat(path.parent).st_mtime_ns)
-        found = [path.with_name(other) for other in sorted(other for w in wanted for other in names.get(w, ()))]
+        files = [path.with_name(other) for other in sorted(other for w in wanted for other in names.get(w, ()))]
     except OSError:  # a folder that may be entered but not listed
-        found = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
-    return [file for file in found if file.is_file()]
+        files = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
+    return [file for file in files if file.is_file()]
 
 
 @functools.lru_cache(maxsize=4)
@@ -43,17 +43,17 @@ def _names_in(folder: str, _changed_ns: int) -> dict[str, list[str]]:
 
     _changed_ns: time of its last change, only for the cache.
     """
-    found: dict[str, list[str]] = {}
+    by_small_letters: dict[str, list[str]] = {}
     for name in os.listdir(folder):
-        found.setdefault(name.lower(), []).append(name)
-    return found
+        by_small_letters.setdefault(name.lower(), []).append(name)
+    return by_small_letters
 
 
 def aux_file(path: Path) -> Path | None:
     """Return the .aux.xml of a raster, None if there is none; exactly its name is preferred to other letter cases."""
     named = path.name + AUX
-    found = [file for file in sidecars(path) if file.name.lower() == named.lower()]
-    return min(found, key=lambda file: file.name != named, default=None)
+    files = [file for file in sidecars(path) if file.name.lower() == named.lower()]
+    return min(files, key=lambda file: file.name != named, default=None)
 
 
 def read_aux(file: Path) -> str:

@@ -79,8 +79,8 @@ def _plane_unit(crs: CRS) -> tuple[str, float]:
     """Return the name and the metres of a system's horizontal unit; PROJ returns it for projected systems only."""
     if crs.is_projected:
         return crs.linear_units_factor
-    found = _PLANE.search(_wkt(crs))
-    return (found[2], float(found[3])) if found else ("metre", 1.0)
+    match = _PLANE.search(_wkt(crs))
+    return (match[2], float(match[3])) if match else ("metre", 1.0)
 
 
 def vertical_unit(crs: CRS | None) -> tuple[str, float, bool] | None:
@@ -88,8 +88,8 @@ def vertical_unit(crs: CRS | None) -> tuple[str, float, bool] | None:
 
     Return None if there is none. crs: a rasterio CRS or None.
     """
-    found = _VERTICAL.search(_wkt(crs)) if crs is not None else None
-    return (found[2], float(found[3]), found[1] == "down") if found else None
+    match = _VERTICAL.search(_wkt(crs)) if crs is not None else None
+    return (match[2], float(match[3]), match[1] == "down") if match else None
 
 
 def height_unit(band_unit: str, crs: CRS | None) -> tuple[float, list[str]]:

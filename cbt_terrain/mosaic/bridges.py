@@ -43,23 +43,23 @@ def bridge(
         beyond_u = np.maximum(np.maximum(first_u - u, u - last_u), 0.0)
         beyond_v = np.maximum(np.maximum(first_v - v, v - last_v), 0.0)
         with np.errstate(invalid="ignore"):
-            beside = np.flatnonzero((beyond_u < 1.0 - SNAPPED) & (beyond_v < 1.0 - SNAPPED))
-        if not len(beside):
+            near = np.flatnonzero((beyond_u < 1.0 - SNAPPED) & (beyond_v < 1.0 - SNAPPED))
+        if not len(near):
             continue
-        heights, step = _border(window, np.clip(u[beside], first_u, last_u), np.clip(v[beside], first_v, last_v))
-        beside, heights, step = (array[np.isfinite(heights)] for array in (beside, heights, step))
-        weight = (1.0 - beyond_u[beside]) * (1.0 - beyond_v[beside])
-        weights[beside] += weight
-        sums[beside] += weight * heights
-        low[beside], high[beside] = np.minimum(low[beside], heights), np.maximum(high[beside], heights)
+        heights, step = _border(window, np.clip(u[near], first_u, last_u), np.clip(v[near], first_v, last_v))
+        near, heights, step = (array[np.isfinite(heights)] for array in (near, heights, step))
+        weight = (1.0 - beyond_u[near]) * (1.0 - beyond_v[near])
+        weights[near] += weight
+        sums[near] += weight * heights
+        low[near], high[near] = np.minimum(low[near], heights), np.maximum(high[near], heights)
         error = nodes.error_u + nodes.error_v
-        position_errors[beside] = np.maximum(position_errors[beside], error)
-        errors[beside] = np.maximum(errors[beside], error * step)
-    good = weights >= MIN_WEIGHT
-    samples = rows[good], columns[good]
-    values[samples] = sums[good] / weights[good]
+        position_errors[near] = np.maximum(position_errors[near], error)
+        errors[near] = np.maximum(errors[near], error * step)
+    has_height = weights >= MIN_WEIGHT
+    samples = rows[has_height], columns[has_height]
+    values[samples] = sums[has_height] / weights[has_height]
     # A weight changes by the error of its position, and a sum of weights is at least a half.
-    moved[samples] = errors[good] + 2.0 * position_errors[good] * (high[good] - low[good])
+    moved[samples] = errors[has_height] + 2.0 * position_errors[has_height] * (high[has_height] - low[has_height])
 
 
 def _interpolate_nodes(

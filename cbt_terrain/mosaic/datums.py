@@ -189,10 +189,10 @@ def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.n
     longitude, latitude = projected(crs, GEOGRAPHIC, x, y)
     geoid = GEOID.format(plane=crs_of(GEOGRAPHIC).to_wkt(version="WKT1_GDAL"), grid=grid)
     try:
-        found = transform(CRS.from_wkt(geoid), crs_of(GEOGRAPHIC_3D), longitude, latitude, np.zeros(len(x)))
+        moved = transform(CRS.from_wkt(geoid), crs_of(GEOGRAPHIC_3D), longitude, latitude, np.zeros(len(x)))
     except Exception:  # the grid ends here or is damaged; PROJ raises many kinds
         return np.full(len(x), np.nan)
-    return np.where(np.isfinite(found[2]), found[2], np.nan)
+    return np.where(np.isfinite(moved[2]), moved[2], np.nan)
 
 
 @lru_cache(maxsize=len(GRIDS))

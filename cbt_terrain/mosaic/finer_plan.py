@@ -64,7 +64,7 @@ def _count_tiles(grid: TargetGrid, files: np.ndarray) -> int:
 
     files: boxes of the files in columns and rows of the grid, see `FinerPlan.boxes`.
     """
-    there = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
+    is_tile = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
     for west, north, east, south in files // SIDE:
-        there[max(north - 1, 0) : south + 2, max(west - 1, 0) : east + 2] = True
-    return int(there.sum())
+        is_tile[max(north - 1, 0) : south + 2, max(west - 1, 0) : east + 2] = True
+    return int(is_tile.sum())

@@ -28,13 +28,13 @@ def paths_in(path: Path) -> list[Path]:
     except (OSError, ValueError, sqlite3.Error, struct.error, ElementTree.ParseError) as reason:
         what = f"{shown(path)} cannot be read as a tile index ({cause(reason)})"
         raise TerrainError(what, expected="a GeoPackage, a shapefile or XML of GDAL's gti format") from reason
-    found = dict.fromkeys(base.parent / name for name in names if name)
-    for source in found:
+    sources = dict.fromkeys(base.parent / name for name in names if name)
+    for source in sources:
         _check(path, source)
-    if not found:
+    if not sources:
         what = f"{shown(path)} names no file"
         raise TerrainError(what, expected=f"paths in the column {column or COLUMNS[0]!r}")
-    return list(found)
+    return list(sources)
 
 
 def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
@@ -80,9 +80,9 @@ def _names_in_database(path: Path, column: str) -> list[str]:
         ]
         for table in map(_quoted, tables):
             names = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
-            found = _find_column(names, column)
-            if found is not None:
-                query = f"SELECT {_quoted(names[found])} FROM {table} ORDER BY rowid LIMIT {MAX_FILES + 1}"
+            position = _find_column(names, column)
+            if position is not None:
+                query = f"SELECT {_quoted(names[position])} FROM {table} ORDER BY rowid LIMIT {MAX_FILES + 1}"
                 return _check_count([row[0] for row in connection.execute(query) if isinstance(row[0], str)])
     finally:
         connection.close()
@@ -141,10 +141,10 @@ def _check(index: Path, source: Path) -> None:
     """Raise TerrainError unless a path of an index leads to a regular file of a known kind."""
     what = f"{shown(index)} names the source {shown(source)!r}"
     try:
-        regular = "\0" not in str(source) and not str(source).startswith(("/vsi", "\\\\", "//")) and source.is_file()
+        is_regular = "\0" not in str(source) and not str(source).startswith(("/vsi", "\\\\", "//")) and source.is_file()
     except (OSError, ValueError):
-        regular = False
-    if not regular:
+        is_regular = False
+    if not is_regular:
         raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
     form = FORMATS.get(source.suffix.lower())
     if form is None or not form.driver:

@@ -75,11 +75,11 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     """
     levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
-    level, first, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)  # owners: the lattice of each tile
+    level, first_size, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)  # owners: the lattice of each tile
     # From the coarsest lattice on: one that is MIN_RATIO finer than the first of its level begins the next level.
     for number in np.argsort(-coarsest, kind="stable"):
-        if coarsest[number] * MIN_RATIO <= first and level < MAX_LEVELS - 1:
-            level, first = level + 1, coarsest[number]
+        if coarsest[number] * MIN_RATIO <= first_size and level < MAX_LEVELS - 1:
+            level, first_size = level + 1, coarsest[number]
         levels[lattices[number].tiles], owners[lattices[number].tiles] = level, number
     if level == 0:
         return levels
@@ -148,8 +148,8 @@ class InsetBlend:
             return
         fraction = np.ones(mixed.shape)  # of the way through the narrowest ring
         for lower in range(level):
-            found = self._fractions(level, lower, piece)
-            fraction = fraction if found is None else np.minimum(fraction, found)
+            of_ring = self._fractions(level, lower, piece)
+            fraction = fraction if of_ring is None else np.minimum(fraction, of_ring)
         mixed &= fraction < 1.0
         t = fraction[mixed]
         weight = t * t * (3.0 - 2.0 * t)
@@ -230,12 +230,12 @@ class InsetBlend:
 
     def _scanned(self, row: int, column: int) -> dict[int, np.ndarray]:
         """Read a block's files; return its marks as `_marks_of_block`."""
-        found: dict[int, np.ndarray] = {}
+        by_level: dict[int, np.ndarray] = {}
         for piece, level, below, top in self._scan(row, column):
-            marks = found.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
+            marks = by_level.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
             y, x = piece.row % BLOCK, piece.column % BLOCK
             marks[y : y + piece.rows, x : x + piece.columns] = self._marks(below.ranks, top.ranks)
-        pooled = {level: _pool(marks, BLOCK // self._side_of(level)) for level, marks in found.items()}
+        pooled = {level: _pool(marks, BLOCK // self._side_of(level)) for level, marks in by_level.items()}
         return {level: marks for level, marks in pooled.items() if marks.any()}
 
     def digest_around(self, piece: GridPiece) -> str:

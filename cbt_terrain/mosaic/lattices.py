@@ -71,14 +71,14 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
     groups: dict[tuple, list[int]] = {}
     for number, tile in enumerate(tiles):
         groups.setdefault(_key(tile), []).append(number)
-    found = []
+    lattices = []
     for numbers in groups.values():
         while numbers:
             first = tiles[numbers[0]]
             offsets = {n: offset for n in numbers if (offset := _offset_of(first, tiles[n])) is not None}
-            found.append(_lattice(tiles, list(offsets), list(offsets.values())))
+            lattices.append(_lattice(tiles, list(offsets), list(offsets.values())))
             numbers = [n for n in numbers if n not in offsets]
-    return found
+    return lattices
 
 
 def _key(tile: SourceTile) -> tuple:
@@ -107,8 +107,8 @@ def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | 
     if not (np.isfinite(u).all() and np.isfinite(v).all()) or max(abs(u[0]), abs(v[0])) > 2.0**30:
         return None
     column, row = round(float(u[0])), round(float(v[0]))
-    off = max(float(max(abs(u[k] - column - i), abs(v[k] - row - j))) for k, (i, j) in enumerate(corners))
-    return (column, row, off) if off <= MAX_OFF_GRID else None
+    deviation = max(float(max(abs(u[k] - column - i), abs(v[k] - row - j))) for k, (i, j) in enumerate(corners))
+    return (column, row, deviation) if deviation <= MAX_OFF_GRID else None
 
 
 def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tuple]) -> TileLattice:
@@ -123,7 +123,7 @@ def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tupl
         (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1)
         for n, (column, row, _) in zip(numbers, offsets, strict=True)
     ]
-    off = max(offset[2] for offset in offsets)
+    deviation = max(offset[2] for offset in offsets)
     period = period_of(first.crs) / a if d == 0.0 else 0.0
     return TileLattice(
         crs=first.crs,
@@ -131,6 +131,6 @@ def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tupl
         steps=(a, b, d, e),
         tiles=np.array(numbers),
         rectangles=np.array(rectangles, np.int64),
-        off_grid=off if off > ROUNDING else 0.0,
+        off_grid=deviation if deviation > ROUNDING else 0.0,
         period=abs(round(period)) if abs(period - round(period)) < MAX_OFF_GRID else 0,
     )

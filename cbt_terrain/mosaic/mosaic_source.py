@@ -44,13 +44,13 @@ def open_composite(
     unpacked = unpacked or UnpackedFiles()
     tiles = build_catalogue(settings, store, on_progress, unpacked)
     grid = choose_grid(tiles, settings)
-    found = footprints(tiles, grid.crs)
-    whole = Composite(tiles, grid, found, settings, unpacked)
+    tile_footprints = footprints(tiles, grid.crs)
+    whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
     plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes) if settings.step is None else None
     if plan is None or (settings.quick and plan.work > WORTHWHILE * settings.quick):
         whole.finest = plan
         return whole
-    coarse = Composite(tiles, plan.grid, found, settings, unpacked)
+    coarse = Composite(tiles, plan.grid, tile_footprints, settings, unpacked)
     coarse.finer = plan, whole
     return coarse
 

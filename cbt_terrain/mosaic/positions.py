@@ -69,9 +69,9 @@ def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
     a, b, d, e = lattice.steps
     ratios = grid.step_x / abs(a), grid.step_y / abs(e) if e else 0.0
     corners = np.array([grid.column, grid.column + grid.width]), np.array([grid.row, grid.row + grid.height])
-    off = [np.abs(w - np.round(w)).max() for w in lattice.indices(*grid.positions(*corners))]
-    whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)
-    return b == d == 0.0 and whole and max(off) < SNAPPED / 2
+    deviations = [np.abs(w - np.round(w)).max() for w in lattice.indices(*grid.positions(*corners))]
+    are_whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)
+    return b == d == 0.0 and are_whole and max(deviations) < SNAPPED / 2
 
 
 def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +105,7 @@ def interpolation_error(exact: np.ndarray) -> float:
     with np.errstate(invalid="ignore"):
         for values in (exact, exact.T):
             nodes = values[::2]
-            off = np.abs(values[1::2, ::2] - (nodes[:-1, ::2] + nodes[1:, ::2]) / 2)
-            off = off[np.isfinite(off)]
-            total += float(off.max()) if off.size else 0.0
+            deviations = np.abs(values[1::2, ::2] - (nodes[:-1, ::2] + nodes[1:, ::2]) / 2)
+            deviations = deviations[np.isfinite(deviations)]
+            total += float(deviations.max()) if deviations.size else 0.0
     return total

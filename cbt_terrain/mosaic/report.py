@@ -71,14 +71,14 @@ def coverage(composite: Composite) -> tuple[float, float]:
     x, y = grid.positions(*np.meshgrid(columns, rows))
     counts = np.zeros(x.shape, np.int32)
     for lattice in composite.lattices:
-        found = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
+        positions = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
         for rank, (first_u, first_v, last_u, last_v) in zip(lattice.tiles, lattice.rectangles, strict=True):
             box = composite.boxes[rank]
             across = slice(
                 *np.searchsorted(columns, [box[0] - composite.reach[rank, 0], box[2] + composite.reach[rank, 0]])
             )
             down = slice(*np.searchsorted(rows, [box[1] - composite.reach[rank, 1], box[3] + composite.reach[rank, 1]]))
-            part_x, part_y = (values.reshape(x.shape)[down, across] for values in found)
+            part_x, part_y = (values.reshape(x.shape)[down, across] for values in positions)
             period = period_of(lattice.crs)
             if period:
                 middle = lattice.positions((first_u + last_u) / 2, (first_v + last_v) / 2)[0]

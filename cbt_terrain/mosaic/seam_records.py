@@ -49,5 +49,5 @@ class SeamRecords(NamedTuple):
 
         place: column and row of the block, counted from the grid's first one. block: the same by absolute numbers.
         """
-        texts = {str(level): zlib.compress(found.tobytes()).hex() for level, found in marks.items()}
+        texts = {str(level): zlib.compress(level_marks.tobytes()).hex() for level, level_marks in marks.items()}
         self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)

@@ -48,11 +48,11 @@ def find_seams(composite: Composite) -> SeamReport:
     names: list[tuple[str, str]] = []
     for lower, upper in chosen:
         composite.on_piece()
-        found, place = _seam_of(composite, lower, upper)
-        if len(found):
-            steps.append(found)
-            places.append(place)
-            numbers.append(np.full(len(found), len(names), np.int32))
+        pair_steps, pair_places = _seam_of(composite, lower, upper)
+        if len(pair_steps):
+            steps.append(pair_steps)
+            places.append(pair_places)
+            numbers.append(np.full(len(pair_steps), len(names), np.int32))
             names.append((composite.tiles[lower].path, composite.tiles[upper].path))
     return SeamReport(
         len(pairs),

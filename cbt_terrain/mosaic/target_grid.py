@@ -76,11 +76,14 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     divides the grid's, samples of the grid are on its samples.
     """
     crs = _target_crs(tiles, settings)
-    found = footprints(tiles, crs)
-    finest = min(range(len(tiles)), key=lambda n: (found.steps[n, 0] * found.steps[n, 1], tiles[n].crs != crs, n))
+    tile_footprints = footprints(tiles, crs)
+    finest = min(
+        range(len(tiles)),
+        key=lambda n: (tile_footprints.steps[n, 0] * tile_footprints.steps[n, 1], tiles[n].crs != crs, n),
+    )
     reference = tiles[finest] if tiles[finest].crs == crs and tiles[finest].is_straight else None
-    low, high = found.boxes[:, :2].min(axis=0), found.boxes[:, 2:].max(axis=0)
-    step_x, step_y = map(float, found.steps[finest])
+    low, high = tile_footprints.boxes[:, :2].min(axis=0), tile_footprints.boxes[:, 2:].max(axis=0)
+    step_x, step_y = map(float, tile_footprints.steps[finest])
     if settings.step is not None:
         metres_x, metres_y = _unit_lengths(crs, (low + high) / 2)
         step_x, step_y = settings.step / metres_x, settings.step / metres_y

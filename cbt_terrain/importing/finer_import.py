@@ -196,12 +196,12 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
     boxes: int64 [files, 4], in columns and rows of the file's grid, whose first row is in the north. margin: finer
     samples around a file that count, too. last: finer cells of the raster. shape: rows and columns of tiles.
     """
-    there = np.zeros(shape, bool)
+    is_known = np.zeros(shape, bool)
     for west, north, east, south in boxes:
         first_x, end_x = max(west - margin, 0) // SIDE, min(east + margin, last[0] - 1) // SIDE
         first_y, end_y = max(last[1] - south - margin, 0) // SIDE, min(last[1] - north + margin, last[1] - 1) // SIDE
-        there[first_y : end_y + 1, first_x : end_x + 1] = True
-    return {(int(column), int(row)) for row, column in np.argwhere(there)}
+        is_known[first_y : end_y + 1, first_x : end_x + 1] = True
+    return {(int(column), int(row)) for row, column in np.argwhere(is_known)}
 
 
 class _Windows:

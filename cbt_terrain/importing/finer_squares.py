@@ -60,11 +60,11 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
 def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:
     """Return the numbers of the squares of a raster that finer files meet, row by row from the south-west."""
     grid, shift = TileGrid(lattice, square_bits(source.bits)), source.bits + square_bits(source.bits)
-    there, rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
+    has_files, rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
     for west, north, east, south in source.boxes:
         first, end = max(rows - int(south), 0) >> shift, max(rows - int(north), 0) >> shift
-        there[first : end + 1, max(int(west), 0) >> shift : (max(int(east), 0) >> shift) + 1] = True
-    return set(map(int, np.flatnonzero(there)))
+        has_files[first : end + 1, max(int(west), 0) >> shift : (max(int(east), 0) >> shift) + 1] = True
+    return set(map(int, np.flatnonzero(has_files)))
 
 
 def is_in_squares(tile: tuple[int, int], source: FinerSource, lattice: Lattice) -> bool:

@@ -74,9 +74,9 @@ def _value_warnings(source: TileSource, report: dict, check: ValueCheck) -> list
     raster, settings, place, _ = source
     if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
         return []
-    found = check.warnings()
-    if found or place.size_warnings:  # possible causes of heights that are too large for the extent
-        return found
+    warnings = check.warnings()
+    if warnings or place.size_warnings:  # possible causes of heights that are too large for the extent
+        return warnings
     is_sized = settings.extent is not None or raster.is_sized
     return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
 

@@ -58,10 +58,10 @@ def _continued(wanted: TileWork) -> TileWork | None:
 def find_work(wanted: TileWork) -> TileWork | None:
     """Return work of the same import in the store, which can be continued and no process has locked; None for none."""
     path = wanted.folder.parent
-    for found in path.glob(f"{store_folder.DATA_PREFIX}*"):
+    for folder in path.glob(f"{store_folder.DATA_PREFIX}*"):
         with suppress(OSError):
-            if store_folder.is_array_folder(found) and found != store_folder.named_folder(path):
-                work = None if partial_files.is_in_use(found) else work_in(found)
+            if store_folder.is_array_folder(folder) and folder != store_folder.named_folder(path):
+                work = None if partial_files.is_in_use(folder) else work_in(folder)
                 if work is not None and work.digest == wanted.digest and _has_same_tiles(work, wanted):
                     if work.can_be_continued():
                         return work

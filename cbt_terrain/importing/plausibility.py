@@ -56,18 +56,18 @@ class ValueCheck:
         spread = self.high - self.low
         if not spread >= 0.0:  # all values are marks
             return []
-        found = []
+        warnings = []
         for value, count in self.marks.items():
             gap = max(self.low - value, value - self.high)
             if gap < (APART if value else ZERO_APART) * spread or (value == 0.0 and spread == 0.0) or gap <= 0.0:
                 continue
             samples = f"{count:,} samples hold" if count > 1 else "1 sample holds"
-            found.append(
+            warnings.append(
                 f"{samples} {value:.9g}, which stands apart from all others ({self.low:.6g} to {self.high:.6g}) and "
                 "often means no data: if it does, import again and give it as the no-data value "
                 f"(--no-data {value:.9g})."
             )
-        return found[:MAX_WARNINGS]
+        return warnings[:MAX_WARNINGS]
 
 
 def relief_warning(lowest: float, highest: float, extent: tuple[float, float], is_sized: bool) -> list[str]:

@@ -59,10 +59,10 @@ def find_ahead(store: Path, grid: TileGrid, number: int, inputs: str) -> TileAhe
     box = grid.owned(grid.box(number))
     shape = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
     try:
-        found = read_regular(_file_of(store, number), MAX_RECORD + 4 * shape[0] * shape[1], links=False)
+        data = read_regular(_file_of(store, number), MAX_RECORD + 4 * shape[0] * shape[1], links=False)
     except (OSError, ValueError):
         return None
-    line, _, content = found.partition(b"\n")
+    line, _, content = data.partition(b"\n")
     record = record_of(line, grid)
     if record is None or (record["kind"], record["number"], record["inputs"]) != (READ, number, inputs):
         return None

@@ -155,7 +155,7 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
     """
     if not is_large(field):
         return ()
-    [needs] = (found.ravel() for found in errors_in_view(field, _picture_side(field), [seen]))
+    [needs] = (errors.ravel() for errors in errors_in_view(field, _picture_side(field), [seen]))
     needs[[tile for tile in loaded if tile < len(needs)]] = 0.0
     order = np.argsort(-needs, kind="stable")[:MAX_TILES]
     return tuple(sorted(int(tile) for tile in order if needs[tile] > seen.error_px))
@@ -182,7 +182,7 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     if squares is not None and squares.is_coarse:
         return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
     needs = errors_in_view(field, 1 << BITS, lands)
-    return all(found.max() <= seen.error_px for found, seen in zip(needs, lands, strict=True))
+    return all(errors.max() <= seen.error_px for errors, seen in zip(needs, lands, strict=True))
 
 
 def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | None = None) -> tuple[int, ...]:
@@ -205,8 +205,8 @@ def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | Non
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
     """Return the numbers of the loaded tiles of a store; none for a complete store or a first picture."""
-    found = provenance.get("settings", {}).get("loaded_tiles") if REFINED in provenance else None
-    return frozenset(number for number in found or () if type(number) is int and number >= 0)
+    numbers = provenance.get("settings", {}).get("loaded_tiles") if REFINED in provenance else None
+    return frozenset(number for number in numbers or () if type(number) is int and number >= 0)
 
 
 def with_loaded(
@@ -229,8 +229,8 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
         return steps and steps[0]
     (west, south, _, _), lattice = field.lattice.rectangle(), field.lattice
     grid = TileGrid(lattice, BITS)
-    at = ((x - west) / lattice.step_x, lattice.cells_x), ((y - south) / lattice.step_y, lattice.cells_y)
-    cell_x, cell_y = (int(min(max(cell, 0), cells - 1)) for cell, cells in at)
+    positions = ((x - west) / lattice.step_x, lattice.cells_x), ((y - south) / lattice.step_y, lattice.cells_y)
+    cell_x, cell_y = (int(min(max(cell, 0), cells - 1)) for cell, cells in positions)
     if squares is not None:
         shift = square_bits(squares.bits)
         if (cell_y >> shift) * TileGrid(lattice, shift).columns + (cell_x >> shift) in squares.loaded:

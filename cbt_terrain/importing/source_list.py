@@ -39,19 +39,19 @@ def files_of(settings: ImportSettings) -> list[Path]:
     opened; a file that is named alone need not exist. Raises TerrainError for a folder or a pattern without a height
     map, for a built-in terrain, and for more than MAX_FILES files.
     """
-    found: dict[Path, None] = {}
+    files: dict[Path, None] = {}
     for source in settings.sources:
         if source in LANDS:
             what = f"The built-in terrain {source} cannot be one of several sources"
             raise TerrainError(what, fix="import it by itself")
         check_path("The source", source)
         for path in _files_of_one(source, settings.step):
-            found.pop(path, None)
-            found[path] = None
-    if len(found) > MAX_FILES:
-        what = f"The sources name {len(found):,} files"
+            files.pop(path, None)
+            files[path] = None
+    if len(files) > MAX_FILES:
+        what = f"The sources name {len(files):,} files"
         raise TerrainError(what, expected=f"{MAX_FILES:,} at most", fix="import a part of them")
-    return list(found)
+    return list(files)
 
 
 def holds_height_maps(folder: str) -> bool:
@@ -100,22 +100,22 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
     """
     whole = absolute_source(source)
     if _is_folder(source):
-        found = _files_in(Path(whole), step)
-        if not found:
+        files = _files_in(Path(whole), step)
+        if not files:
             raise TerrainError(
                 f"The folder {shown(source)} holds no height map with a position",
                 expected="files such as .tif, .hgt or .asc",
                 fix='name other files, or those of inner folders by a pattern ("DIR/**/*.tif")',
             )
-        return found
+        return files
     if _is_pattern(source):
         _check_right(Path(*itertools.takewhile(lambda part: not glob.has_magic(part), Path(source).parts)))
         names = sorted(glob.glob(whole, recursive=True))
-        found = [Path(name) for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
-        if not found:
+        files = [Path(name) for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
+        if not files:
             what = f"No height map matches the pattern {shown(source)}"
             raise TerrainError(what, fix="check the folder and the suffix")
-        return found
+        return files
     return [Path(whole)]
 
 

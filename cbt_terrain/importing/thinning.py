@@ -137,10 +137,10 @@ def loaded_m(provenance: dict) -> tuple[float, float] | None:
 
 def refined_m(provenance: dict) -> tuple[float, int] | None:
     """Return the step of an incomplete store's loaded tiles in metres, and their number; None without any."""
-    found = provenance.get(REFINED)
-    if not isinstance(found, list) or [type(value) for value in found] != [float, int]:
+    entry = provenance.get(REFINED)
+    if not isinstance(entry, list) or [type(value) for value in entry] != [float, int]:
         return None
-    return (found[0], found[1]) if 0.0 < found[0] < LARGEST_EXTENT and found[1] > 0 else None
+    return (entry[0], entry[1]) if 0.0 < entry[0] < LARGEST_EXTENT and entry[1] > 0 else None
 
 
 def loaded_text(provenance: dict) -> str:

@@ -148,12 +148,12 @@ class TaskQueue:
         while True:
             stopping.check()
             try:
-                found = self._answers.get(timeout=POLL_S)
+                answer = self._answers.get(timeout=POLL_S)
             except queue.Empty:
                 continue
-            if "error" in found:
-                raise TerrainError(**found["error"])
-            return bool(found["done"])
+            if "error" in answer:
+                raise TerrainError(**answer["error"])
+            return bool(answer["done"])
 
 
 def _do_tasks(process: subprocess.Popen, waiting: TaskQueue) -> None:
@@ -200,7 +200,7 @@ def serve_tasks(
     """
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # libraries print to stderr
-    request, found = json.loads(line), None
+    request, source = json.loads(line), None
     settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
     guard(settings, folder.parent)
     coarse = coarse_land(settings, folder / FIRST) if settings.loaded_tiles else None
@@ -212,15 +212,15 @@ def serve_tasks(
             try:
                 if work is None:
                     raise TerrainError(f"The arrays in {folder} were removed", fix="import again")
-                if found is not None and task.step != READ:  # its caches are no longer needed
-                    found.raster.close()
-                    found = None
+                if source is not None and task.step != READ:  # its caches are no longer needed
+                    source.raster.close()
+                    source = None
                     memory.give_back()
-                if found is None and task.step == READ:
+                if source is None and task.step == READ:
                     raster = open_raster(settings, folder)
                     raster = raster if coarse is None else refined(raster, settings, coarse)
-                    found = TileSource(raster, settings, place_of(settings, raster), coarse)
-                answer["done"] = perform(work, found, task, 1, coarse)
+                    source = TileSource(raster, settings, place_of(settings, raster), coarse)
+                answer["done"] = perform(work, source, task, 1, coarse)
             except TerrainError as error:
                 answer["error"] = error.to_json()
             except OSError as reason:
@@ -230,5 +230,5 @@ def serve_tasks(
             channel.write(json.dumps(answer) + "\n")
             channel.flush()
     finally:
-        if found is not None:
-            found.raster.close()
+        if source is not None:
+            source.raster.close()

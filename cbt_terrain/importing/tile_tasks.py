@@ -91,12 +91,16 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
     """
     source.raster.moved = source.raster.shifted = 0.0
     reader, whole = HeightReader(source.raster, source.settings), grid.owned(grid.box(number))
-    found = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
+    tile_heights = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
     for box, heights in _read_heights(grid, source, number, reader):
-        found[box.y0 - whole.y0 : box.y1 - whole.y0 + 1, box.x0 - whole.x0 : box.x1 - whole.x0 + 1] = heights
-    limits = None if reader.missing == found.size else [float(np.nanmin(found)), float(np.nanmax(found))]
+        tile_heights[box.y0 - whole.y0 : box.y1 - whole.y0 + 1, box.x0 - whole.x0 : box.x1 - whole.x0 + 1] = heights
+    limits = (
+        None
+        if reader.missing == tile_heights.size
+        else [float(np.nanmin(tile_heights)), float(np.nanmax(tile_heights))]
+    )
     record = {"inputs": inputs, "missing": reader.missing, "limits": limits, "figures": reader.figures()}
-    write_ahead(store, grid, number, record, found)
+    write_ahead(store, grid, number, record, tile_heights)
 
 
 def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: int) -> None:
@@ -111,24 +115,24 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
         limits = tile_steps.TerrainLimits(low, high, int(missing))
         if done is not None and tile_steps.measured(work, number, limits, threads, done) is None:
             return
-        found = tile_steps.measured(work, number, limits, threads, task.before)
-        if found is not None:
+        changes = tile_steps.measured(work, number, limits, threads, task.before)
+        if changes is not None:
             with part_files.writing_part(folder, MEASURED, number) as writer:
                 for name in ("codes", "border", "ranges"):
-                    if getattr(found, name) is not None:
-                        writer.add(name, (0, 0), getattr(found, name))
-                writer.record = found.record
+                    if getattr(changes, name) is not None:
+                        writer.add(name, (0, 0), getattr(changes, name))
+                writer.record = changes.record
         return
     if done is not None and done["inputs"] == task.inputs:
         return
     source.raster.moved = source.raster.shifted = 0.0
-    reader, limits_found = HeightReader(source.raster, source.settings), list[float]()
+    reader, extremes = HeightReader(source.raster, source.settings), list[float]()
     with part_files.writing_part(folder, READ, number) as writer:
         for box, heights in _read_heights(work.grid, source, number, reader):
             writer.add("heights", (box.x0, box.y0), heights)
             known = heights[~np.isnan(heights)]
-            limits_found += [float(known.min()), float(known.max())] if known.size else []
-        ends = [min(limits_found), max(limits_found)] if limits_found else None
+            extremes += [float(known.min()), float(known.max())] if known.size else []
+        ends = [min(extremes), max(extremes)] if extremes else None
         writer.record = {"inputs": task.inputs, "missing": reader.missing, "limits": ends, "figures": reader.figures()}
 
 

@@ -116,10 +116,10 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
     f.v = v[0]
     f.z = z[0]
     if f.area2 > wp.int64(0):  # otherwise the plane stays level
-        bz = z[1] - z[0]
-        cz = z[2] - z[0]
-        f.slope_u = (bz * (v[2] - v[0]) - cz * (v[1] - v[0])) / area2
-        f.slope_v = (cz * (u[1] - u[0]) - bz * (u[2] - u[0])) / area2
+        rise_1 = z[1] - z[0]
+        rise_2 = z[2] - z[0]
+        f.slope_u = (rise_1 * (v[2] - v[0]) - rise_2 * (v[1] - v[0])) / area2
+        f.slope_v = (rise_2 * (u[1] - u[0]) - rise_1 * (u[2] - u[0])) / area2
     return f
 
 

@@ -103,6 +103,7 @@ def in_one_cell(
     per_s = (p[1] - p[0]) * ground.scale
     per_r = (p[2] - p[0]) * ground.scale
     twist = (p[3] - p[1] - p[2] + p[0]) * ground.scale
+    # The ray's height above the surface, t metres after `first`, is a t^2 + b t + c.
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * ground.scale + ground.offset)
@@ -120,11 +121,11 @@ def in_one_cell(
         side = side_of(e_last, ray.tolerance)
     hit = NOWHERE
     if side != zero:
-        above = side * c + ray.tolerance
-        if above < zero:
+        clearance = side * c + ray.tolerance
+        if clearance < zero:
             hit = first
         elif side * e_turn + ray.tolerance < zero or side * e_last + ray.tolerance < zero:  # to the other side
-            hit = first + wp.min(first_root(side * a, side * b, above), length)
+            hit = first + wp.min(first_root(side * a, side * b, clearance), length)
     return hit, side
 
 

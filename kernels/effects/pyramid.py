@@ -106,15 +106,15 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
     out: ground.coarser. The finer level has at least two cells in each direction.
     """
     row = offset + wp.tid()
-    below = level - 1
+    finer = level - 1
     y = 2 * row
-    middle = y > 0 and y < ground.rows[below] - 1
+    is_inner_row = y > 0 and y < ground.rows[finer] - 1
     to = ground.first[level] + wp.int64(row) * wp.int64(ground.columns[level])
     for column in range(ground.columns[level]):
         x = 2 * column
-        inner = middle and x > 0 and x < ground.columns[below] - 1
-        h = filtered_row(ground, below, x, y - 1, inner) + filtered_row(ground, below, x, y + 1, inner)
-        h += wp.float64(2.0) * filtered_row(ground, below, x, y, inner)
+        is_inner = is_inner_row and x > 0 and x < ground.columns[finer] - 1
+        h = filtered_row(ground, finer, x, y - 1, is_inner) + filtered_row(ground, finer, x, y + 1, is_inner)
+        h += wp.float64(2.0) * filtered_row(ground, finer, x, y, is_inner)
         put(out, to + wp.int64(column), wp.float32(h * wp.float64(0.0625)))
 
 

@@ -110,6 +110,7 @@ def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)
+    # Samples beside one that drains begin the queue.
     i = next_pit(d, 0)
     while i < n:
         is_routed = wp.int32(0)

@@ -197,7 +197,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                 if cover > 0.0:
                     r = s.rules[k]
                     q = wp.float32(0.0)
-                    needed = wp.int32(0)
+                    needs_noise = wp.int32(0)
                     if r.kind <= DIRECTION:  # a rule by one of the values
                         entry = wp.int64(r.at) * s.count + wp.int64(v)
                         q = item_at(s.values, entry)
@@ -206,19 +206,19 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                         elif r.kind == DIRECTION:
                             q = r.sine * q + r.cosine * item_at(s.values, entry + s.count)
                         to_limit = wp.min(wp.abs(q - r.low), wp.abs(q - r.high))
-                        needed = wp.where(layer.ragged > 0.0 and to_limit < (0.5 + layer.ragged) * r.edge, 1, 0)
+                        needs_noise = wp.where(layer.ragged > 0.0 and to_limit < (0.5 + layer.ragged) * r.edge, 1, 0)
                         if turn == 1:
                             q += layer.ragged * r.edge * noise
                     elif r.kind == NOISE:
                         q = noise
-                        needed = 1
+                        needs_noise = 1
                     elif r.kind == LAYER:
                         q = covers[r.at]
                     elif turn == 0:
                         q = image_at(s.images, r, x / s.across, y / s.up)
-                    if needed == turn:
+                    if needs_noise == turn:
                         cover *= rule_weight(q, r.low, r.high, r.per_edge, r.kind)
-                    elif needed == 1:
+                    elif needs_noise == 1:
                         turns = wp.int32(2)
             turn += 1
         covers[number] = cover

@@ -87,6 +87,7 @@ def nearest_columns(
                         last_x = apex[count - 1]
                         last_distance = wp.float64(nearest[y * width + last_x] - first - y)
                         last_sum2 = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
+                        # From this x on the new parabola is below the last one.
                         from_x = (sum2 - last_sum2) / (wp.float64(2.0) * wp.float64(x - last_x))
                         if from_x <= start[count - 1]:  # the last parabola is nowhere the lowest
                             count = count - 1

@@ -173,6 +173,7 @@ def diagonal_inside(
     h = raster.floats
     to_side = wp.int64(right)  # to the next sample in a row, and in a column
     to_row = wp.int64(up) * wp.int64(raster.columns)
+    # The cells inside the border.
     first = wp.int32(0)
     end = cells
     if right > 0:

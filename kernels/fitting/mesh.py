@@ -69,6 +69,7 @@ def facet_of(m: FitMesh, t: wp.int32) -> Facet:
     s.z = (z - m.domain.height_offset) / m.domain.height_scale
     length2 = wp.float64(s.left_x) * wp.float64(s.left_x) + wp.float64(s.left_y) * wp.float64(s.left_y)
     per_unit2 = wp.float64(1.0) / (length2 * m.domain.height_scale)
+    # Rises along the two legs over their squared length.
     zl = (wp.float64(m.z[left]) - z) * per_unit2
     zr = (wp.float64(m.z[right]) - z) * per_unit2
     s.slope_x = zl * wp.float64(s.left_x) + zr * wp.float64(s.right_x)

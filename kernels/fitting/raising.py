@@ -65,7 +65,7 @@ def raise_ancestors(
         entry = entry_of(d, diamond[0], diamond[1], diamond[2])
         if wp.int32(item_at(codes, entry)) < code:
             put(codes, entry, wp.uint8(code))
-            if diamond[2] > 1:
+            if diamond[2] > 1:  # it has parents
                 along = half_edge(d.unit_bits, wp.vec2i(diamond[0], diamond[1]), diamond[2])
                 for k in range(2):  # an apex is as far on either side of the edge
                     px = wp.where(k == 0, diamond[0] + along[1], diamond[0] - along[1])
@@ -89,8 +89,9 @@ def raise_cells(
     """Raise the codes of cell (i, j) and of cells around it, so that triangles after `halvings` of its sides are split.
 
     An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
-    cell more on every side is raised: a quarter of the code of splits may split again; a sixteenth never does, unless a
-    change is added (`raised.more`). halvings: at most MAX_HALVINGS. codes: errors of all diamonds. stack: scratch.
+    cell more on every side is raised: a triangle with a quarter of a split's error may be split again; one with a
+    sixteenth never is, unless a change is added (`raised.more`). halvings: at most MAX_HALVINGS. codes: errors of all
+    diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1 + raised.more

@@ -134,8 +134,8 @@ def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
 def _needs_split_on_surface(m: FitMesh, t: int, error: wp.float32):
     """Return whether only a split can help: all vertices of triangle t are on the surface, and its error is large.
 
-    They must be there since before this round, as the distance of t is not known after they have moved. error: stored
-    error, metres before scaling.
+    The vertices must have been there before this round: the distance of t is not known after they have moved. error:
+    stored error, metres before scaling.
     """
     common_state = PINNED
     num_new = wp.float64(0.0)

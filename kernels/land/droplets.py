@@ -170,7 +170,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                         volume = wp.min(-fall * cell, load)  # fills the hollow up to the height of the next point
                     elif load > capacity:
                         volume = (load - capacity) * rain.load
-                    else:
+                    else:  # it erodes
                         row = wp.int32(y + wp.float64(0.5)) - rain.first_row
                         nearest = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
                         volume = -wp.min((capacity - load) * rain.load, fall * cell) * wp.float64(rain.mask[nearest])
@@ -197,7 +197,7 @@ def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRai
     slot = offset + wp.tid()
     tile = tiles[slot]
     per_unit = wp.float64(1.0 / 65536.0)
-    lost = wp.float64(0.0)
+    total = wp.float64(0.0)
     for drop in range(rain.drops):
         bits = scramble(scramble(scramble(wp.uint32(tile) + rain.seed) + wp.uint32(drop)))
         u = wp.float64(bits & wp.uint32(0xFFFF)) * per_unit
@@ -206,5 +206,5 @@ def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRai
         y = wp.float64((tile / rain.across) * rain.rows) + v * wp.float64(rain.rows)
         if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):  # it starts on this ground
             if x < wp.float64(rain.first_column + rain.width - 1) and y < wp.float64(rain.first_row + rain.height - 1):
-                lost += run_droplet(rain, x, y)
-    carried[slot] = lost
+                total += run_droplet(rain, x, y)
+    carried[slot] = total

@@ -97,7 +97,7 @@ def triangle_of(node: LebNode, unit_bits: wp.int32):
         right = wp.vec2i(0, side)
     for k in range(1, depth):
         middle = middle_between(left, right)
-        if ((node.heap_id >> wp.uint64(depth - 1 - k)) & ONE) == ONE:
+        if ((node.heap_id >> wp.uint64(depth - 1 - k)) & ONE) == ONE:  # child 1
             left = apex
         else:
             right = apex

@@ -149,7 +149,7 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
     a = m.edges[e][0]
     b = m.edges[e][1]
     new = a + b - p  # the end of e that is not p
-    if new == q:
+    if new == q:  # the edge is not cut yet
         new = next_number(m, VERTEX)
         m.ends[new - first] = wp.vec2i(p, q)
         if a == q:

@@ -195,6 +195,7 @@ def find_common_points(
                 num_runs += wp.int64(1)
             runs[num_runs - wp.int64(1)].count = runs[num_runs - wp.int64(1)].count + wp.int64(points)
         is_run_open = is_same
+        # Go on from the leaf that ends first, or from both.
         next_i = ahead <= wp.int64(0)
         next_j = ahead >= wp.int64(0)
         if next_i:

@@ -215,7 +215,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     far = s.vertex
     grow = wp.int32(0)
     if (code & 1) == 1:  # the curve has passed the edge before, in this square
-        if top == stack_base(b.room, leaves, side):
+        if top == stack_base(b.room, leaves, side):  # the stack is empty: an earlier slice has opened the edge
             third = import_open_edge(w, b, first_state, side, level)
             far = third
         else:
@@ -230,7 +230,7 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
         append_right(w, first_state, third, level, side_vertex, far)
     elif role == GIVE_ABOVE:
         append_above(w, first_state, third, level, side_vertex)
-    else:
+    else:  # new, and on no shared side
         if role == TO_CORNER:
             far = corner_below(w, b, first_state, w.state[first_state + SQUARE])
         grow = 1
@@ -292,8 +292,8 @@ def weld(slot: wp.int32, w: Weld):
         side_vertex = wp.where(side == 0, s.front0, s.front1)
         third, far, grow = third_edge(w, b, slot, code, leaves, s)
         note_rare(w, b, slot, code, s, b.triangle + k, third, far)
-        ordinary = wp.bool(True)
-        while ordinary:
+        is_ordinary = wp.bool(True)
+        while is_ordinary:
             # Where an edge that is closed, or the front, has another level, leaves do not fit together.
             level = level_of(code, THIRD_LEGS)
             differs = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)  # 0 unless an edge is closed
@@ -305,7 +305,7 @@ def weld(slot: wp.int32, w: Weld):
             put(w.stack_level, top, level)
             write_triangle(w, b.triangle + k, code, side, s.front0, s.front1, far, s.entry, third, leave)
             s.level = level_of(code, LEAVE_LEGS)
-            last = code >> LAST
+            last = code >> LAST  # 1: the square's last leaf
             s.vertex = s.vertex + wp.where(far == s.vertex, 1, 0)
             s.edge = leave + 1
             s.entry = leave
@@ -314,16 +314,17 @@ def weld(slot: wp.int32, w: Weld):
             s.front0 = wp.where(side == 0, far, s.front0)
             s.front1 = wp.where(side == 0, s.front1, far)
             put(w.edges, leave, wp.vec2i(s.front0, s.front1))
+            # The next leaf. Its third edge is new, or an old one on top of the stack.
             k += 1
             code = wp.int32(item_at(w.code, first + wp.int64(k)))
             side = side_of(code)
-            old = code & 1
+            old = code & 1  # 1: the curve has passed the third edge before
             top = wp.where(side == 0, s.next0, s.next1)
             side_vertex = wp.where(side == 0, s.front0, s.front1)
             closed = item_at(w.stack, top - 1)
             third = wp.where(old == 1, closed[0], s.edge)
             far = wp.where(old == 1, closed[1], s.vertex)
             grow = 1 - 2 * old
-            ordinary = k < leaves and (code & RARE) == 0 and (s.front0 | s.front1 | third | far) >= 0
+            is_ordinary = k < leaves and (code & RARE) == 0 and (s.front0 | s.front1 | third | far) >= 0
         s.level = wp.where(last == 1, 0, s.level)
     end_slice(w, b, slot, leaves, s)

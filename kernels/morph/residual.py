@@ -74,7 +74,7 @@ def ratio2_of(
         domain.south + wp.float64(a.point[1] + reach) * domain.unit_y,
         r.high,
     )
-    d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)
+    d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)  # 2: beyond the raster's border
     pixel2, edge2 = finest(criterion, d, in_frame)
     climb2 = r.rise * r.rise
     return ratio2_at(criterion, domain.unit_bits, a.depth, pixel2, edge2, metres2, climb2), pixel2

@@ -124,6 +124,7 @@ def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment
     per_s = (p[1] - p[0]) * surface.scale
     per_r = (p[2] - p[0]) * surface.scale
     twist = (p[3] - p[1] - p[2] + p[0]) * surface.scale
+    # The ray's height above the surface, t metres after the segment's beginning, is a t^2 + b t + c.
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * surface.scale + surface.offset)
@@ -131,16 +132,16 @@ def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment
     side = part.side
     if side == zero:
         side = side_of(c)
-    above = side * c + part.slack
+    clearance = side * c + part.slack
     hit = NOWHERE
-    if above <= zero:
+    if clearance <= zero:
         hit = first
     else:
-        root = first_root(side * a, side * b, above)
+        root = first_root(side * a, side * b, clearance)
         if root <= length:
             hit = first + root
-        elif side * ((a * length + b) * length) + above <= zero:  # beyond at the end, but rounding has hidden the root
-            hit = part.last
+        elif side * ((a * length + b) * length) + clearance <= zero:
+            hit = part.last  # rounding has hidden the root: the ray is beyond the surface at the end
     return hit, side
 
 
@@ -182,11 +183,11 @@ def half_curvature_along(
     Displacement is included. The unit is metres per squared metre of t. finer_twist: |h00 + h11 - h10 - h01| of the
     finer cell that the ray is in, metres, scaled to a squared raster cell; negative without a finer cell.
     """
-    across = ray.du * ray.du + ray.dv * ray.dv
+    cells2 = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
         quarter = cell_curvature(blocks, i, j)
-        curvature = wp.float64(2.0) * quarter * across
+        curvature = wp.float64(2.0) * quarter * cells2
         if finer_twist >= wp.float64(0.0):
             # The differences between the surfaces at finer samples have the twists of both.
             curvature += (finer_twist + wp.float64(4.0) * quarter) * wp.abs(ray.du * ray.dv)
@@ -236,13 +237,13 @@ def in_curved(
         slope = ray.dz - climb * surface.scale
         if side == zero:
             side = side_of(e)
-        above = side * e + part.slack
-        if above <= zero:
+        clearance = side * e + part.slack
+        if clearance <= zero:
             hit = t
             break
         if t >= part.last:
             break
-        step = first_root(-curvature, side * slope, above)
+        step = first_root(-curvature, side * slope, clearance)
         if not (step > CLOSE * (wp.abs(t) + part.last - part.first)):  # it has arrived, or is NaN in a damaged store
             if step >= zero:
                 hit = t
@@ -305,8 +306,8 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
     piece = part
     hit = NOWHERE
     side = part.side
-    inside = wp.bool(True)
-    while inside and hit == NOWHERE:
+    goes_on = wp.bool(True)
+    while goes_on and hit == NOWHERE:
         to_x = NOWHERE
         to_y = NOWHERE
         if ray.du != zero:
@@ -317,7 +318,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
         piece.last = larger(piece.first, smaller(out, part.last))
         piece.side = side
         corners = finer_corners(surface.finer[0], tile, i, j)
-        if surface.layers.count == 0 and surface.bicubic == 0:
+        if surface.layers.count == 0 and surface.bicubic == 0:  # in finer cells, else in raster cells
             piece.i = i
             piece.j = j
             hit, side = in_bilinear(surface, corners, fine, piece)
@@ -330,7 +331,9 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
             i += 2 * east - 1
         else:
             j += 2 * north - 1
-        inside = out < part.last and i >= west_end and j >= south_end and i < west_end + count and j < south_end + count
+        goes_on = (
+            out < part.last and i >= west_end and j >= south_end and i < west_end + count and j < south_end + count
+        )
     return hit, side
 
 

@@ -114,7 +114,7 @@ def hit_in_block(
     hit = NOWHERE
     side = part.side
     done = True
-    if bits == 0:
+    if bits == 0:  # a cell; the ray may run along its western or southern side
         on_west = ray.du == zero and ray.u == wp.float64(part.i)
         on_south = ray.dv == zero and ray.v == wp.float64(part.j)
         if is_ground(surface, part.i, part.j, on_west, on_south):

@@ -136,13 +136,13 @@ def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d
     The boxes are inside low .. high, metres. motion: the movement of the view since the last frame, which has caused
     the change. If the product may have been 0, the lower bound may be -infinity and the upper one infinity.
     """
-    low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
-    high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
+    low_offset = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
+    high_offset = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
     step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
-    x = sizes_of(ends_of(motion.slant_x, low2, high2))
-    y = sizes_of(ends_of(motion.slant_y, low2, high2))
-    growth_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
-    growth_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
+    x = sizes_of(ends_of(motion.slant_x, low_offset, high_offset))
+    y = sizes_of(ends_of(motion.slant_y, low_offset, high_offset))
+    growth_x = slant_change(view.slant_x, motion.slant_x, step, low_offset, high_offset)
+    growth_y = slant_change(view.slant_y, motion.slant_y, step, low_offset, high_offset)
     # (q + change)^2 - q^2, of which the square of a fall may be left away.
     two = wp.float64(2.0)
     fall = two * (smaller(x[0] * growth_x[0], x[1] * growth_x[0]) + smaller(y[0] * growth_y[0], y[1] * growth_y[0]))

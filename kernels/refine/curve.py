@@ -121,11 +121,11 @@ def border_role(
         if p[0] == corner[0]:
             if column > 0:
                 role = TAKE_LEFT
-            elif row > 0 and wp.min(p[1], q[1]) == corner[1]:
+            elif row > 0 and wp.min(p[1], q[1]) == corner[1]:  # it ends on the square's lower left corner
                 role = TO_CORNER
         elif p[0] == corner[0] + side and column < columns - 1:
             role = GIVE_RIGHT
-    elif p[1] == q[1]:
+    elif p[1] == q[1]:  # from west to east
         if p[1] == corner[1] and row > 0:
             role = TAKE_BELOW
         elif p[1] == corner[1] + side and row < rows - 1:

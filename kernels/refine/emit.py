@@ -50,7 +50,7 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     vertices = wp.int32(0)
     edges = wp.int32(0)
     entry_end = end_of_entry(c.state, c.apex, c.right)
-    if q.column > 0:
+    if q.column > 0:  # the square to the left has made the edge
         count_side(domain, w, q, 0)
     else:
         edges = 1
@@ -73,7 +73,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # the one through which the curve leaves
-    if c.cell == wp.uint64(0):
+    if c.cell == wp.uint64(0):  # the square's first leaf
         flags, entry_vertices, entry_edges = emit_entry(domain, w, q, c, n)
         code = code | flags
         vertices = entry_vertices

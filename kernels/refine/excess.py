@@ -156,9 +156,9 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
     for k in range(4):
         p = wp.vec2i(wp.where((k & 1) == 0, x0, x1), wp.where((k & 2) == 0, y0, y1))
         height = surface_height(domain, p)
-        across = t.plane[1] * wp.float64(p[0] - t.drawn[0]) + t.plane[2] * wp.float64(p[1] - t.drawn[1])
-        magnitude = wp.abs(height) + wp.abs(t.plane[0]) + wp.abs(across)
-        largest = larger(largest, wp.abs(height - t.plane[0] - across) + MARGIN * magnitude)
+        rise = t.plane[1] * wp.float64(p[0] - t.drawn[0]) + t.plane[2] * wp.float64(p[1] - t.drawn[1])
+        magnitude = wp.abs(height) + wp.abs(t.plane[0]) + wp.abs(rise)
+        largest = larger(largest, wp.abs(height - t.plane[0] - rise) + MARGIN * magnitude)
     return largest
 
 

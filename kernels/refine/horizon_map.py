@@ -258,6 +258,7 @@ def ground_near(
     east = wp.float64((domain.samples.columns - 1) << bits)
     north = wp.float64((domain.samples.rows - 1) << bits)
     high = wp.float64(wp.inf)
+    # The square is inside the raster.
     if x - reach > wp.float64(1.0) and y - reach > wp.float64(1.0):
         if x + reach < east - wp.float64(1.0) and y + reach < north - wp.float64(1.0):
             x0 = wp.max(wp.int32(x - reach) - 1 - margin_units, 0)

@@ -303,7 +303,7 @@ def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
             pixel2 = smaller(pixel2, p2)
             edge2 = smaller(edge2, e2)
             inside = wp.min(inside, view_inside)
-    if d.border > 0:
+    if d.border > 0:  # it extends beyond the raster's border
         pixel2 = wp.float64(wp.inf)
         edge2 = wp.float64(wp.inf)
     return pixel2, edge2, inside
@@ -322,7 +322,8 @@ def ratio2_at(
     """Return the largest squared ratio of a diamond at `depth` to the criteria.
 
     unit_bits: a root square has 2^unit_bits lattice units a side. Floats are squared. pixel2, edge2: footprints of
-    heights and of edges, metres. metres2: weighed error. climb2: height difference along its edges, metres.
+    heights and of edges, metres. metres2: the error that the criterion compares, metres. climb2: height difference
+    along the diamond's edges, metres.
     """
     largest = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:
@@ -344,9 +345,9 @@ def too_coarse_at(
 ):
     """Return whether a diamond exceeds the criterion times `limit`.
 
-    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error. long2,
-    legs2: longest edge and twice the area.
+    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: the error that the
+    criterion compares, metres. long2, legs2: longest edge and twice the area, metres.
     """
     coarse = metres2 > limit * pixel2 * criterion.error_px2 or metres2 > limit * criterion.metres2
-    px2 = limit * edge2
-    return coarse or long2 > px2 * criterion.edge_px2 or legs2 > px2 * criterion.area_px2
+    limit_edge2 = limit * edge2
+    return coarse or long2 > limit_edge2 * criterion.edge_px2 or legs2 > limit_edge2 * criterion.area_px2

@@ -107,7 +107,7 @@ def judge(
     if verdict == SPLIT and bisections > 0 and bisections <= MAX_BISECTIONS:
         if can_copy_block(w, q, c):
             verdict = EVEN_BLOCK
-            if w.intervals[interval_index].leaf_depth > w.max_depth:
+            if w.intervals[interval_index].leaf_depth > w.max_depth:  # its leaves are too coarse
                 w.counts[4 * w.slot + STOPPED] = wp.int64(1)
     return verdict, interval_index
 
@@ -143,7 +143,7 @@ def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
     end = w.first_cell
     begin_reuse(r, w.slot)
     for depth in range(STACK):
-        w.diamonds[w.slot * STACK + depth].middle = wp.vec2i(-1, -1)
+        w.diamonds[w.slot * STACK + depth].middle = wp.vec2i(-1, -1)  # no diamond of this depth is measured yet
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
         q = square_at(domain, w, square)

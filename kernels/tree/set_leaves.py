@@ -222,14 +222,14 @@ def set_leaves(t: Bitfield, run: LeafRun):
     next_same = first_of_same(run, same)
     while k < run.count:
         log2_size = log2_size_of(run, k)
-        if k == next_same:
+        if k == next_same:  # a node whose leaves the tree has already
             log2_size = run.cell_depth - run.same[same].depth
         num_filled = wp.int32(0)
         if level > 0 and log2_size < WORD_BITS * level and log2_size >= WORD_BITS * (level - 1):
             if (cell & (cells_of_bit(level) - ONE)) == wp.uint64(0) and k < next_same:
                 # Whole words of the next level: its leaves take bits of them, and the first begins at a word's start.
                 page = page_below(t, slots[level])
-                if page == 0:
+                if page == 0:  # the pool is full
                     return
                 bit = bit_of(cell, level)
                 num_leaves, num_filled = fill_below(t, run, level, page, bit, k, next_same)
@@ -245,7 +245,7 @@ def set_leaves(t: Bitfield, run: LeafRun):
                 bits[level] = bits[level] | (ONE << wp.uint64(bit))
                 entered[level] = entered[level] | (ONE << wp.uint64(bit))
                 page = page_below(t, slots[level])
-                if page == 0:
+                if page == 0:  # the pool is full
                     return
                 level -= 1
                 slots[level] = 64 * page + bit

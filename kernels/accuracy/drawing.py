@@ -46,7 +46,7 @@ def draw_triangles(
                 v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) / area
                 w = wp.float64(1.0) - u - v
                 key = u * a[2] + v * b[2] + w * c[2]
-                # The pixel is in the triangle, which is nearer here than what is shown.
+                # The pixel is in the triangle, which is nearer here than the one shown.
                 if wp.min(u, wp.min(v, w)) >= wp.float64(0.0) and key > depth_key[y * width + x]:
                     depth_key[y * width + x] = key
                     shown[y * width + x] = t

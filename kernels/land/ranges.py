@@ -148,7 +148,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
         for di in range(-1, 2):
             ci = i + wp.float64(di)
             cj = j + wp.float64(dj)
-            # Noise at a point of its own for each cell: slopes place the volcano, the value is its strength.
+            # Noise at another point for each cell: its slopes place the volcano, its value gives the strength.
             px = ci * wp.float64(0.731) + wp.float64(0.41)
             py = cj * wp.float64(0.617) + wp.float64(0.27)
             pick = noise(px, py, seed + wp.uint32(64))

@@ -125,9 +125,8 @@ def resample_rows(
         fraction_v = at_v[1]
         source_column = wp.int32(at_u[0]) - left
         source_row = wp.int32(at_v[0]) - top
-        # The samples do not cover it.
         if source_column < 1 or source_row < 1 or source_column + 2 >= width or source_row + 2 >= height:
-            continue
+            continue  # the samples do not cover it
         k = source_row * width + source_column  # a fraction of 0 reads no sample beyond, which may be missing
         right = wp.int32(0)
         if fraction_u > wp.float64(0.0):

@@ -130,14 +130,14 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
     """
     lattice = field.lattice
     rows = lattice.cells_y
-    found = np.zeros((rows, 4))
+    extents = np.zeros((rows, 4))
     inputs = [
         codes.pack_samples(field.samples, field.steps),
-        wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
+        wp.array(extents, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
     ]
     bicubic_errors.launch_step(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
-    low, high = float(found[:, 0].min()), float(found[:, 1].max())
-    steepest = found[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
+    low, high = float(extents[:, 0].min()), float(extents[:, 1].max())
+    steepest = extents[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
     return [*hierarchy.range_scale(low, high), low, high, *steepest.tolist()]
 
 

@@ -75,12 +75,13 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
     errors, off = (np.zeros(max(lattice.cell_base - first, 1), np.float32) for _ in range(2))
     largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
 
-    def raise_to(found: dict[int, float], unused: int = MIN_EXPONENT) -> None:
-        """Raise the exponents for the largest errors found in groups, metres, and translate the codes so far.
+    def raise_to(by_group: dict[int, float], unused: int = MIN_EXPONENT) -> None:
+        """Raise the exponents for further errors, and translate the codes so far.
 
-        unused: exponent of a group without errors. At the end it is 0, that of `exponent_of(0)`, as in other fields.
+        by_group: largest of these errors by number of a group, metres. unused: exponent of a group without errors. At
+        the end it is 0, that of `exponent_of(0)`, as in other fields.
         """
-        for group, error in found.items():
+        for group, error in by_group.items():
             largest[group] = max(largest[group], error)
         exponents_of_groups = [codes.exponent_of(error) if error > 0.0 else unused for error in largest]
         for group, (before, after) in enumerate(
@@ -199,13 +200,13 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
 
     Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
-    found = {lattice.groups + 1: float(window.curvatures.max())}
+    by_group = {lattice.groups + 1: float(window.curvatures.max())}
     ends = [depth.base for depth in window.depths[1:]] + [len(window.errors)]
     for bisections, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
         if bisections < TILE_DEPTHS:
             group = lattice.group(lattice.cell_depth - bisections)
-            found[group] = max(found.get(group, 0.0), float(window.errors[depth.base : end].max()))
-    return found
+            by_group[group] = max(by_group.get(group, 0.0), float(window.errors[depth.base : end].max()))
+    return by_group
 
 
 def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:

@@ -18,10 +18,10 @@ def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0
     for axis in (0, 1):
         last = samples.shape[axis] - 1
         first = np.arange(0, last, side)
-        found = np.take(samples, first, axis)
+        reduced = np.take(samples, first, axis)
         for k in range(-around, side + 1 + around):
-            reduce(found, np.take(samples, np.clip(first + k, 0, last), axis), out=found)
-        samples = found
+            reduce(reduced, np.take(samples, np.clip(first + k, 0, last), axis), out=reduced)
+        samples = reduced
     return samples
 
 

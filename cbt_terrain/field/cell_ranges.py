@@ -33,18 +33,18 @@ def rectangle_ranges(
     bits = max(int(np.floor(np.log2(max(smallest * FRACTION, 1.0)))), FINEST_BITS)
     if bits > lattice.levels:
         return np.broadcast_to((field.min_height, field.max_height), (len(rows), len(columns), 2)).copy()
-    found = _cells(field, bits).astype(np.float64)
+    ranges = _cells(field, bits).astype(np.float64)
     for axis, sides in ((0, rows), (1, columns)):
         limits = np.array(sides) / 2.0**bits
-        first = np.clip(np.floor(limits[:, 0] + 1e-9).astype(int), 0, found.shape[axis] - 1)
-        last = np.clip(np.ceil(limits[:, 1] - 1e-9).astype(int), first + 1, found.shape[axis])
+        first = np.clip(np.floor(limits[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
+        last = np.clip(np.ceil(limits[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
         pairs = np.stack([first, last], axis=1).ravel()
-        padded = np.concatenate([found, np.take(found, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
+        padded = np.concatenate([ranges, np.take(ranges, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
-        found = np.stack([low, high], axis=-1)
+        ranges = np.stack([low, high], axis=-1)
     change = field.finer.max_change if field.finer is not None else 0.0
-    return field.range_base + found * field.range_step + (-change, change)
+    return field.range_base + ranges * field.range_step + (-change, change)
 
 
 def _cells(field: HeightField, bits: int) -> np.ndarray:
@@ -57,5 +57,5 @@ def _cells(field: HeightField, bits: int) -> np.ndarray:
     x = depth.first + np.arange(-(-lattice.cells_x >> bits), dtype=np.int64) * depth.step
     y = (depth.first + np.arange(-(-lattice.cells_y >> bits), dtype=np.int64) * depth.step)[:, None]
     page = (y >> 5) * depth.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
-    inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
-    return field.ranges[depth.base + (page << 10 | inside)]
+    in_page = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
+    return field.ranges[depth.base + (page << 10 | in_page)]

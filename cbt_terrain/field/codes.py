@@ -196,11 +196,11 @@ def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
         with np.errstate(over="ignore"):  # infinity is out of range, too
-            found = block if steps.is_plain else (block.astype(np.float64) - steps.offset) / steps.scale
-            found = np.rint(found) - np.float32(steps.first)
-        if not (0 <= found.min() and found.max() <= 65535):
+            values = block if steps.is_plain else (block.astype(np.float64) - steps.offset) / steps.scale
+            values = np.rint(values) - np.float32(steps.first)
+        if not (0 <= values.min() and values.max() <= 65535):
             return False
-        numbers[row : row + ROWS] = found
+        numbers[row : row + ROWS] = values
         if not np.array_equal(steps.heights(numbers[row : row + ROWS]), block):
             return False
     return True

@@ -39,10 +39,10 @@ def derive(
     them; it is called again, for arrays in memory, if the store cannot be written. is_valid: further test of cached
     arrays; False computes them again.
     """
-    found = load(raster, shapes)
-    if found is None or not (is_valid is None or is_valid(found)):
-        found = load(raster, shapes) if _fill_in_store(raster, shapes, fill) else None
-    return _fill_in_memory(shapes, fill) if found is None else found
+    arrays = load(raster, shapes)
+    if arrays is None or not (is_valid is None or is_valid(arrays)):
+        arrays = load(raster, shapes) if _fill_in_store(raster, shapes, fill) else None
+    return _fill_in_memory(shapes, fill) if arrays is None else arrays
 
 
 def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
@@ -54,9 +54,9 @@ def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], 
 
 def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
     """Return arrays by name in memory, zeroed and then filled by `fill`. shapes: (shape, dtype) of each."""
-    found = {name: np.zeros(*of) for name, of in shapes.items()}
-    fill(found)
-    return found
+    arrays = {name: np.zeros(*of) for name, of in shapes.items()}
+    fill(arrays)
+    return arrays
 
 
 def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:

@@ -69,11 +69,11 @@ def masked_terms(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> lis
     steps: metres of the cell's sides.
     """
     g, w = length((1 / steps[0], 1 / steps[1])), 2 / (steps[0] * steps[1])
-    found = []
+    terms = []
     for part in parts:
         splits = (Split(f, n + 2 * g * s + w * a, s + g * a, a) for f, n, s, a in part.splits)
-        found.append(DetailTerm(part.highest, part.steep + g * part.highest, part.shortest, tuple(splits)))
-    return found
+        terms.append(DetailTerm(part.highest, part.steep + g * part.highest, part.shortest, tuple(splits)))
+    return terms
 
 
 def highest(parts: Iterable[DetailTerm]) -> float:
@@ -127,12 +127,12 @@ def tables(
     bound and leaves for the second, since they may meet several cells: with a mask it is the depth of half a cell.
     """
     limit = 2 * highest(parts)
-    found = [(limit, limit)]
+    bounds = [(limit, limit)]
     for depth in range(1, 64):
         drawn, leaf = (radius_at(steps, levels, d) for d in (depth + 2 * meshlet, depth))
         smooth = depth + 2 * meshlet >= smooth_from, depth >= smooth_from
-        found.append(
+        bounds.append(
             (max_distance(parts, drawn) if smooth[0] else limit, max_climb(parts, leaf) if smooth[1] else limit)
         )
-    above = np.minimum.accumulate(np.array(found), axis=0) * OUTWARD
+    above = np.minimum.accumulate(np.array(bounds), axis=0) * OUTWARD
     return np.nextafter(above.astype(np.float32), np.float32(np.inf))

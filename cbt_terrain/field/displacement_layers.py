@@ -136,14 +136,14 @@ def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet
     """
     steps, cell = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)
-    found = [tables(first, steps, lattice.levels, meshlet)]
+    bounds = [tables(first, steps, lattice.levels, meshlet)]
     for parts in others:
         table = tables(parts, steps, lattice.levels, meshlet, smooth_from=cell)
-        found[0][:, 1] += table[:, 1]
+        bounds[0][:, 1] += table[:, 1]
         table[:, 0] *= np.float32(1.0 / ALL) * ROUNDING
-        found.append(table)
-    found[0][:, 1] *= ROUNDING if others else np.float32(1.0)
-    return np.stack(found)
+        bounds.append(table)
+    bounds[0][:, 1] *= ROUNDING if others else np.float32(1.0)
+    return np.stack(bounds)
 
 
 def mask_levels(lattice: Lattice) -> np.ndarray:

@@ -36,5 +36,5 @@ def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.
         """Compute all levels."""
         fill_levels(arrays[name], rows, columns, reduce, finest)
 
-    found = derive_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
-    return found, *level_offsets(level_shapes(rows, columns), int(kernels.FINEST))
+    extremes = derive_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
+    return extremes, *level_offsets(level_shapes(rows, columns), int(kernels.FINEST))

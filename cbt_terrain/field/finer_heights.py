@@ -192,10 +192,10 @@ def _is_filled(
         if record["inputs"] != inputs:
             continue
         if arrays is not None:
-            found = [arrays("heights", tile) for tile in tiles]
-            if any(array is None for array in found):
+            stored = [arrays("heights", tile) for tile in tiles]
+            if any(array is None for array in stored):
                 continue
-            for tile, array in zip(tiles, found, strict=True):
+            for tile, array in zip(tiles, stored, strict=True):
                 heights[numbers[tile[1], tile[0]]] = array
         if record["sums"] == digest_of(map(inner_heights, tiles)):
             records.use(FILLED, place, record, arrays is not None)

@@ -18,15 +18,15 @@ def inputs_of_tiles(
     """Return by row and column of each tile a digest of all that determines its change: its square's part around it."""
     lattice, digests = plain.lattice, {}
     for row, column in np.argwhere(numbers >= 0).tolist():
-        nodes = raster_nodes(plain, bits, *((SIDE * at, SIDE * (at + 1)) for at in (column, row)))
+        nodes = raster_nodes(plain, bits, *((SIDE * index, SIDE * (index + 1)) for index in (column, row)))
         digests[row, column] = digest_of([heights[numbers[row, column]], nodes])
-    found, steps = {}, (lattice.step_x, lattice.step_y)
+    inputs, steps = {}, (lattice.step_x, lattice.step_y)
     for row, column in digests:
         around = [digests.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
         ends = (lattice.cells_x << bits) - SIDE * column, (lattice.cells_y << bits) - SIDE * row
         place = [min(column, 1), min(row, 1), *(min(end, 3 * SIDE) for end in ends)]
-        found[row, column] = digest_of([], repr((bits, steps, place, around)))
-    return found
+        inputs[row, column] = digest_of([], repr((bits, steps, place, around)))
+    return inputs
 
 
 def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float] | None:
@@ -47,10 +47,10 @@ def is_measured(records: FinerRecords, kind: str, tile: Tile, inputs: str, array
         if record["inputs"] != inputs:
             continue
         if arrays is not None:
-            found = arrays(NAMES[kind], tile)
-            if found is None:
+            earlier = arrays(NAMES[kind], tile)
+            if earlier is None:
                 continue
-            array[...] = found
+            array[...] = earlier
         if record["sums"] == digest_of([array]):
             records.use(kind, tile, record, arrays is not None)
             return True

@@ -109,8 +109,8 @@ def from_crs(place: Place, coordinates: np.ndarray) -> np.ndarray:
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
     """Return semi-major axis (metres) and inverse flattening (0: a sphere) from a CRS's WKT; WGS 84 if it has none."""
-    found = _ELLIPSOID.search(wkt)
-    return (float(found[1]), float(found[2])) if found else WGS84
+    match = _ELLIPSOID.search(wkt)
+    return (float(match[1]), float(match[2])) if match else WGS84
 
 
 def degree_lengths(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> tuple[float, float]:

@@ -33,11 +33,10 @@ def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, thre
     """Raise `errors` (float32 [lattice.node_count], metres) of diamonds on the border of a hole.
 
     Return the kinds of cells (ground 1, hole 2, both 3) below each diamond, uint8 like `errors`; tiles of a large
-    raster store them. valid: uint8 [height, width],
-    0 where a sample is missing.
+    raster store them. valid: uint8 [height, width], 0 where a sample is missing.
     """
-    found = np.zeros(lattice.node_count, np.uint8)
-    kinds, out = flat(found, wp.uint8), flat(errors, wp.float32)
+    cell_kinds = np.zeros(lattice.node_count, np.uint8)
+    kinds, out = flat(cell_kinds, wp.uint8), flat(errors, wp.float32)
 
     cells = stored_at(lattice, lattice.cell_depth)
     inputs = [flat(valid, wp.uint8), lattice.width, cells, kinds]
@@ -45,7 +44,7 @@ def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, thre
     for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         inputs = [wp.float32(longest_edge(lattice, depth)), finer, coarser, kinds, out]
         launch.spread(kernels.raise_borders, count, inputs, step="holes", threads=threads)
-    return found
+    return cell_kinds
 
 
 def longest_edge(lattice: Lattice, depth: int) -> float:

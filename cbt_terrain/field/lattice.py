@@ -201,10 +201,10 @@ def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
     return entries, pages_a_row
 
 
-def _multiple_near(at: float, limit: float) -> float:
+def _multiple_near(value: float, limit: float) -> float:
     """Return the multiple of ANCHOR_STEP from -limit to limit that is nearest to a number."""
     largest = limit // ANCHOR_STEP * ANCHOR_STEP
-    return min(max(round(at / ANCHOR_STEP) * ANCHOR_STEP, -largest), largest)
+    return min(max(round(value / ANCHOR_STEP) * ANCHOR_STEP, -largest), largest)
 
 
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:

@@ -129,19 +129,19 @@ def find_moved(path: str, new: Path) -> str:
     if not pairs or {"", ".", ".."} & set(parts[pairs[-1] :]):
         return ""
     name, rest = parts[pairs[-1]], parts[pairs[-1] + 1 :]
-    ending, found = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
+    ending, moved = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
     for store in names_of(name.removesuffix(ending)):
         if not (new / store).exists():
             break
-        found = str(new.joinpath(store + ending, *rest))
-    return found
+        moved = str(new.joinpath(store + ending, *rest))
+    return moved
 
 
 def move_entry(source: Path, target: Path) -> None:
     """Move a file or a folder to a free path, also on another file system.
 
-    Raises OSError, or TerrainError, also for a link; nothing is lost then. path: the file or folder. target: its new
-    path.
+    Raises OSError, or TerrainError, also for a link; nothing is lost then. source: the file or folder. target: its
+    new path.
     """
     check_no_link(source, "start Blender again")
     if os.lstat(source).st_dev == os.stat(target.parent).st_dev:

@@ -36,8 +36,8 @@ def copy_store(
     stores.open_store(source)
     store_folder.check_target(target)
     if (target / store_folder.JSON_NAME).exists():
-        there = stores.read_json(target)
-        if (there["key"], there["data"]) == (content["key"], name):
+        target_content = stores.read_json(target)
+        if (target_content["key"], target_content["data"]) == (content["key"], name):
             stores.open_store(target)
             return
         raise TerrainError(f"The folder {target} holds the store of another terrain", fix="choose another folder")

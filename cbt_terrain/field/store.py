@@ -113,8 +113,8 @@ def read_json(path: Path, file: Path | None = None) -> dict:
         raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
     is_finer = isinstance(content, dict) and "finer" in content
     if not isinstance(content, dict) or content.get("version") != (FINER_VERSION if is_finer else VERSION):
-        found = content.get("version") if isinstance(content, dict) else None
-        raise TerrainError(f"The store {path} has version {found}", expected=f"version {VERSION}", fix=REMEDY)
+        version = content.get("version") if isinstance(content, dict) else None
+        raise TerrainError(f"The store {path} has version {version}", expected=f"version {VERSION}", fix=REMEDY)
     try:
         check_entries(content)
         if content["sum"] != _sum_of(content):
@@ -191,8 +191,8 @@ def is_intact(field: HeightField) -> bool:
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
     arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
-    arrays += [found[0] for key, found in field.cache.results.items() if key[0] in ("tops", finer_tiles.PYRAMID)]
-    layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
+    arrays += [result[0] for key, result in field.cache.results.items() if key[0] in ("tops", finer_tiles.PYRAMID)]
+    layers = [result for key, result in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
     finer = {id(surface.finer): surface.finer for surface in surfaces if surface.finer is not None}

@@ -59,15 +59,15 @@ def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.
 
     blocks: numbers of blocks of BLOCK_BYTES each; the last block of the array may be shorter.
     """
-    data, found = array.reshape(-1).view(np.uint8).data, np.zeros(len(blocks), np.uint32)
+    data, sums = array.reshape(-1).view(np.uint8).data, np.zeros(len(blocks), np.uint32)
 
     def sum_up(first: int) -> None:
         """Compute every `threads`-th checksum, from number `first` on."""
         for k in range(first, len(blocks), threads):
-            found[k] = zlib.crc32(data[blocks[k] * BLOCK_BYTES : (blocks[k] + 1) * BLOCK_BYTES])
+            sums[k] = zlib.crc32(data[blocks[k] * BLOCK_BYTES : (blocks[k] + 1) * BLOCK_BYTES])
 
     launch.together([partial(sum_up, first) for first in range(threads)])
-    return found
+    return sums
 
 
 def all_checksums(array: np.ndarray) -> bytes:
@@ -75,13 +75,13 @@ def all_checksums(array: np.ndarray) -> bytes:
 
     Pages of a mapped array are released from memory; their content is in the file.
     """
-    threads, count, found = launch.default_threads(), block_count(array.nbytes), []
+    threads, count, sums_of_parts = launch.default_threads(), block_count(array.nbytes), []
     mapped = getattr(array.base, "_mmap", None)
     for first in range(0, count, SUMMED):
-        found.append(checksums(array, range(first, min(first + SUMMED, count)), threads).astype("<u4"))
+        sums_of_parts.append(checksums(array, range(first, min(first + SUMMED, count)), threads).astype("<u4"))
         if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):  # its pages count as memory of this process
             mapped.madvise(mmap.MADV_DONTNEED)
-    return b"".join(sums.tobytes() for sums in found)
+    return b"".join(sums.tobytes() for sums in sums_of_parts)
 
 
 def write_array(file: Path, array: np.ndarray) -> None:

@@ -46,8 +46,8 @@ def _is_lattice(value: JsonValue) -> bool:
     width, height = value["width"], value["height"]
     if not (_is_count(width, 2) and _is_count(height, 2)):
         return False
-    known = _is_extent(width - 1, value["step_x"]) and _is_extent(height - 1, value["step_y"])
-    return known and fit(**value).is_addressable
+    fits_limits = _is_extent(width - 1, value["step_x"]) and _is_extent(height - 1, value["step_y"])
+    return fits_limits and fit(**value).is_addressable
 
 
 def _is_provenance(value: JsonValue) -> bool:
@@ -171,10 +171,10 @@ def check_entries(content: dict) -> None:
 
     Entries that are in neither table are ignored.
     """
-    for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
+    for name, (is_valid, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
             raise ValueError(f"{name!r} is missing, expected {expected}")
-        if not good(content[name]):
+        if not is_valid(content[name]):
             raise ValueError(f"its {name!r} is {shown(repr(content[name]))}, expected {expected}")
     low, high, exponents = content["min_height"], content["max_height"], content["exponents"]
     if low > high:

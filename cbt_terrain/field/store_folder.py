@@ -56,14 +56,14 @@ def check_target(path: str | os.PathLike) -> None:
             return
         if not folder.is_dir():
             raise TerrainError(f"The store {folder} is a file, not a folder", fix="choose another name")
-        found = [] if is_land(folder) else foreign(folder)  # a user's file beside shaped land stays there
-        if found and (folder / JSON_NAME).exists():
+        others = [] if is_land(folder) else foreign(folder)  # a user's file beside shaped land stays there
+        if others and (folder / JSON_NAME).exists():
             return  # another process has written a store meanwhile
     except OSError as reason:
         what = f"The store {shown(path)} cannot be used ({reason.strerror or reason})"
         raise TerrainError(what, fix="choose another folder") from reason
-    if found:
-        held = str(found[0].relative_to(folder))
+    if others:
+        held = str(others[0].relative_to(folder))
         raise TerrainError(
             f"The folder {folder} is no terrain store and holds {held!r}", fix="choose a new or an empty folder"
         )
@@ -79,15 +79,15 @@ def foreign(folder: Path) -> list[Path]:
 
     Their paths are sorted.
     """
-    found = []
+    entries = []
     with suppress(FileNotFoundError):  # another import has just removed it
         for entry in folder.iterdir():
             if is_data_name(entry.name) and owned_files.is_real_folder(entry):
                 with suppress(FileNotFoundError):
-                    found += [inner for inner in entry.iterdir() if not is_array_file(inner)]
+                    entries += [inner for inner in entry.iterdir() if not is_array_file(inner)]
             elif not is_array_folder(entry) and os.path.lexists(entry):
-                found.append(entry)
-    return sorted(found)
+                entries.append(entry)
+    return sorted(entries)
 
 
 def is_array_folder(folder: Path) -> bool:

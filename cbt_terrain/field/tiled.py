@@ -113,23 +113,23 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     The last one has an odd number of rows or columns.
     """
     first = 2.0 * image.values.astype(np.float64) - 1.0
-    heights, off = [first.astype(np.float32)], []
+    heights, ranges = [first.astype(np.float32)], []  # ranges: of the difference of each net to the next
     while all(n % 2 == 0 for n in heights[-1].shape):
         net = heights[-1].astype(np.float64)
         heights.append(_halve_net(net).astype(np.float32))
-        off.append(_range(net - _double_net(heights[-1].astype(np.float64))))
-    smooth = [_bounds(net.astype(np.float64)) for net in heights]
-    found = []
+        ranges.append(_range(net - _double_net(heights[-1].astype(np.float64))))
+    bounds = [_bounds(net.astype(np.float64)) for net in heights]
+    nets = []
     for k, values in enumerate(heights):
         splits, far = [], 0.0
         for j in range(k, len(heights)):
             side = 2.0 ** (j - k)
-            curvature, steep, highest = smooth[j]
+            curvature, steep, highest = bounds[j]
             splits.append(Split(far, curvature / (side * side) * OUTWARD, steep / side * OUTWARD, highest * OUTWARD))
-            far += off[j] * OUTWARD if j < len(off) else 0.0
+            far += ranges[j] * OUTWARD if j < len(ranges) else 0.0
         splits.append(Split(_range(values.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))
-        found.append(_Net(np.ascontiguousarray(values), tuple(splits)))
-    return tuple(found)
+        nets.append(_Net(np.ascontiguousarray(values), tuple(splits)))
+    return tuple(nets)
 
 
 def _range(net: np.ndarray) -> float:
@@ -176,7 +176,7 @@ def _bounds(net: np.ndarray) -> tuple[float, float, float]:
 
 def _max_around(values: np.ndarray, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
     """Return the largest magnitude from rows[0] to rows[1] and columns[0] to columns[1] after each pixel."""
-    found = np.abs(values)
+    largest = np.abs(values)
     for axis, (first, last) in enumerate((rows, columns)):
-        found = reduce(np.maximum, (np.roll(found, -k, axis) for k in range(first, last + 1)))
-    return found
+        largest = reduce(np.maximum, (np.roll(largest, -k, axis) for k in range(first, last + 1)))
+    return largest

@@ -25,7 +25,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     field.raster.check_samples()
-    folder, found = data_folder(field.raster), {}
+    folder, block_counts = data_folder(field.raster), {}
     if folder is None:
         raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
     arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
@@ -36,8 +36,8 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     for name, array in arrays.items():
         stopping.check()
         if array is not None:
-            found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
-    derived = {f"{name}.npy": like for name, like in derived_shapes(field.lattice).items()}
+            block_counts[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+    derived = {f"{name}.npy": shape_and_dtype for name, shape_and_dtype in derived_shapes(field.lattice).items()}
     derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
     finer = field.raster.finer
     if finer is not None:
@@ -55,10 +55,10 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     for name, (shape, dtype) in derived.items():
         if os.path.lexists(folder / name):
             try:
-                found[name] = verify_array(folder / name, shape, dtype)
+                block_counts[name] = verify_array(folder / name, shape, dtype)
             except TerrainError as error:
                 raise TerrainError(error.what, fix="delete the file; it is computed again on demand") from error
-    return found
+    return block_counts
 
 
 def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:

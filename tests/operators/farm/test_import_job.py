@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs that import a large height map on a farm: their template, and a run by openjd-cli."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,10 +16,10 @@ from openjd.model import decode_job_template
 from rasters import hills
 from store_exports import run
 from tiled_stores import assert_same, tiled  # noqa: F401
+from worker_program import worker_program
 
 # Stands for Blender: imports in its own process, with small tiles.
 WORKER = """
-import sys
 from adaptive_terrain.cbt_terrain.importing import build_store, import_process, import_work, tile_import
 from adaptive_terrain.operators.cli import command_line
 tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
@@ -29,8 +28,10 @@ def import_source(settings, store, on_progress, _on_preview, part):
     return build_store.run_import(settings, store, on_progress, part=part)
 
 import_process.import_source = import_source
-assert sys.argv[1:3] == ["--command", "adaptive_terrain"]
-sys.exit(command_line.main(sys.argv[3:]))
+
+def work(arguments):
+    assert arguments[:2] == ["--command", "adaptive_terrain"]
+    return command_line.main(arguments[2:])
 """
 
 
@@ -45,14 +46,9 @@ def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatc
     monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
     lines = import_job.write_import_job(settings, (120, 90), tmp_path / "store", tmp_path / "job", 6)
     assert lines[0].endswith("is a job of 12 tiles, 6 a task")
-    worker = tmp_path / "blender"
-    worker.write_text(f"#!{sys.executable}\n{WORKER}")
-    worker.chmod(0o755)
     command = lines[1].removeprefix("to run it on this machine: ").replace("openjd run", f"{openjd()} run")
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    done = subprocess.run(
-        f"{command} --job-param Blender={worker}", shell=True, env=environment, capture_output=True, text=True
-    )
+    with worker_program(tmp_path / "blender", WORKER) as worker:
+        done = subprocess.run(f"{command} --job-param Blender={worker}", shell=True, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("done: 6") == 4
     assert_same(tmp_path / "store", tmp_path / "whole")

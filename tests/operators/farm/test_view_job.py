@@ -24,12 +24,11 @@ from rasterio.transform import from_origin
 from rasters import hills, write_raster
 from store_exports import run
 from tiled_stores import content
+from worker_program import worker_program
 
 # Stands for Blender: runs verbs with small tiles, and imports in its own process. It dies after its first tile if told.
 WORKER = """
-import contextlib, os, sys
-if "--command" not in sys.argv:
-    sys.exit(0)  # the guard
+import contextlib, os
 from adaptive_terrain.cbt_terrain.importing import build_store, import_work, refining, tile_import, tile_tasks
 from adaptive_terrain.cbt_terrain.rasters import raster
 from adaptive_terrain.cbt_terrain.tiling import part_files
@@ -61,7 +60,9 @@ need_bpy("A worker")
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.importing import shot_import, shot_tiles
 preparing.import_source = shot_tiles.import_source = shot_import.import_source = import_source
-sys.exit(command_line.main(sys.argv[3:]))
+
+def work(arguments):
+    return command_line.main(arguments[2:]) if "--command" in arguments else 0  # the guard
 """
 
 
@@ -90,12 +91,15 @@ def shot(scene, add_terrain, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def worker(tmp_path_factory):
+    with worker_program(tmp_path_factory.mktemp("worker") / "blender", WORKER) as program:
+        yield program
+
+
 @pytest.fixture
-def start(tmp_path):
+def start(tmp_path, worker):
     """Return a function that starts openjd-cli on a step of the job in tmp_path."""
-    worker = tmp_path / "blender"
-    worker.write_text(f"#!{sys.executable}\n{WORKER}")
-    worker.chmod(0o755)
     values = f"file://{tmp_path / 'job' / bundle.OPENJD_VALUES}"
 
     def started(step, *arguments, **variables):

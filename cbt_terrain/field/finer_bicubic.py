@@ -29,6 +29,7 @@ from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
 from .heightfield import HeightField, HeightRaster
 from .hierarchy import ranges_at
 
+NEAR = 4  # finer cells from a sample in a box of 3 x 3 finer cells, with which the walk begins, to its other cells
 Arrays = dict[str, np.ndarray]
 
 
@@ -144,21 +145,21 @@ def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndar
 
 
 def distances_from_bilinear(smooth: HeightField, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bound how far the surface is from the bilinear one between finer heights in the cells around finer samples.
+    """Bound how far the surface is from the bilinear one between finer heights in the cells near finer samples.
 
-    The result is float64 [y, x] metres. Samples outside of the raster count as those at its border. x, y: finer columns
-    and rows. bits: a raster cell has 2^bits finer cells a side.
+    The result is float64 [y, x] metres. It counts raster cells up to NEAR finer cells away, as the walk does for boxes
+    of a few finer cells: so the stored ranges enclose those. Samples outside of the raster count as those at its
+    border. x, y: finer columns and rows. bits: a raster cell has 2^bits finer cells a side.
     """
     lattice, sides = smooth.lattice, []
     for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
-        inside = np.clip(at, 0, cells << bits)
-        after = np.minimum(inside >> bits, cells - 1)
-        before = np.maximum(-(-inside >> bits) - 1, 0)
-        sides.append((before, after, int(before.min())))
-    (south, north, row), (west, east, column) = sides
-    spreads = _patch_ranges(smooth, slice(column, int(east.max()) + 1), slice(row, int(north.max()) + 1))
-    rows = np.maximum(spreads[south - row], spreads[north - row])
-    return np.maximum(rows[:, west - column], rows[:, east - column]) * (3.0 / (1 << 2 * bits))
+        inside, steps = np.clip(at, 0, cells << bits), [*range(-NEAR, NEAR, min(NEAR, 1 << bits)), NEAR - 1]
+        sides.append(np.array([np.clip((inside + step) >> bits, 0, cells - 1) for step in steps]))
+    rows, columns = sides
+    row, column = int(rows.min()), int(columns.min())
+    spreads = _patch_ranges(smooth, slice(column, int(columns.max()) + 1), slice(row, int(rows.max()) + 1))
+    spreads = spreads[rows - row].max(axis=0)
+    return spreads[:, columns - column].max(axis=1) * (3.0 / (1 << 2 * bits))
 
 
 def _patch_ranges(smooth: HeightField, columns: slice, rows: slice) -> np.ndarray:

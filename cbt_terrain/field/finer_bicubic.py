@@ -9,9 +9,8 @@ b and l of the bicubic and the bilinear surface. In the ring of tiles around the
 
 The tiles hold these heights, and the errors and limits of the differences, which is their change. In a finer cell the
 surface is the bilinear one between the heights plus the bicubic surface minus its bilinear interpolation between the
-corners. The latter is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side h, in raster cells. A second
-derivative is at most 12 times the range of a patch's control heights (six times a second difference of them), so that
-is 3 h^2 times the range. It widens the ranges of heights.
+corners. The latter is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side h, in raster cells, and so h^2
+times the curvature of the patch (bicubic.py). Its largest bound in any tile widens the ranges of heights.
 """
 
 from functools import partial
@@ -29,7 +28,6 @@ from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
 from .heightfield import HeightField, HeightRaster
 from .hierarchy import ranges_at
 
-NEAR = 4  # finer cells from a sample in a box of 3 x 3 finer cells, with which the walk begins, to its other cells
 Arrays = dict[str, np.ndarray]
 
 
@@ -42,17 +40,18 @@ def bicubic_tiles(smooth: HeightField) -> tuple[FinerTiles, float, float]:
     assert finer is not None
     shapes = bicubic_shapes(smooth.lattice, finer.bits, len(finer.heights))
     arrays = derived_arrays.derive(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
-    exponent, *scale, low, high = arrays["finer_values_c"].tolist()
+    exponent, *scale, low, high, off = arrays["finer_values_c"].tolist()
     heights, errors, ranges, limits = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits"))
-    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, *scale, int(exponent), limits)
+    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, *scale, int(exponent), limits, off=off)
     return tiles, low, high
 
 
 def _are_valid(arrays: Arrays) -> bool:
     """Return whether the numbers among arrays from files can be an exponent, a scale and a range of heights."""
     values = arrays["finer_values_c"]
-    exponent, _base, step, low, high = values.tolist()
-    return bool(np.isfinite(values).all() and MIN_EXPONENT <= exponent <= MAX_EXPONENT and step > 0 and low <= high)
+    exponent, _base, step, low, high, off = values.tolist()
+    known = np.isfinite(values).all() and MIN_EXPONENT <= exponent <= MAX_EXPONENT
+    return bool(known and step > 0 and low <= high and off >= 0)
 
 
 def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
@@ -60,8 +59,10 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     lattice, bits, numbers, threads = smooth.lattice, finer.bits, finer.numbers, launch.default_threads()
     heights, errors, ranges = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges"))
     steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
+    off = _max_distance(smooth, finer)
     low, high = _fill_heights(smooth, finer, heights)
-    square = partial(square_at, smooth, bits, numbers, heights, surface=bicubic_heights, off=distances_from_bilinear)
+    low, high = (float(end) for end in (outward(np.float32(low), off)[0], outward(np.float32(high), off)[1]))
+    square = partial(square_at, smooth, bits, numbers, heights, surface=bicubic_heights, off=off)
     corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners:
         change = square(corner).change
@@ -74,11 +75,11 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         measured, tiles = square(corner), list(tiles_of(corner, numbers))
         fill_errors(measured, tiles, errors, threads, steps=steps, table=table)
         fill_ranges(measured, tiles, ranges, threads, steps=steps, scale=scale)
-    arrays["finer_values_c"][:] = exponent, *scale, low, high
+    arrays["finer_values_c"][:] = exponent, *scale, low, high, off
 
 
 def _fill_heights(smooth: HeightField, finer: FinerTiles, heights: np.ndarray) -> tuple[float, float]:
-    """Fill the heights of all tiles; return bounds of the surface in them, metres."""
+    """Fill the heights of all tiles; return the lowest and the highest, metres, 0 and 0 without tiles."""
     lattice, bits, known = smooth.lattice, finer.bits, set(finer.known)
     last = lattice.cells_x << bits, lattice.cells_y << bits
     ends = [np.inf, -np.inf]
@@ -88,8 +89,8 @@ def _fill_heights(smooth: HeightField, finer: FinerTiles, heights: np.ndarray) -
         weights = border_weights((column, row), known, border_margin(bits), last, 1)
         heights[number] = _mixed_heights(smooth, bits, finer.heights[number], weights, x, y)
         extend_beyond(heights[number], column, row, last)
-        inner = outward(heights[number], distances_from_bilinear(smooth, bits, x, y))
-        ends = [min(ends[0], float(inner[0].min())), max(ends[1], float(inner[1].max()))]
+        inner = heights[number, 1:-1, 1:-1]
+        ends = [min(ends[0], float(inner.min())), max(ends[1], float(inner.max()))]
     return (ends[0], ends[1]) if len(heights) else (0.0, 0.0)
 
 
@@ -144,30 +145,22 @@ def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndar
     return np.clip(cell + np.arange(-1, 3)[:, None], 0, cells), weights
 
 
-def distances_from_bilinear(smooth: HeightField, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bound how far the surface is from the bilinear one between finer heights in the cells near finer samples.
+def _max_distance(smooth: HeightField, finer: FinerTiles) -> float:
+    """Bound how far, metres, the surface is from the bilinear one between finer heights, in any tile.
 
-    The result is float64 [y, x] metres. It counts raster cells up to NEAR finer cells away, as the walk does for boxes
-    of a few finer cells: so the stored ranges enclose those. Samples outside of the raster count as those at its
-    border. x, y: finer columns and rows. bits: a raster cell has 2^bits finer cells a side.
+    smooth: the bicubic surface of the raster, with the curvatures of its cells. finer: the tiles of the raster.
     """
-    lattice, sides = smooth.lattice, []
-    for at, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
-        inside, steps = np.clip(at, 0, cells << bits), [*range(-NEAR, NEAR, min(NEAR, 1 << bits)), NEAR - 1]
-        sides.append(np.array([np.clip((inside + step) >> bits, 0, cells - 1) for step in steps]))
-    rows, columns = sides
-    row, column = int(rows.min()), int(columns.min())
-    spreads = _patch_ranges(smooth, slice(column, int(columns.max()) + 1), slice(row, int(rows.max()) + 1))
-    spreads = spreads[rows - row].max(axis=0)
-    return spreads[:, columns - column].max(axis=1) * (3.0 / (1 << 2 * bits))
-
-
-def _patch_ranges(smooth: HeightField, columns: slice, rows: slice) -> np.ndarray:
-    """Return the range of the control heights of the patches in some raster cells, float64 [rows, columns] metres."""
-    stored = ranges_at(smooth.lattice, smooth.lattice.cell_depth)
-    x, y = np.arange(columns.start, columns.stop, dtype=np.int64), np.arange(rows.start, rows.stop, dtype=np.int64)
-    y = y[:, None]
-    page = (y >> 5) * stored.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
-    inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
-    ends = smooth.ranges[stored.base + (page << 10 | inside)].astype(np.float64)
-    return (ends[..., 1] - ends[..., 0]) * smooth.range_step
+    lattice, bits = smooth.lattice, finer.bits
+    codes_of_cells, table = smooth.error[lattice.node_count :], smooth.table[lattice.groups + 1]
+    pages = ranges_at(lattice, lattice.cell_depth).pages
+    largest = 0
+    for row, column in np.argwhere(finer.numbers >= 0).tolist():
+        x, y = (
+            np.arange(SIDE * at >> bits, min(SIDE * (at + 1) - 1 >> bits, cells - 1) + 1, dtype=np.int64)
+            for at, cells in ((column, lattice.cells_x), (row, lattice.cells_y))
+        )
+        y = y[:, None]
+        page = (y >> 5) * pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
+        inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
+        largest = max(largest, int(codes_of_cells[page << 10 | inside].max(initial=0)))
+    return float(table[largest]) / (1 << 2 * bits)

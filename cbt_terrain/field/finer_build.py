@@ -33,9 +33,8 @@ from .finer_tiles import MAX_BITS, SIDE, STRIDE, FinerTiles, tile_shape
 from .heightfield import HeightField
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
-# Functions of a raster, bits, finer columns and rows: heights of a surface, and distances from it.
+# Returns the heights of a raster's surface from the raster, bits, finer columns and rows.
 SurfaceAt = Callable[[HeightField, int, np.ndarray, np.ndarray], np.ndarray]
-OffAt = SurfaceAt
 
 
 def with_finer_tiles(
@@ -144,7 +143,7 @@ def square_at(
     heights: np.ndarray,
     corner: Tile,
     surface: SurfaceAt = raster_heights,
-    off: OffAt | None = None,
+    off: float = 0.0,
 ) -> Square:
     """Return a square of BLOCK x BLOCK tiles with a margin of one tile on each side.
 
@@ -154,7 +153,7 @@ def square_at(
         plain: the raster; bits: a raster cell has 2^bits finer cells a side.
         numbers, heights: those of the tiles. corner: column and row of the square's first tile.
         surface: returns the heights of the raster's surface, as `raster_heights`.
-        off: returns bounds of the distance, metres, from the bilinear surface between heights; None if there is none.
+        off: largest distance of the surface, metres, from the bilinear one between the heights.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     count, (column, row), part = (BLOCK + 2) * SIDE + 1, corner, _part_of(numbers, corner)
@@ -169,18 +168,18 @@ def square_at(
         i, j = x - SIDE * column, y - SIDE * row
         inside = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
         change[inside], low[inside] = difference, finer
-        if off is not None:
-            low[inside], high[inside] = outward(finer, off(plain, bits, *at))
+        if off:
+            low[inside], high[inside] = outward(finer, off)
     for axis, first, end in ((1, SIDE * column, last[0]), (0, SIDE * row, last[1])):
         inside = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
         change, low, high = (np.take(values, inside, axis) for values in (change, low, high))
     change, low, high = map(np.ascontiguousarray, (change, low, high))
-    return Square(column, row, low, low if off is None else high, change)
+    return Square(column, row, low, high if off else low, change)
 
 
-def outward(heights: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
-    low, high = (heights - off).astype(np.float32), (heights + off).astype(np.float32)
+    low, high = (np.float32(heights - np.float64(off)), np.float32(heights + np.float64(off)))
     return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
 
 

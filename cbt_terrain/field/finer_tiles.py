@@ -52,6 +52,7 @@ class FinerTiles:
         limits: float32 [blocks, 2], largest change, metres, and its largest slope along an axis, of each place of
             `numbers`, of 2 x 2 places, and so on to all.
         digest: identifies the content; "" for those of a store.
+        off: largest distance, metres, of the surface from the bilinear one between heights: 0 for a bilinear surface.
     """
 
     bits: int
@@ -64,6 +65,7 @@ class FinerTiles:
     exponent: int
     limits: np.ndarray
     digest: str = ""
+    off: float = 0.0
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -117,7 +119,7 @@ class FinerTiles:
         tiles.errors = flat(self.errors, wp.uint8)
         tiles.table = shared(codes.tables([self.exponent])[0], wp.float32)
         tiles.ranges = flat(self.ranges, wp.uint16)
-        tiles.range_base, tiles.range_step = self.range_base, self.range_step
+        tiles.range_base, tiles.range_step, tiles.off = self.range_base, self.range_step, self.off
         tiles.limits = shared(self.limits, wp.vec2f)
         tiles.top = (max(self.numbers.shape) - 1).bit_length()
         packed = wp.array([tiles], dtype=kernels.PackedTiles, device="cpu")
@@ -169,7 +171,7 @@ def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[t
     """
     shapes = array_shapes(lattice, bits, tiles)
     arrays = {f"{name}_c": shapes[name] for name in ("finer_heights", "finer_errors", "finer_ranges", "finer_limits")}
-    return arrays | {"finer_values_c": ((5,), np.float64)}
+    return arrays | {"finer_values_c": ((6,), np.float64)}
 
 
 def pyramid_sides(bits: int) -> list[int]:

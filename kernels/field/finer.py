@@ -36,6 +36,7 @@ class PackedTiles:
     ranges: wp.array(dtype=wp.uint16)  # two codes of each of the RANGES of a tile; a height is base + code * step
     range_base: wp.float64
     range_step: wp.float64
+    off: wp.float64  # metres from the surface to the bilinear one between heights, at most; 0 without a bicubic surface
     # Largest magnitude of the change, metres, and its largest slope along an axis, of each place of the table, of 2 x 2
     # places, and so on.
     limits: wp.array(dtype=wp.vec2f)

@@ -72,21 +72,6 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 
 
 @wp.func
-def max_patch_range(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32) -> wp.float64:
-    """Return the largest range of the control heights of a bicubic patch, metres before scaling, in some raster cells.
-
-    They are the cells from (i0, j0) to (i1, j1) inclusive.
-    """
-    widest = wp.int32(0)
-    for j in range(j0, j1 + 1):
-        for i in range(i0, i1 + 1):
-            index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
-            low = wp.int32(item_at(domain.ranges, index))
-            widest = wp.max(widest, wp.int32(item_at(domain.ranges, index + wp.int64(1))) - low)
-    return wp.float64(widest) * domain.range_step
-
-
-@wp.func
 def range_entry(domain: Domain, x: wp.int32, y: wp.int32, levels_up: wp.int32) -> wp.int64:
     """Return the index of the lower code of a diamond's height range in `domain.ranges`; the upper one follows.
 
@@ -220,15 +205,8 @@ def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
                 h = finer_sample(domain.finer[0], i, j)
                 lowest = wp.where(h < lowest, h, lowest)
                 highest = wp.where(h > highest, h, highest)
-        low = wp.float64(lowest)
-        high = wp.float64(highest)
-        if domain.bicubic == 1:
-            # The distance from the bilinear surface between finer samples: cbt_terrain/field/finer_bicubic.py.
-            bits = domain.finer[0].bits
-            part = wp.float64(3.0) / wp.float64(wp.int64(1) << wp.int64(2 * bits))
-            more = max_patch_range(domain, i0 >> bits, j0 >> bits, i1 >> bits, j1 >> bits) * part
-            low -= more
-            high += more
+        low = wp.float64(lowest) - domain.finer[0].off
+        high = wp.float64(highest) + domain.finer[0].off
     return low, high
 
 
@@ -244,10 +222,11 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     z1 = high * domain.height_scale + domain.height_offset
     more = domain.max_detail * domain.error_scale
     rise = wp.abs(z1 - z0)
-    if depth > 2 * levels:  # inside a finer cell, which is bilinear or nearly so: three times as steep at most
+    if depth > 2 * levels:
+        # Inside a finer cell, which is bilinear but for a part of a bicubic patch that is nowhere steeper than 6 `off`.
         part = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
-        climb = wp.float64((1 + (depth & 1)) * wp.where(domain.bicubic == 1, 3, 1))
-        rise = rise * smaller(climb / part, wp.float64(1.0))
+        steepest = rise + wp.float64(4.0) * domain.finer[0].off * domain.error_scale
+        rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / part), rise)
     # the climb of the displacement along an edge
     rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
     d.low = wp.vec3d(d.low[0], d.low[1], larger(d.low[2], smaller(z0, z1) - more))

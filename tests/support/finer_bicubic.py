@@ -44,7 +44,7 @@ def _differences(field: HeightField, node: np.ndarray, plane: np.ndarray, bicubi
 
 
 def _weights(field: HeightField, node: np.ndarray) -> np.ndarray:
-    """Return the weights of the finer heights: the distance from the nearest tile without any, as a part of a margin."""
+    """Return the weights of finer heights: the distance from the nearest tile without any, as a part of a margin."""
     lattice, tiles = field.lattice, field.raster.finer
     margin = min(2 << tiles.bits, SIDE // 2)
     rows, columns = (-(-(cells << tiles.bits) // SIDE) for cells in (lattice.cells_y, lattice.cells_x))

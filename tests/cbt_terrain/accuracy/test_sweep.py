@@ -90,11 +90,12 @@ def test_a_sweep_of_a_smooth_surface_includes_the_bilinear_one(field):
     assert all(s.is_plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
-def test_a_sweep_of_finer_tiles_is_bilinear():
+def test_a_sweep_of_finer_tiles_has_both_surfaces():
     field = finer_field(rows=33, columns=33, known=((0, 0),))
     settings = settings_for(field, TimedFrame([SEEN]))
-    assert {s.interpolation for s in settings} == {"bilinear"} and any(s.fitted for s in settings)
-    for row in sweep(field, [s for s in settings if s.error in (PIXELS[0], settings[-1].error)], [TimedFrame([SEEN])]):
+    assert {s.interpolation for s in settings} == {"bilinear", "bicubic"} and any(s.fitted for s in settings)
+    some = [s for s in settings if s.error in (PIXELS[0], settings[-1].error) or s.interpolation == "bicubic"]
+    for row in sweep(field, some, [TimedFrame([SEEN])]):
         assert 0 < row.error <= row.bound * (1 + 1e-6)
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bicubic surface with finer tiles, against point-by-point code: heights, bounds, cracks, rays and boxes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated

@@ -194,5 +194,3 @@ def test_what_finer_tiles_cannot_have_is_refused(field):
             with_finer_tiles(base, bits, known, lambda _box: np.zeros((1, 1), np.float32))
     with pytest.raises(TerrainError, match="shape"):
         with_finer_tiles(plain, 2, [(0, 0)], lambda _box: np.zeros((3, 3), np.float32))
-    with pytest.raises(TerrainError, match="finer tiles"):
-        interpolated(field, "bicubic")

@@ -2,6 +2,7 @@
 """A city at 1 m in a country at 30 m: one raster with finer tiles, beside the files' own arrays."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -156,7 +157,13 @@ def test_a_damaged_store_of_finer_tiles_is_refused(country, tmp_path):
             open_store(tmp_path / "copy")
 
 
-def test_what_needs_one_step_says_how_to_get_it(country):
+def test_a_bicubic_surface_is_kept_in_the_store(country, tmp_path):
     _, _, store, _ = country
-    with pytest.raises(TerrainError, match="finer tiles.*--step"):
-        interpolated(open_store(store), "bicubic")
+    shutil.copytree(store, tmp_path / "copy")
+    made, again = (interpolated(open_store(tmp_path / "copy"), "bicubic") for _ in range(2))
+    assert again.finer.heights.base is not None and len(verify(tmp_path / "copy")) > len(verify(store))
+    for one, other in zip(made.finer.arrays, again.finer.arrays, strict=True):
+        assert one.tobytes() == other.tobytes()
+    assert (made.min_height, made.finer.off) == (again.min_height, again.finer.off)
+    (next((tmp_path / "copy").rglob("finer_values_c.npy"))).write_bytes(b"")
+    assert interpolated(open_store(tmp_path / "copy"), "bicubic").finer.entry == made.finer.entry

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.attributes.folder import read_index
-from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.store import Draft
@@ -91,11 +90,17 @@ def slope_of_waves(x, y):
     return np.arctan(np.hypot(5 / 18 * np.cos(a) * np.cos(b), 5 / 14 * np.sin(a) * np.sin(b)))
 
 
-def test_a_bicubic_terrain_with_finer_tiles_names_the_remedy(scene, add_terrain, city):
+def test_a_bicubic_mesh_in_blender_has_the_finer_heights(scene, add_terrain, city):
     obj = add_terrain()
     obj.adaptive_terrain.store, obj.adaptive_terrain.interpolation = city, "bicubic"
-    with pytest.raises(TerrainError, match=r"finer tiles.*--step"):
-        session.update_object(obj)
+    scene.camera.location = (500.0, 300.0, 220.0)
+    bpy.context.view_layer.update()
+    session.update_object(obj)
+    field = session.record_of(obj).field
+    assert field.interpolation == "bicubic" and field.finer.off > 0
+    vertices = np.array([vertex.co for vertex in obj.data.vertices])
+    assert np.abs(vertices[:, 2] - reference_heights(field, vertices[:, :2])).max() < 1e-3
+    assert (np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0).sum() > 500
 
 
 def read_pixels(path):

@@ -272,5 +272,5 @@ def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
 def _not_one(path: Path, names: list[str]) -> TerrainError:
     """Return the error about an archive without a height map, or with several."""
     found = f"{len(names)} height maps ({shown(', '.join(names), 120)})" if names else "no height map"
-    fix = "unpack it, and import one of them, or a VRT of all (gdalbuildvrt)" if names else "unpack it first"
+    fix = "unpack it, and import the folder as one terrain, or one of them" if names else "unpack it first"
     return TerrainError(f"{shown(path)} holds {found}", expected="one height map in an archive", fix=fix)

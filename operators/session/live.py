@@ -163,7 +163,8 @@ def _next_job() -> LiveUpdate | None:
     for depsgraph, obj in shown:
         record = session.record_of(obj)
         wanted = obj.adaptive_terrain.live or record.status.mode == RENDER  # a render's mesh is replaced once, too
-        if depsgraph is None or not wanted or obj.mode != "OBJECT":
+        # Without a store the panel keeps the error of a failed import.
+        if depsgraph is None or not wanted or not obj.adaptive_terrain.store or obj.mode != "OBJECT":
             continue
         try:
             request = gather(obj, depsgraph, VIEWPORT)

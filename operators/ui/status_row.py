@@ -65,7 +65,9 @@ def draw_status(layout, context, obj) -> None:
 def _waits_for_import(obj, status) -> bool:
     """Return whether the terrain's only problem is that nothing was imported yet, which is no error to show."""
     failure = status.failure
-    return not obj.adaptive_terrain.store and failure is not None and failure.code == NO_HEIGHTS
+    if obj.adaptive_terrain.store or failure is None or failure.code != NO_HEIGHTS:
+        return False
+    return str(failure) == status.error  # otherwise the import has failed since then
 
 
 def draw_preparation(layout) -> bool:
@@ -104,7 +106,7 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
         if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
             return UNDERGROUND, CAMERA_TO_VIEW, "To View"
         if sight.is_far_out(camera.matrix_world.translation):
-            return "Camera far from origin", MOVE_WORLD, "Move World"
+            return "Camera far from origin", MOVE_WORLD, "Move"
         if not sight.is_in_sight(box, view):
             return SEES_NOTHING, CAMERA_TO_VIEW, "To View"
         if sight.is_cut_off(box, view):

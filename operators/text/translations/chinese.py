@@ -224,7 +224,6 @@ LABELS = {
     "Mountains": "山脉",
     "Move Land Effect": "移动地貌效果",
     "Move Layer": "移动层",
-    "Move World": "移动世界",
     "Move World Here": "将世界移到此处",
     "moved: clear its transforms": "已移动: 请清除其变换",
     "Moves: {}": "移动：{}",

@@ -226,7 +226,6 @@ LABELS = {
     "Mountains": "Montagnes",
     "Move Land Effect": "Déplacer l’effet de paysage",
     "Move Layer": "Déplacer le calque",
-    "Move World": "Déplacer le monde",
     "Move World Here": "Déplacer le monde ici",
     "moved: clear its transforms": "déplacé : effacez ses transformations",
     "Moves: {}": "Déplace : {}",

@@ -226,7 +226,6 @@ LABELS = {
     "Mountains": "Gebirge",
     "Move Land Effect": "Landschaftseffekt verschieben",
     "Move Layer": "Ebene verschieben",
-    "Move World": "Welt verschieben",
     "Move World Here": "Welt hierher verschieben",
     "moved: clear its transforms": "verschoben: Transformationen löschen",
     "Moves: {}": "Bewegt: {}",

@@ -225,7 +225,6 @@ LABELS = {
     "Move Land Effect": "地勢エフェクトを移動",
     "Move Layer": "レイヤーを移動",
     "Join Terrains": "地形を統合",
-    "Move World": "ワールドを移動",
     "Move World Here": "ワールドをここへ移動",
     "moved: clear its transforms": "移動済み: トランスフォームをクリア",
     "Moves: {}": "移動対象: {}",

@@ -226,7 +226,6 @@ LABELS = {
     "Mountains": "Montañas",
     "Move Land Effect": "Mover efecto de paisaje",
     "Move Layer": "Mover capa",
-    "Move World": "Mover mundo",
     "Move World Here": "Mover el mundo aquí",
     "moved: clear its transforms": "movido: restablezca sus transformaciones",
     "Moves: {}": "Mueve: {}",

@@ -41,6 +41,8 @@ def test_a_new_terrain_shows_what_to_do_and_no_error(scene):
     with pytest.raises(TerrainError, match="has no height field"):
         session.update_object(terrain)
     assert "No height map yet: press Import" in draw(panels.TerrainPanel).texts
+    session.record_of(terrain).status.error = "The archive holds 4 height maps"  # of an import that failed since then
+    assert "Not up to date: read why" in draw(panels.TerrainPanel).texts
     session.record_of(terrain).status.failure = TerrainError("The disk is full")
     assert "Not up to date: read why" in draw(panels.TerrainPanel).texts
 

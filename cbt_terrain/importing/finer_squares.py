@@ -3,7 +3,8 @@
 
 It is the third step of a quick import. The second (refining.py) loads tiles of a raster with one step; where finer
 files cover little of the mosaic, their samples become finer tiles (field/finer_tiles.py) on that raster, in squares of
-32 x 32 cells or more. A square has finer tiles only where a finer file meets it.
+32 x 32 cells or more. A square has finer tiles only where a finer file meets it. Those of squares that an earlier store
+has are copied from it (finer_import.py).
 """
 
 from collections.abc import Sequence
@@ -44,17 +45,34 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
     low, high = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
     boxes = np.concatenate([np.floor(low), np.ceil(high)], axis=1).astype(np.int64)
 
-    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-        """Return samples of the finer grid, those of the raster that are nearest to its positions."""
-        assert raster.window is not None
+    def nearest(first: int, count: int, column: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns of the raster's samples that are nearest to a window of the finer grid."""
         v, u = (
             (2 * np.arange(start, start + number) * size + cell) // (2 * cell)
             for start, number, size, cell in ((first, count, sizes[1], cells[1]), (column, columns, sizes[0], cells[0]))
         )
-        values = raster.window(int(v[0]), int(v[-1] - v[0]) + 1, int(u[0]), int(u[-1] - u[0]) + 1)
+        return v, u
+
+    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
+        """Return samples of the finer grid, those of the raster that are nearest to its positions."""
+        assert raster.window is not None
+        v, u = nearest(first, count, column, columns)
+        values = raster.window(*_span(v), *_span(u))
         return values[np.ix_(v - v[0], u - u[0])]
 
-    return FinerSource(bits, boxes, window, squares=frozenset(loaded))
+    def inputs(first: int, count: int, column: int, columns: int) -> str:
+        """Return a digest of all that determines the samples of a window."""
+        assert raster.inputs is not None
+        v, u = nearest(first, count, column, columns)
+        return f"{raster.inputs(*_span(v), *_span(u))} {sizes} {cells}"
+
+    has_inputs = raster.inputs is not None
+    return FinerSource(bits, boxes, window, inputs if has_inputs else None, squares=frozenset(loaded))
+
+
+def _span(places: np.ndarray) -> tuple[int, int]:
+    """Return the first of some rising places and the number of places from it to the last."""
+    return int(places[0]), int(places[-1] - places[0]) + 1
 
 
 def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:

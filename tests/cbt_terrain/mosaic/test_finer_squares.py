@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Squares of a quick import with the finest files of a mosaic: a city in a country that is too large to be imported."""
 
+import shutil
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
@@ -8,13 +10,14 @@ from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import FINER, finer_squares, square_bits
 from adaptive_terrain.cbt_terrain.importing.refining import SeenLand, is_fine_enough, missing_squares, with_loaded
-from adaptive_terrain.cbt_terrain.mosaic import finer_plan
+from adaptive_terrain.cbt_terrain.mosaic import composite, finer_plan
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
+from finer_imports import assert_same, make_small
 from invariants import assert_invariants
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
@@ -164,3 +167,34 @@ def test_some_squares_are_those_of_all(country, loaded, tmp_path):
 def test_damaged_entries_are_no_squares(country, entry):
     field = open_store(country[0] / "tiles")
     assert finer_squares(field.with_raster(provenance=field.provenance | {FINER: entry})) is None
+
+
+def test_files_of_earlier_squares_are_not_opened_again(tmp_path, monkeypatch):
+    """Squares of two towns are loaded one town after the other; nothing of the first town is read with the second."""
+    make_small(monkeypatch)  # windows of one tile
+    sheet(UTM32, EAST, NORTH, 32.0, 32.0, 400, 300).write(tmp_path / "files" / "a_country.tif")
+    for name, east in (("b_west", EAST + 2000.0), ("c_east", EAST + 8500.0)):
+        sheet(UTM32, east, CITY[1], 1.0, 1.0, 500, 400, shift=3.0).write(tmp_path / "files" / f"{name}.tif")
+    settings = ImportSettings(source=str(tmp_path / "files"), quick=QUICK)
+    store, whole = tmp_path / "store", tmp_path / "whole"
+    run_mosaic_import(settings, store)
+    tiles = tuple(range(refining.picture_tiles(open_store(store))))
+    run_mosaic_import(with_loaded(settings, store, tiles), store)
+    shutil.copytree(store, whole)
+    squares = finer_squares(open_store(store))
+    columns = refining.TileGrid(open_store(store).lattice, square_bits(squares.bits)).columns
+    west = {square for square in squares.there if square % columns < columns // 2}
+    assert west and west < squares.there
+    run_mosaic_import(with_loaded(settings, store, (), west), store)
+    opened, open_tile = [], composite.open_tile
+
+    def opening(file, *options):
+        opened.append(file.name)
+        return open_tile(file, *options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(composite, "open_tile", opening)
+        run_mosaic_import(with_loaded(settings, store, (), squares.there), store)
+    assert "c_east.tif" in opened and "b_west.tif" not in opened
+    run_mosaic_import(with_loaded(settings, whole, (), squares.there), whole)
+    assert_same(store, whole)

@@ -20,6 +20,7 @@ JSON_NAME = "store.json"
 MAX_JSON_BYTES = 1 << 22
 DATA_PREFIX = "data-"
 WORK_NAME = "work.json"  # in a folder of arrays that is made by tile, and can be completed later (tiling/tile_work.py)
+UNFINISHED_NAME = "missing.npy"  # in such a folder until its arrays are complete
 WORK_SECONDS = 7 * 86_400.0  # since anything was written in such a folder; then it is abandoned
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
 AHEAD = "ahead"  # the folder of tiles that were read ahead of an import (importing/read_ahead.py)
@@ -214,7 +215,8 @@ def remove_abandoned(path: Path, with_work: bool = False) -> None:
 def _can_be_continued(folder: Path) -> bool:
     """Return whether a folder holds work that can be completed, written to within WORK_SECONDS. Raises OSError."""
     newest = max(entry.lstat().st_mtime for entry in (folder, *folder.iterdir()))
-    return os.path.lexists(folder / WORK_NAME) and time.time() - newest < WORK_SECONDS
+    is_unfinished = all(os.path.lexists(folder / name) for name in (WORK_NAME, UNFINISHED_NAME))
+    return is_unfinished and time.time() - newest < WORK_SECONDS
 
 
 def take_away(path: Path) -> None:

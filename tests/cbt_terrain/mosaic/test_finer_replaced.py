@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mosaic with finer tiles is imported again after files were replaced, added or removed: only near ones are read."""
 
+import os
 import shutil
+import subprocess
+import sys
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import finer_heights, store_folder
+from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import finer_import
 from adaptive_terrain.cbt_terrain.mosaic import insets
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
@@ -201,6 +205,51 @@ def counting_again(patch, stop_after):
         write(self, *record)
 
     return writing
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from adaptive_terrain.cbt_terrain.field import finer_build, finer_heights
+from adaptive_terrain.cbt_terrain.field.verification import verify
+from adaptive_terrain.cbt_terrain.importing import finer_import
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+source, store, event, name, count = sys.argv[1:]
+finer_plan.FEWEST, finer_build.BLOCK, finer_heights.WINDOW, finer_import.WINDOW = 1 << 20, 4, 2, 2
+left = int(count)
+def kill(found, values):
+    global left
+    if found == event and (str(values[0]).endswith(name) if name else store in str(values[0])):
+        left -= 1
+        if not left:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(kill)
+run_mosaic_import(ImportSettings(source), Path(store))
+"""
+MOMENTS = {  # event of Python, end of the file's name ("": any file of the store), and its number
+    "the arrays of the earlier store are copied": ("open", "ranges.npy", 2),
+    "records are written": ("open", "", 150),
+    "the last records are written": ("open", "", 450),
+    "the new version is complete": ("os.rename", "store.json", 1),
+    "the new version counts": ("os.remove", "borders.npy", 1),
+    "the earlier arrays are removed": ("os.remove", "finer_ranges.npy", 1),
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_an_import_that_was_killed_goes_on_with_both_stores(replaced, again, tmp_path, moment):
+    def change(folder):
+        shutil.copy2(replaced[0], folder)
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        command = [sys.executable, "-c", KILLED, str(folder), str(tmp_path / "store"), *map(str, MOMENTS[moment])]
+        assert subprocess.run(command, env=environment).returncode == -9
+        assert len(list((tmp_path / "store").glob("data-*"))) == 2
+        verify(tmp_path / "store")
+        store_folder.remove_abandoned(tmp_path / "store")  # as each import begins
+
+    assert len(again(change, replaced[1:])[0]) <= 6
 
 
 @pytest.mark.parametrize("name", ["finer_heights", "finer_errors", "finer_ranges"])

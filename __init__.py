@@ -101,7 +101,10 @@ def __dir__() -> list[str]:
 def register() -> None:
     """Add properties, panels, operators, handlers and the command to Blender."""
     import gc
+    from importlib.util import find_spec
 
+    if find_spec("warp") is None:  # it is imported with the first terrain, which would be late for this error
+        raise ModuleNotFoundError("No module named 'warp'", name="warp")
     # Nothing of what is imported and registered is garbage. Looking for some takes a third of the time.
     collecting = gc.isenabled()
     gc.disable()

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..refine.terms import Terms
-from . import Errors, Measurement
 from .cost_curve import CostCurve
+from .measure import Measurement
+from .mesh import Errors
 from .sweep_settings import Setting
 from .timed_runs import ms_to_finished_mesh
 

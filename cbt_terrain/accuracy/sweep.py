@@ -16,9 +16,10 @@ from ..mesh.surface import Surface
 from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.view import View
-from . import Errors, Measurement, Sight, look, measure, popping, shading_change
-from .mesh import Progress
+from .measure import Measurement, look, measure, popping, shading_change
+from .mesh import Errors, Progress
 from .rows import Row, median_count, worst
+from .screen import Sight
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest_run, median_by_step, timed_runs
 

@@ -10,16 +10,19 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..plain_numbers import keep_plain_numbers
-from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.linear import length
 from ..view.view import View, listed_views
+
+if TYPE_CHECKING:
+    from ..terrain import Terrain
 
 # A time is that of the fastest of this many runs, after one that finds cold memory; of several frames FRAME_RUNS each.
 RUNS, FRAME_RUNS = 5, 3
@@ -53,7 +56,7 @@ class TimedFrame:
 
 
 def timed_runs(
-    terrain: Terrain,
+    terrain: "Terrain",
     criterion: Criterion,
     frame: TimedFrame,
     count: int = RUNS,

@@ -80,7 +80,8 @@ class AttributeDeclaration:
         make: the function; attributes with the same one are computed in one call. Values depend only on the point, the
             level, the parameters and the attributes read, not on other points.
         example: evaluates it on ground with a known result and asserts that.
-        kernels: modules of kernels that `make` launches, itself or through others; they are compiled ahead.
+        kernels: modules of kernels that `make` launches, itself or through others; they are compiled ahead. A module of
+            this package is named ("effects.jet"), so that a declaration imports no kernels.
         reads: names of other attributes; `choose` returns those that given parameters need.
         nothing: returns whether all its values are 0 with given parameters; it is not computed then.
         halo: how far around a point it reads, in words. bound: its contribution to the mesh's error, "" for none.
@@ -95,7 +96,7 @@ class AttributeDeclaration:
     unit: str
     make: Make
     example: Callable[[Evaluate], None]
-    kernels: tuple[ModuleType, ...] = ()
+    kernels: tuple[ModuleType | str, ...] = ()
     width: int = 1
     reads: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...kernels.effects import splat as splat_kernels
 from ..errors import TerrainError
 from . import splat
 from .attribute import LINEAR_RGB, AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
@@ -48,7 +47,7 @@ COLOR = AttributeDeclaration(
     about="Colour of the ground: the colours of the layers by their shares, with decals on top",
     unit=LINEAR_RGB,
     make=make,
-    kernels=(splat_kernels,),
+    kernels=("effects.splat",),
     example=example,
     width=3,
     span=(0.0, 1.0),

@@ -4,12 +4,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import catchment
-from ...kernels.effects import flow as kernels
-from ...kernels.effects import pyramid as pyramid_kernels
-from ...kernels.effects import routing as routing_kernels
 from ..field.derived_arrays import samples_by_level
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
@@ -17,7 +12,6 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .pyramid import level_of, level_with, scaled_pyramid
-from .routing import route
 from .whole import whole
 
 VERSION = 1
@@ -35,6 +29,10 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
     Its south-western sample is that of the field, though the middle, where its own space has the origin, may differ.
     """
+    from ...kernels import wp
+    from ...kernels.effects import catchment
+    from .routing import route
+
     level = routed_level(field)
     (rows, columns), lattice = samples_by_level(field.lattice)[level], field.lattice
     # Slopes are only compared with each other, so that only the sign of their scale matters.
@@ -65,6 +63,9 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
 
     wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
     """
+    from ...kernels import wp
+    from ...kernels.effects import flow as kernels
+
     field, out = places.field, np.empty(len(places), np.float32)
     areas = scaled_pyramid(
         logarithms(field, places.vertical_scale, places.threads),
@@ -98,7 +99,7 @@ FLOW = AttributeDeclaration(
     about="Area of the land whose water runs through a point; in a lake, through its outlet",
     unit="m2",
     make=make,
-    kernels=(catchment, kernels, pyramid_kernels, routing_kernels),
+    kernels=("effects.catchment", "effects.flow", "effects.pyramid", "effects.routing"),
     example=example,
     halo="the whole raster; of more than 4097 x 4097 samples its finest level that has no more",
     cost_ns=25,

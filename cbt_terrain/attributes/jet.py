@@ -9,31 +9,28 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import jet as kernels
-from ...kernels.effects import pyramid as pyramid_kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .decals import DECALS, tilt
-from .finer_pyramid import finer_heights
 from .pyramid import scaled_pyramid
 
-KERNELS = (kernels, pyramid_kernels)
+KERNELS = ("effects.jet", "effects.pyramid")
 
 SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
 HORN = 'Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE
 EVANS = 'Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE
-# Attribute -> field of the kernel's Values, Warp's type and numpy's shape of an element, and the bit that requests it.
+# Attribute -> field of the kernel's Values, name of Warp's type of an element, name of the kernel's bit that requests
+# the attribute, and numpy's shape of an element.
 OUTPUTS = {
-    "height": ("height", wp.float32, (), kernels.HEIGHT),
-    "slope": ("slope", wp.float32, (), kernels.SLOPE),
-    "aspect": ("aspect", wp.vec2f, (2,), kernels.ASPECT),
-    "mean_curvature": ("mean_curvature", wp.float32, (), kernels.MEAN_CURVATURE),
-    "profile_curvature": ("profile_curvature", wp.float32, (), kernels.PROFILE_CURVATURE),
-    "plan_curvature": ("plan_curvature", wp.float32, (), kernels.PLAN_CURVATURE),
-    "detail_normal": ("normal", wp.vec3f, (3,), kernels.NORMAL),
+    "height": ("height", "float32", "HEIGHT", ()),
+    "slope": ("slope", "float32", "SLOPE", ()),
+    "aspect": ("aspect", "vec2f", "ASPECT", (2,)),
+    "mean_curvature": ("mean_curvature", "float32", "MEAN_CURVATURE", ()),
+    "profile_curvature": ("profile_curvature", "float32", "PROFILE_CURVATURE", ()),
+    "plan_curvature": ("plan_curvature", "float32", "PLAN_CURVATURE", ()),
+    "detail_normal": ("normal", "vec3f", "NORMAL", (3,)),
 }
 
 
@@ -44,12 +41,17 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     only detail_normal has one, decals. read: unused, they read no attribute. Returns by name float32 [n], [n, 2] for
     aspect, or [n, 3] for detail_normal.
     """
-    values, arrays = kernels.Values(), {}
+    from ...kernels import wp
+    from ...kernels.effects import jet as kernels
+    from .finer_pyramid import finer_heights
+
+    values, arrays, bits = kernels.Values(), {}, 0
     for name in wanted:
-        field, dtype, shape, _ = OUTPUTS[name]
+        field, dtype, bit, shape = OUTPUTS[name]
         arrays[name] = np.empty((len(places), *shape), np.float32)
-        setattr(values, field, shared(arrays[name], dtype))
-    values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
+        setattr(values, field, shared(arrays[name], getattr(wp, dtype)))
+        bits += int(getattr(kernels, bit))
+    values.wanted = bits
     heights = scaled_pyramid(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
     finer = finer_heights(places.field.raster, places.threads)
     inputs = [heights, finer, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]

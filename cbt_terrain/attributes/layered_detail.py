@@ -27,7 +27,6 @@ from ..field.tiled import Tiled
 from ..run.locks import caching
 from .attribute import AttributeRequest
 from .catalogue import ATTRIBUTES
-from .evaluate import on_samples
 from .splat import NAMES
 from .splat_rules import Layer
 from .whole import remove_old
@@ -99,6 +98,8 @@ def _compute_masks(
     Those of a large raster are cached in its store, MAX_CACHED sets of them. An attribute of the splat map holds the
     weights of four layers.
     """
+    from .evaluate import on_samples
+
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
     versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
     digest = hashlib.blake2b(repr((versions, layers, numbers, vertical)).encode(), digest_size=8).hexdigest()

@@ -4,10 +4,7 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import flow as kernels
-from ...kernels.effects import pyramid as pyramid_kernels
 from ..field.heightfield import HeightField, HeightRaster
 from ..run import launch
 from ..run.buffers import flat, shared
@@ -35,6 +32,9 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     Layers are by-products of height operators, as the depth of water. wanted: parameters by name, which are empty.
     read: unused. Returns float32 [n] by name.
     """
+    from ...kernels import wp
+    from ...kernels.effects import flow as kernels
+
     values = {}
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
@@ -81,7 +81,7 @@ LAYERS = tuple(
         about=f"{about}. Land effects make it; 0 without them",
         unit=unit,
         make=make,
-        kernels=(kernels, pyramid_kernels),
+        kernels=("effects.flow", "effects.pyramid"),
         example=_example(name),
         halo="a sample of the level",
         cost_ns=25,

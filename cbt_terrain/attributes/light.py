@@ -5,9 +5,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects.light import SunStrip
 from ..errors import TerrainError
 from ..run import launch
 
@@ -68,6 +66,9 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
     strips of the disc: azimuth (cosine, sine), and half the height in radii. Single precision hides the last bits of
     the C library's sines. sun: x, y, z towards it and the angle of its disc in radians.
     """
+    from ...kernels import wp
+    from ...kernels.effects.light import SunStrip
+
     x, y, z, angle = sun
     horizontal = math.sqrt(x * x + y * y)
     radius = max(angle / 2.0, MIN_RADIUS)

@@ -4,16 +4,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import light as light_kernels
-from ...kernels.effects import pyramid as pyramid_kernels
-from ...kernels.effects import sweep as sweep_kernels
-from ...kernels.effects.light import sky_seen
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import AZIMUTHS, azimuths
-from .occluder import launch_at_points, occluder_of
 
 # A slope below any other: near ground counts below the horizontal, too.
 ANY = -1e300
@@ -26,6 +20,10 @@ def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
     does not hide; all below the slope `lowest` is hidden, as if it were a horizon. Points count at
     the height of the raster's ground, without displacement.
     """
+    from ...kernels import wp
+    from ...kernels.effects.light import sky_seen
+    from .occluder import launch_at_points, occluder_of
+
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
     first_azimuth = 0
@@ -58,7 +56,7 @@ OCCLUSION = AttributeDeclaration(
     unit="1",
     span=(0.0, 1.0),
     make=make,
-    kernels=(light_kernels, pyramid_kernels, sweep_kernels),
+    kernels=("effects.light", "effects.pyramid", "effects.sweep"),
     example=example,
     parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a point the ground counts"),),
     scaled=False,

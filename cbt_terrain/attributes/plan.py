@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from types import ModuleType
 
+from ..run.warmup import import_kernels
 from .attribute import GEOMETRY, AttributeRequest
 from .catalogue import ATTRIBUTES
 
@@ -54,7 +55,7 @@ def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
 
 def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:
     """Return the modules of kernels that the attributes of a plan launch."""
-    return list(dict.fromkeys(module for step in plan.steps for module in ATTRIBUTES[step.name].kernels))
+    return import_kernels(module for step in plan.steps for module in ATTRIBUTES[step.name].kernels)
 
 
 def _merge(one: AttributeRequest, other: AttributeRequest) -> AttributeRequest:

@@ -6,10 +6,10 @@ large raster are cached in its store, and mapped. A level of a raster of any siz
 border.
 """
 
-import numpy as np
-import warp as wp
+from typing import TYPE_CHECKING
 
-from ...kernels.effects import pyramid as kernels
+import numpy as np
+
 from ..field import codes
 from ..field.derived_arrays import derive_large, derived_shapes, samples_by_level
 from ..field.heightfield import HeightRaster
@@ -17,6 +17,9 @@ from ..field.lattice import Lattice
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
+
+if TYPE_CHECKING:
+    from ...kernels.effects import pyramid as kernels
 
 # Name of the array in the store, and prefix of those of layers.
 PYRAMID = "pyramid"
@@ -30,7 +33,7 @@ def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
 
 def scaled_pyramid(
     raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int, name: str = PYRAMID
-) -> kernels.Pyramid:
+) -> "kernels.Pyramid":
     """Return the raster's pyramid for kernels, with heights `height * vertical_scale + vertical_offset`.
 
     Coarser levels are computed on first use and cached with the raster. name: of their array in a store, always the
@@ -49,6 +52,7 @@ def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray
 
     Each has half the resolution of the one before.
     """
+    from ...kernels.effects import pyramid as kernels
 
     def halve(arrays: dict[str, np.ndarray]) -> None:
         """Fill the array level by level."""
@@ -72,11 +76,14 @@ def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
+def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> "kernels.Pyramid":
     """Return the samples and the coarser levels as kernels read them, without a scale.
 
     coarser: float32 [n], the levels concatenated, the finest first. Memory is shared.
     """
+    from ...kernels import wp
+    from ...kernels.effects import pyramid as kernels
+
     lattice = raster.lattice
     sizes = np.array(samples_by_level(lattice))
     packed = kernels.Pyramid()

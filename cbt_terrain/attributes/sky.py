@@ -9,17 +9,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import light as light_kernels
-from ...kernels.effects import pyramid as pyramid_kernels
-from ...kernels.effects import sweep as sweep_kernels
-from ...kernels.effects.sweep import layer_at_points, sky_between
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import azimuths
-from .occluder import launch_at_points, occluder_without_blocks
-from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
 FULL, PREVIEW = "FULL", "PREVIEW"
 
@@ -30,6 +23,11 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     wanted: {"sky": {"quality": FULL or PREVIEW}}; a preview uses coarse heights and fewer azimuths. read: unused.
     Returns {"sky": float32 [n]}.
     """
+    from ...kernels import wp
+    from ...kernels.effects.sweep import layer_at_points, sky_between
+    from .occluder import launch_at_points, occluder_without_blocks
+    from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
+
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
@@ -53,7 +51,7 @@ SKY = AttributeDeclaration(
     unit="1",
     span=(0.0, 1.0),
     make=make,
-    kernels=(light_kernels, pyramid_kernels, sweep_kernels),
+    kernels=("effects.light", "effects.pyramid", "effects.sweep"),
     example=example,
     parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
     scaled=False,

@@ -7,25 +7,22 @@ Rules read other attributes, which are computed once for all their readers.
 import math
 from collections.abc import Mapping
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import splat as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 from . import splat_rules
 from .attribute import AttributeDeclaration, Evaluate, ParameterValue, SamplePoints, Wanted
 from .splat_rules import LAYERS, READ_FROM, Layer, Rule, attributes_of_rules, check_layers
 
+if TYPE_CHECKING:
+    import warp as wp
+
+    from ...kernels.effects import splat as kernels
+
 NAMES = ("splat_1", "splat_2", "splat_3")
-KIND_OF = {
-    splat_rules.ASPECT: kernels.DIRECTION,
-    splat_rules.FLOW: kernels.LOGARITHM,
-    splat_rules.NOISE: kernels.NOISE,
-    splat_rules.LAYER: kernels.LAYER,
-    splat_rules.IMAGE: kernels.IMAGE,
-}
 # Width of an edge of 0, in any unit; the weight at a limit is 0.5.
 MIN_EDGE = 1e-30
 
@@ -51,6 +48,9 @@ def _weights(
 
     read: attributes that the rules read.
     """
+    from ...kernels import wp
+    from ...kernels.effects import splat as kernels
+
     field, lattice, count = places.field, places.field.lattice, len(places)
     ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
     tables = _tables(layers, *sorted(ends))
@@ -77,11 +77,14 @@ def _rule_inputs(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], coun
 
 
 @lru_cache(maxsize=8)
-def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
+def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[wp.array, wp.array, wp.array]":
     """Return layers, rules and image pixels as arrays for the kernel, those of all layers one after another.
 
     `lowest`, `highest`: metres at which relief is 0 and 1. Raises TerrainError for layers that cannot be evaluated.
     """
+    from ...kernels import wp
+    from ...kernels.effects import splat as kernels
+
     check_layers(layers)
     row, rows = 0, {}  # first row of each attribute in `_rule_inputs`
     for name in attributes_of_rules(layers):
@@ -106,12 +109,14 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
     return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
 
 
-def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
+def _rule(rule: Rule, at: int, lowest: float, highest: float) -> "kernels.SplatRule":
     """Convert a rule for the kernel, with limits in the unit of the values that it reads.
 
     at: row of the attribute, first pixel of the image, or index of the other layer. lowest, highest: heights in metres
     at which relief is 0 and 1. Flow is compared by its logarithm.
     """
+    from ...kernels.effects import splat as kernels
+
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
         # All level ground is at its lowest point.
@@ -120,8 +125,15 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRu
     elif rule.of == splat_rules.FLOW:
         with np.errstate(divide="ignore"):
             limits = np.log10(np.maximum(limits, 0.0))
+    kinds = {
+        splat_rules.ASPECT: kernels.DIRECTION,
+        splat_rules.FLOW: kernels.LOGARITHM,
+        splat_rules.NOISE: kernels.NOISE,
+        splat_rules.LAYER: kernels.LAYER,
+        splat_rules.IMAGE: kernels.IMAGE,
+    }
     packed = kernels.SplatRule()
-    packed.kind, packed.at = KIND_OF.get(rule.of, kernels.VALUE), at
+    packed.kind, packed.at = kinds.get(rule.of, kernels.VALUE), at
     packed.low, packed.high, packed.edge = *limits, edge
     packed.per_edge = 1.0 / max(edge, MIN_EDGE)
     packed.sine, packed.cosine = math.sin(rule.direction), math.cos(rule.direction)
@@ -151,7 +163,7 @@ SPLATS = tuple(
         about=f"Shares of the ground that layers {4 * k + 1} to {4 * k + 4} cover; all layers add up to exactly 1",
         unit="",
         make=make,
-        kernels=(kernels,),
+        kernels=("effects.splat",),
         example=example,
         width=4,
         span=(0.0, 1.0),

@@ -5,13 +5,9 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import light as light_kernels
-from ...kernels.effects.light import sun_seen
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import strips_of, strongest
-from .occluder import launch_at_points, occluder_of
 
 # The default sun, 45 degrees high in the south-west, with the width of the real one.
 AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
@@ -24,6 +20,10 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     scene}}, of which the strongest counts. read: unused. Returns {"sun": float32 [n]}. Raises TerrainError for an
     invalid sun.
     """
+    from ...kernels import wp
+    from ...kernels.effects.light import sun_seen
+    from .occluder import launch_at_points, occluder_of
+
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)
     out = np.zeros(len(places), np.float32)
@@ -48,7 +48,7 @@ SUN = AttributeDeclaration(
     unit="1",
     span=(0.0, 1.0),
     make=make,
-    kernels=(light_kernels,),
+    kernels=("effects.light",),
     example=example,
     parameters=(
         Parameter(

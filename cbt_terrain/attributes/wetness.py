@@ -5,12 +5,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import catchment as catchment_kernels
-from ...kernels.effects import flow as kernels
-from ...kernels.effects import pyramid as pyramid_kernels
-from ...kernels.effects import routing as routing_kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
@@ -27,6 +22,9 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     wanted: unused, it has no parameters. read: `flow` float32 [n] and `detail_normal` float32 [n, 3]. Returns
     {"wetness": float32 [n]}.
     """
+    from ...kernels import wp
+    from ...kernels.effects import flow as kernels
+
     lattice, out = places.field.lattice, np.empty(len(places), np.float32)
     width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
     arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)
@@ -49,7 +47,7 @@ WETNESS = AttributeDeclaration(
     "that drains through a metre of contour over the slope's tangent",
     unit="",
     make=make,
-    kernels=(catchment_kernels, kernels, pyramid_kernels, routing_kernels),
+    kernels=("effects.catchment", "effects.flow", "effects.pyramid", "effects.routing"),
     example=example,
     reads=("flow", "detail_normal"),
     halo="as flow",

@@ -33,10 +33,9 @@ from ..query.grid import heights_on_grid
 from ..run import launch, stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import written_beside
-from .tile_grid import TileAxis, axes_of
+from .tile_grid import PATTERN, TileAxis, axes_of
 
 VERSION = 1
-PATTERN = "{name}_x{x}_y{y}"
 HOLES = "holes"
 NO_FILE_NAME = frozenset('/\\:*?"<>|\0')
 # Of the tiles that are written side by side. Systems allow 256 open files or more.

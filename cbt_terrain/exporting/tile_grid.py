@@ -12,6 +12,7 @@ from ..field.lattice import Lattice
 from ..query.grid import GridAxis, grid_axes
 
 MAX_TILE, MAX_TILES = 32_768, 10_000
+PATTERN = "{name}_x{x}_y{y}"  # file name of a tile
 # Samples a side that fill Unreal's landscape components completely (Landscape Technical Guide).
 UNREAL_SIZES = (505, 1009, 2017, 4033, 8129)
 

@@ -23,7 +23,6 @@ from ..importing.placing import Placing, placing_or_middle
 from ..run import stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import remove_abandoned, written_beside
-from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.linear import length
 from .glb import glb_of
@@ -116,6 +115,8 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
 
     `triangles`: about as many in a tile; the number of levels follows from it.
     """
+    from ..terrain import Terrain
+
     terrain, finest_first = Terrain(field), []
     depth = number = 0
     while number <= depth:

@@ -16,14 +16,16 @@ at or above its children's.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.field import codes as kernels
 from ..run import launch
 from ..run.buffers import flat
 from .lattice import Lattice
+
+if TYPE_CHECKING:
+    from ...kernels.field import codes as kernels
 
 # Entries of each octave, upwards; with 0 and the largest they are 256.
 PER_OCTAVE = (1,) * 18 + (2,) * 6 + (14,) * 2 + (28,) * 7
@@ -113,6 +115,9 @@ def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threa
     errors: float32 metres; one above the last value gets the last code. values: the group's table, float32 [256]
     metres, rising. codes: uint8, zeroed.
     """
+    from ...kernels import wp
+    from ...kernels.field import codes as kernels
+
     arrays = [flat(values, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     inputs = [BLOCK, wp.int64(0), wp.int64(len(errors)), 0, *arrays]
     launch.spread(
@@ -164,11 +169,14 @@ class Steps:
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)
 
 
-def pack_samples(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
+def pack_samples(samples: np.ndarray, steps: Steps | None) -> "kernels.Samples":
     """Return the samples of a height field as kernels read them; memory is shared.
 
     steps: how 16-bit samples convert to metres, None for float32 samples.
     """
+    from ...kernels import wp
+    from ...kernels.field import codes as kernels
+
     s = kernels.Samples()
     s.rows, s.columns = samples.shape
     s.coded = int(steps is not None)

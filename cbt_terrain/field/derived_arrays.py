@@ -12,7 +12,6 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ...kernels.effects.horizon import FINEST
 from ..errors import TerrainError
 from ..run import partial_files
 from . import store, store_arrays
@@ -105,6 +104,8 @@ def derived_shapes(lattice: Lattice) -> dict[str, tuple]:
     These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and of
     a large raster the coarser levels of the heights and the extremes of blocks (attributes/pyramid.py, occluder.py).
     """
+    from ...kernels.effects.horizon import FINEST
+
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # The curvatures of the raster's cells follow the errors of a bicubic surface.
     errors = {"error": plain, "error_c": plain + cells}

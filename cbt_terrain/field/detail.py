@@ -17,12 +17,15 @@ import hashlib
 import operator
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import TYPE_CHECKING
 
-from ...kernels.field import detail as kernels
 from ..errors import check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
 from ..view.linear import add_up
 from .detail_bounds import DetailTerm, Split
+
+if TYPE_CHECKING:
+    from ...kernels.field import detail as kernels
 
 MAX_OCTAVES = 9
 # Upper bounds of the second derivative and the slope of the noise, see above.
@@ -82,11 +85,13 @@ class Detail:
             for s in (SLOPE * a / length,)
         ]
 
-    def packed(self, finest: float) -> kernels.PackedDetail:
+    def packed(self, finest: float) -> "kernels.PackedDetail":
         """Return the octaves that `waves` lists as kernels read them.
 
         finest: metres of the shortest edges of meshes.
         """
+        from ...kernels.field import detail as kernels
+
         d = kernels.PackedDetail()
         waves = self.waves(finest)
         d.octaves, d.seed = len(waves), self.seed

@@ -6,12 +6,10 @@ A mask has a byte for every sample of the raster, where 255 is all of the detail
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.field import detail as kernels
-from ...kernels.field.domain import Domain
 from ..errors import TerrainError
 from ..run.buffers import flat, shared
 from ..view.linear import add_up
@@ -20,6 +18,10 @@ from .detail import Detail
 from .detail_bounds import DetailTerm, highest, masked_terms, tables
 from .lattice import Lattice
 from .tiled import Tiled
+
+if TYPE_CHECKING:
+    from ...kernels.field import detail as kernels
+    from ...kernels.field.domain import Domain
 
 ALL = 255  # byte of a mask where the detail has its full height
 ROUNDING = np.float32(1.0 + 2.0**-19)  # exceeds the rounding of a sum of a dozen float32
@@ -168,12 +170,14 @@ def _joined(arrays: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([array.reshape(-1) for array in arrays])
 
 
-def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
+def fill_layers(domain: "Domain", ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
     """Fill in the fields of `domain` that bound the displacement of the layers.
 
     finest: metres of the shortest edges. meshlet: each leaf is drawn as 4**meshlet triangles. ground: a displacement,
     layers of it, or None.
     """
+    from ...kernels import wp
+
     parts, levels = bound_terms(ground, finest, lattice), mask_levels(lattice)
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
@@ -182,12 +186,15 @@ def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: L
     domain.mask_first = shared(levels, wp.int64)
 
 
-def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:
+def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kernels.PackedLayers":
     """Return the layers as kernels read them.
 
     finest: metres of the shortest edges. Raises TerrainError for a mask of another raster. ground: a displacement,
     layers of it, or None.
     """
+    from ...kernels import wp
+    from ...kernels.field import detail as kernels
+
     layers, heights, masks, c = [], [], [], kernels.PackedLayers()
     pixels = bytes_ = 0
     for layer in layers_below(ground):

@@ -6,20 +6,22 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...kernels.field.detail import PackedLayers
 from ..errors import TerrainError
 from ..run.locks import caching
 from . import codes
 from .detail_bounds import DetailTerm, highest
 from .displacement_layers import Ground, bound_terms, pack_layers
-from .finer_tiles import FinerTiles
 from .georeference import Place, known_place, move_place
 from .lattice import Lattice
 from .store_arrays import all_finite
+
+if TYPE_CHECKING:
+    from ...kernels.field.detail import PackedLayers
+    from .finer_tiles import FinerTiles
 
 INTERPOLATIONS = ("bilinear", "bicubic")
 # Plane coordinates are float32 in the mesh, so lattice lines are at least 2^-23 of the longer side apart.
@@ -106,7 +108,7 @@ class HeightRaster:
     place: Place | None = None
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
-    finer: FinerTiles | None = field(default=None, repr=False)
+    finer: "FinerTiles | None" = field(default=None, repr=False)
     cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
 
     def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:

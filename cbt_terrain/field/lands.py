@@ -3,16 +3,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.field.island import raise_island
-from ...kernels.land.ranges import ARCHIPELAGO, CANYON, MOUNTAINS, raise_land
-from ...kernels.land.sand import raise_dunes
 from ..run import launch
 from ..run.buffers import flat
 from . import island
+
+if TYPE_CHECKING:
+    import warp as wp
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class BuiltInTerrain:
         name: its name as a source to import.
         label, about: its texts in menus.
         side: metres of its square.
-        kernel: computes its rows.
-        inputs: inputs(size, first_row, seed) returns the kernel's arguments between offset and samples.
+        launched: launched(size, first_row, seed) returns the kernel that computes its rows, and the kernel's arguments
+            between offset and samples. It imports the kernel.
         preset: name of the stack of effects that suits it, "" for none.
         cost: cost of a sample, in lookups.
     """
@@ -33,8 +33,7 @@ class BuiltInTerrain:
     label: str
     about: str
     side: float
-    kernel: wp.Kernel
-    inputs: Callable[[int, int, wp.uint32], list]
+    launched: "Callable[[int, int, int], tuple[wp.Kernel, list]]"
     preset: str = ""
     cost: float = 30.0
 
@@ -43,8 +42,11 @@ class BuiltInTerrain:
 
         Heights depend only on the seed and the position, so resolutions agree where their samples coincide.
         """
-        inputs = [*self.inputs(size, first_row, wp.uint32(seed & 0xFFFFFFFF)), flat(rows, wp.float32)]
-        launch.spread(self.kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
+        from ...kernels import wp
+
+        kernel, inputs = self.launched(size, first_row, seed & 0xFFFFFFFF)
+        inputs.append(flat(rows, wp.float32))
+        launch.spread(kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
 
     def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:
         """Return the terrain's heights, float32 [size, size] metres, row 0 south."""
@@ -52,19 +54,48 @@ class BuiltInTerrain:
         self.rows(size, 0, samples, seed)
         return samples
 
+    def load(self) -> None:
+        """Load its kernel, for a process that gives up its rights before it computes rows."""
+        kernel, _ = self.launched(1, 0, 0)
+        launch.slices(kernel, [], step="load")  # launches nothing
 
-def _mountain_terrain(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
-    """Return a built-in terrain of mountain ranges, which `raise_land` computes.
 
-    number: its shape's number in the kernel. side: metres of its square. preset: name of the stack that shapes it.
-    """
-    half = wp.float64(0.5 * side)
-    return BuiltInTerrain(
-        name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset
-    )
+def _island_kernel(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
+    """Return the kernel of the island and its arguments, as `BuiltInTerrain.launched`."""
+    from ...kernels import wp
+    from ...kernels.field.island import raise_island
+
+    return raise_island, [size, row, wp.uint32(seed)]
 
 
 _DUNES = 8192.0
+
+
+def _dunes_kernel(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
+    """Return the kernel of the dunes and its arguments, as `BuiltInTerrain.launched`."""
+    from ...kernels import wp
+    from ...kernels.land.sand import raise_dunes
+
+    return raise_dunes, [size, row, wp.float64(0.5 * _DUNES), wp.uint32(seed)]
+
+
+def _mountain_terrain(name: str, label: str, about: str, side: float, shape: str, preset: str) -> BuiltInTerrain:
+    """Return a built-in terrain of mountain ranges, which `raise_land` computes.
+
+    shape: name of its shape's number in kernels/land/ranges.py. side: metres of its square. preset: name of the stack
+    that shapes it.
+    """
+
+    def launched(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
+        """Return the kernel and its arguments, as `BuiltInTerrain.launched`."""
+        from ...kernels import wp
+        from ...kernels.land import ranges
+
+        return ranges.raise_land, [getattr(ranges, shape), size, row, wp.float64(0.5 * side), wp.uint32(seed)]
+
+    return BuiltInTerrain(name, label, about, side, launched, preset)
+
+
 LANDS: dict[str, BuiltInTerrain] = {
     land.name: land
     for land in (
@@ -73,28 +104,26 @@ LANDS: dict[str, BuiltInTerrain] = {
             "Built-in Island",
             "A volcano, ridges and beaches",
             island.SIDE,
-            raise_island,
-            lambda size, row, seed: [size, row, seed],
+            _island_kernel,
             "volcanic_island",
         ),
         _mountain_terrain(
-            "mountains", "Mountains", "A mountain range with foothills", 24_576.0, MOUNTAINS, "great_range"
+            "mountains", "Mountains", "A mountain range with foothills", 24_576.0, "MOUNTAINS", "great_range"
         ),
         BuiltInTerrain(
             "dunes",
             "Dunes",
             "Long crests of sand, steep on their east side",
             _DUNES,
-            raise_dunes,
-            lambda size, row, seed: [size, row, wp.float64(0.5 * _DUNES), seed],
+            _dunes_kernel,
         ),
-        _mountain_terrain("canyon", "Canyon", "A plateau of rock layers, cut by a river", 16_384.0, CANYON, "desert"),
+        _mountain_terrain("canyon", "Canyon", "A plateau of rock layers, cut by a river", 16_384.0, "CANYON", "desert"),
         _mountain_terrain(
             "archipelago",
             "Archipelago",
             "Islands and volcanoes in a shallow sea",
             32_768.0,
-            ARCHIPELAGO,
+            "ARCHIPELAGO",
             "volcanic_island",
         ),
     )

@@ -38,7 +38,7 @@ from ..errors import TerrainError, check_path
 from ..run import owned_files, partial_files
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
-from . import codes, finer_tiles
+from . import codes
 from .displacement_layers import layers_below
 from .heightfield import HeightField, HeightRaster
 from .lattice import fit
@@ -154,6 +154,8 @@ def _open(path: Path, content: dict) -> HeightField:
 
     Raises FileNotFoundError if an array is missing, and TerrainError if one is damaged.
     """
+    from . import finer_tiles
+
     lattice = fit(**content["lattice"])
     shape = lattice.height, lattice.width
     folder = path / content["data"]
@@ -186,6 +188,8 @@ def _open(path: Path, content: dict) -> HeightField:
 
 def is_intact(field: HeightField) -> bool:
     """Return whether the files that a field and its cache have mapped still have their length (`is_cut_off`)."""
+    from . import finer_tiles
+
     surfaces = field, *field.cache.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]

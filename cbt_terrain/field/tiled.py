@@ -17,16 +17,19 @@ those of the coarser net. The choice of the net changes only how tight the bound
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...kernels.field import detail as kernels
 from ..errors import TerrainError, check_number
 from ..plain_numbers import keep_plain_numbers
 from ..view.linear import add_up
 from .detail import EDGES_A_WAVE, LARGEST
 from .detail_bounds import OUTWARD, DetailTerm, Split
 from .painted import Painted
+
+if TYPE_CHECKING:
+    from ...kernels.field import detail as kernels
 
 MAX_PIXELS = 1 << 22
 # Weights for a net of every other pixel: they remove waves of two pixels, and U restores long waves.
@@ -86,11 +89,13 @@ class Tiled:
         )
         return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per, 2 * texel, splits)]
 
-    def packed(self, finest: float) -> tuple[kernels.PackedDetail, np.ndarray]:
+    def packed(self, finest: float) -> "tuple[kernels.PackedDetail, np.ndarray]":
         """Return the detail as kernels read it, and its control heights for the amplitude 1, float32 [rows, columns].
 
         finest: metres of the shortest edges of meshes.
         """
+        from ...kernels.field import detail as kernels
+
         (net, texel), d = self._net(finest), kernels.PackedDetail()
         d.rows, d.columns = net.heights.shape
         d.amplitude, d.frequency = self.amplitude, 1.0 / texel

@@ -23,7 +23,6 @@ from ..errors import TerrainError
 from ..field import store as stores
 from ..field import store_folder
 from ..field.heightfield import HeightField
-from ..field.verification import verify
 from ..run import launch, owned_files
 from ..run.owned_files import NotOursError
 from . import land_folder, requested_tiles, shaping_cost
@@ -329,6 +328,8 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
     Raises:
         NotOursError: the store is a link.
     """
+    from ..field.verification import verify
+
     if not _is_rebuilt_here(store):
         return None
     changed = stores.changed_ns(store)

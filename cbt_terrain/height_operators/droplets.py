@@ -6,15 +6,17 @@ A mask scales erosion; deposition follows from it.
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.land import droplets as kernels
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
+
+if TYPE_CHECKING:
+    from ...kernels.land import droplets as kernels
 
 # The positions of gullies differ between levels, only their amount converges. So droplets run on each level down to
 # this many metres between samples, independently of the coarser one; finer levels smooth the gullies of that level.
@@ -67,6 +69,9 @@ def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.nda
 
     The change is float64 [rows, columns] m, complete in the target only. values: the operator's parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land import droplets as kernels
+
     rain = _rain(ground, values)
     heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
     if ground.missing is not None:
@@ -84,12 +89,14 @@ def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.nda
     return change, carried
 
 
-def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.DropletRain:
+def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.DropletRain":
     """Return the droplets' parameters for kernels, without arrays; a step is as long as the smaller spacing of samples.
 
     values: `droplets` is their number per square kilometre. They start in tiles of `rows` x `columns` samples; none
     reaches half a tile, so that distant tiles run in parallel.
     """
+    from ...kernels.land import droplets as kernels
+
     rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape
     rain.first_row, rain.first_column = ground.first
@@ -131,7 +138,7 @@ def _tile(reach: float, brush: int) -> int:
     return math.ceil(2.0 * (reach + brush + 3.0))
 
 
-def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray]:
+def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarray]:
     """Return for each colour the tiles that can affect the target window, as numbers in the whole level, int32.
 
     These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
@@ -192,7 +199,7 @@ DROPLETS = HeightOperator(
     label="Gullies",
     about="Short gullies and small fans of earth, cut by drops of rain",
     apply=apply,
-    kernels=(kernels,),
+    kernels=("land.droplets",),
     example=example,
     parameters=(
         Parameter("droplets", 20000.0, 0.0, 200000.0, "1/km²", "Number of droplets: more cut more gullies"),

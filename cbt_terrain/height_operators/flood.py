@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
-from ...kernels.land import flood as kernels
 from ..attributes.attribute import Parameter
 from ..errors import TerrainError
 from ..run import launch
@@ -101,6 +99,8 @@ def longest_step(flood: Flood) -> float:
     h is at least MIN_DEPTH. It is the bound of leapfrog steps for the shortest wave of the grid, where s is the
     smoothing of fluxes.
     """
+    from ...kernels.land import flood as kernels
+
     dx, dy = flood.metres
     deepest = max(float(flood.water.max()), MIN_DEPTH)
     return math.sqrt((1.0 - 2.0 * kernels.SMOOTHING) / (GRAVITY * deepest * (1.0 / dx**2 + 1.0 / dy**2)))
@@ -144,6 +144,9 @@ def _advance(flood: Flood, dt: float) -> None:
 
     Outlets keep the depth beyond the border; water that leaves or enters there is added to `flood.left`.
     """
+    from ...kernels import wp
+    from ...kernels.land import flood as kernels
+
     flood.fluxes, flood.old_fluxes = flood.old_fluxes, flood.fluxes
     s = kernels.FloodStep()
     s.height, s.width = flood.bed.shape
@@ -226,7 +229,7 @@ FLOOD = HeightOperator(
     label="Flood",
     about="Water after some minutes of a cloudburst or a storm surge; heights stay",
     apply=apply,
-    kernels=(kernels,),
+    kernels=("land.flood",),
     example=example,
     parameters=(
         Parameter("minutes", 60.0, 0.0, 2880.0, "min", "How long the rain and the flood last"),

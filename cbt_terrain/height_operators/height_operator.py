@@ -102,7 +102,8 @@ class HeightOperator:
         name, label, about: for stacks and files, for menus, and one line of meaning.
         apply: the function.
         example: evaluates it on ground with a known result and asserts that.
-        kernels: modules of kernels that `apply` launches, itself or through others; they are compiled ahead.
+        kernels: modules of kernels that `apply` launches, itself or through others; they are compiled ahead. A module
+            of this package is named ("land.thermal"), so that a declaration imports no kernels.
         parameters: in metres, years, degrees.
         layers: its by-products. reads: layers of others that it reads.
         state: names of the arrays in `Change.state`.
@@ -124,7 +125,7 @@ class HeightOperator:
     about: str
     apply: Apply
     example: Callable[[Evaluate], None]
-    kernels: tuple[ModuleType, ...] = ()
+    kernels: tuple[ModuleType | str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     layers: tuple[LandLayer, ...] = ()
     reads: tuple[str, ...] = ()

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..attributes.attribute import AttributeDeclaration, AttributeRequest
 from ..attributes.catalogue import ATTRIBUTES
-from ..attributes.evaluate import on_samples
 from ..attributes.layers import NAMES as BY_PRODUCTS
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
@@ -36,6 +35,8 @@ def values_of(
     `layers` as they are. heights(window): returns float32 metres of the ground. missing: bool [rows, columns] of the
     level, holes, or None.
     """
+    from ..attributes.evaluate import on_samples
+
     results = {name: layers[name] for name in names if name in BY_PRODUCTS}
     requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]
     if requests:

@@ -18,7 +18,7 @@ def kernels_of(stack: Stack) -> list[ModuleType]:
     rules = [rule for entry in stack.active if entry.mask is not None for rule in entry.mask.rules]
     read = plan(AttributeRequest(rule.of, ()) for rule in rules if rule.of in SHAPES)
     launched = [module for entry in stack.active for module in entry.declaration.kernels]
-    return list(dict.fromkeys([*launched, *kernels_of_steps(read)]))
+    return warmup.import_kernels([*launched, *kernels_of_steps(read)])
 
 
 def prepare(stack: Stack, on_progress: Callable[[float, str], None] = lambda _fraction, _message: None) -> None:

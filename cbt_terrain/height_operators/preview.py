@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..field.build import from_array
 from ..field.heightfield import HeightField
 from ..run.locks import cached
 from .height_operator import OperatorGround
@@ -96,6 +95,8 @@ def preview(
     images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators. Raises
     TerrainError for a mask that reads a missing layer.
     """
+    from ..field.build import from_array
+
     check_by_products(stack, source.layers)
     level = levels_of(source.lattice)[-1]
     states = _apply_entries(source, level, stack, images or {}, threads, seconds)

@@ -3,16 +3,17 @@
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.land import relief as relief_kernels
-from ...kernels.land.relief import ReliefNoise, Window, add_relief
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .height_operator import Change, Evaluate, HeightOperator, OperatorGround
+
+if TYPE_CHECKING:
+    from ...kernels.land.relief import ReliefNoise, Window
 
 # Fraction of the longest wave over which the ground's slope and curvature are measured.
 REACH = 0.25
@@ -29,6 +30,9 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
     The coarser level, which only lacks the finest waves, is not needed. Sediment hides the relief. values: the
     operator's parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land.relief import add_relief
+
     heights = np.ascontiguousarray(ground.heights)
     noise, window = _noise(ground, values), _window(ground, values)
     added = np.empty_like(heights)
@@ -45,11 +49,14 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
     return Change(added)
 
 
-def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
+def _noise(ground: OperatorGround, values: Mapping[str, float]) -> "ReliefNoise":
     """Return the parameters of the noise for kernels; octaves end at waves of two samples.
 
     values: the operator's parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land.relief import ReliefNoise
+
     noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
     noise.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
@@ -61,11 +68,13 @@ def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
     return noise
 
 
-def _window(ground: OperatorGround, values: Mapping[str, float]) -> Window:
+def _window(ground: OperatorGround, values: Mapping[str, float]) -> "Window":
     """Return the window of samples for kernels, with the distance, in samples, over which slopes are averaged.
 
     values: the operator's parameters by name.
     """
+    from ...kernels.land.relief import Window
+
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first
@@ -91,7 +100,7 @@ RELIEF = HeightOperator(
     label="Fine Relief",
     about="Rock, gullies and ledges that are finer than the height map, by the slope and the bend of the ground",
     apply=apply,
-    kernels=(relief_kernels,),
+    kernels=("land.relief",),
     example=_example,
     reads=("sediment",),
     parameters=(

@@ -7,12 +7,14 @@ where water and sediment enter; none leaves there. Without them a lake would lea
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..attributes.routing import route
-from .fluvial import Bed
 from .height_operator import Change, OperatorGround
+
+if TYPE_CHECKING:
+    from .fluvial import Bed
 
 # Arrays for the next finer level (Change.state): depth of lakes in m, and sediment that comes to a sample, m3 a year.
 LAKE, LOAD = "lake", "load"
@@ -45,7 +47,7 @@ def sides(shape: tuple[int, ...]) -> list[tuple]:
     return [(0, every), (shape[0] - 1, every), (every, 0), (every, shape[1] - 1)]
 
 
-def border_motion(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
+def border_motion(bed: "Bed", origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
     """Return a function that moves the border samples after each step.
 
     origin: float32 [n] m, heights before all steps. coarser: the coarser level's change, None at the coarsest level.
@@ -117,7 +119,7 @@ class _Ring:
     flow: np.ndarray
 
 
-def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
+def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     """Set drainage area and sediment that flow in, closed border samples and outlet levels of a tile's bed.
 
     They follow from the coarser level. coarser: its change, interpolated to `ground`.
@@ -160,12 +162,14 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     _close(bed, ground, coarse, ring)
 
 
-def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coarse:
+def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coarse:
     """Return the coarser level's surface, flow, sediment and receivers at its samples in a tile.
 
     `coarser`: its change, interpolated to the tile; every second sample of it is one of the coarser level. Receivers
     along a cut follow from drainage area, since the ground beyond is unknown there.
     """
+    from ..attributes.routing import route
+
     odd = ground.first[0] % 2, ground.first[1] % 2
     every, samples_per_m2 = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
@@ -271,7 +275,7 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 
-def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
+def _close(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
     """Close border samples of a tile's bed to water, and set the levels above which it leaves at others.
 
     A closed sample has a level WALL metres above the coarser surface, an open one of a lake that surface; all others
@@ -299,7 +303,7 @@ def _close(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> No
         shut |= may_close & _max_along(too_much, WANDER)
 
 
-def _along(bed: Bed, ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
+def _along(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples along the cut where water may leave, and the index in the ring of each one's nearest, int64.
 
     Samples are those of the tile, in C order.

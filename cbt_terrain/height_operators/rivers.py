@@ -3,20 +3,18 @@
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...kernels.effects import catchment as catchment_kernels
-from ...kernels.effects import routing as routing_kernels
-from ...kernels.land import creep as creep_kernels
-from ...kernels.land import fluvial as fluvial_kernels
 from ..attributes.attribute import Parameter
 from .cliffs import limit_at_cliffs
-from .fluvial import Bed, curvature_of, diffuse, step, vary_rock
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
-from .lake_outlets import keep_outlets
 from .levels import COARSEST, apply_by_levels
 from .river_borders import LAKE, LOAD, border_motion, set_boundary, sides
+
+if TYPE_CHECKING:
+    from .fluvial import Bed
 
 # The coarsest level simulates all years, in steps of at most STEP_YEARS if their number is in this range.
 STEP_YEARS, MIN_STEPS, MAX_STEPS = 20e3, 10, 60
@@ -50,6 +48,8 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     values: the parameters by name. coarser: the change of the next coarser level, interpolated to this one, from which
     this level starts; None at the coarsest level.
     """
+    from .fluvial import step
+
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
@@ -68,7 +68,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def _change_of_bed(
-    bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray
+    bed: "Bed", ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray
 ) -> Change:
     """Return the change of the heights since `origin`, with the layers and the state for the next finer level.
 
@@ -129,12 +129,15 @@ def _halvings(ground: OperatorGround) -> int:
     return count
 
 
-def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> tuple[Bed, np.ndarray]:
+def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> "tuple[Bed, np.ndarray]":
     """Return the initial bed, and the heights before the operator with the sea at its surface, float32 [n].
 
     values: the operator's parameters by name. coarser: the change of the next coarser level, interpolated; None at the
     coarsest.
     """
+    from .fluvial import Bed, curvature_of, vary_rock
+    from .lake_outlets import keep_outlets
+
     sea, shape, n = np.float32(values["sea"]), ground.heights.shape, ground.heights.size
     missing = np.zeros(n, bool) if ground.missing is None else ground.missing.reshape(-1)
     before = ground.heights.reshape(-1)
@@ -196,11 +199,13 @@ def _fade(ground: OperatorGround) -> np.ndarray:
     return (north[:, None] * east).astype(np.float32)
 
 
-def _diffused_change(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
+def _diffused_change(bed: "Bed", coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     """Return the coarser level's change and sediment, diffused over SPREAD, both float32 [n] m.
 
     Interpolation would leave edges otherwise.
     """
+    from .fluvial import diffuse
+
     still = (bed.fixed | (bed.weight == 0.0)).reshape(bed.shape).astype(np.uint8)
     for side in sides(bed.shape):
         still[side] = 1
@@ -211,7 +216,7 @@ def _diffused_change(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]
 
 
 def _restore_cliffs(
-    bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray
+    bed: "Bed", ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray
 ) -> None:
     """Undo the smearing of cliffs, once at the start of a level, by changing the bed.
 
@@ -267,7 +272,7 @@ RIVERS = HeightOperator(
     label="Rivers",
     about="Rivers cut valleys, slopes become round, valley floors and lakes fill up; with Rise, mountains grow",
     apply=apply,
-    kernels=(catchment_kernels, routing_kernels, creep_kernels, fluvial_kernels),
+    kernels=("effects.catchment", "effects.routing", "land.creep", "land.fluvial"),
     example=example,
     parameters=(
         Parameter("years", 300e3, 0.0, 20e6, "years", "How long rivers work: longer cuts deeper valleys"),

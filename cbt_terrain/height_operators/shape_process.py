@@ -10,7 +10,6 @@ from ..field import store_folder
 from ..importing.earlier_import import finished_before
 from ..sandbox.store_job import StoreJob, Tell, serve, wait_for
 from .prepare import prepare
-from .shape_store import open_source, run_shape, shape_digest
 from .stack import Stack, stack_content, stack_from
 from .tiles import Wanted
 
@@ -41,6 +40,8 @@ class ShapeJob(StoreJob):
         (`tiles_seen`), or None for the whole level; None for all levels. tiles: folder of cached tiles, None for one in
         the store. gentle: run at low priority.
         """
+        from .shape_store import open_source, shape_digest
+
         stack = stack_from(stack_content(stack))
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
@@ -95,6 +96,8 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
 
     request: that of ShapeJob. begin: says that the child is ready, so threads may start.
     """
+    from .shape_store import run_shape
+
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)

@@ -9,12 +9,10 @@ from pathlib import Path
 from ..errors import TerrainError
 from ..field import store as stores
 from ..field import store_folder
-from ..field.finer_tiles import SIDE
 from ..field.lattice import Lattice, fit
 from ..view.linear import add_up
 from . import requested_tiles
 from .catalogue import RENAMED
-from .finer_land import COST
 from .land_folder import folder_beside, is_land_name
 from .level_plan import MAX_WHOLE, LevelPlan
 from .preview import Preview
@@ -92,6 +90,9 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
 
 def _finer_samples(source: str) -> float:
     """Return the samples of a raster whose errors take as long as the finer tiles of a store. Raises TerrainError."""
+    from ..field.finer_tiles import SIDE
+    from .finer_land import COST
+
     tiles = stores.read_json(Path(source)).get("finer", {}).get("tiles", 0)
     return COST * SIDE * SIDE * tiles
 

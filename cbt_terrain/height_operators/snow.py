@@ -3,16 +3,12 @@
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import pyramid as pyramid_kernels
-from ...kernels.effects import sweep as sweep_kernels
-from ...kernels.land import snow as kernels
 from ..attributes.attribute import Parameter
 from ..attributes.light import azimuths
-from ..attributes.sky_layer import sweep
 from ..run import launch
 from ..run.buffers import flat
 from ..view.linear import length
@@ -20,6 +16,9 @@ from .balance import balance_mass
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 from .levels import coarser as halved
 from .levels import finer
+
+if TYPE_CHECKING:
+    from ...kernels.land import snow as kernels
 
 # Azimuths of the sky; directions of shelter relative to the wind in degrees.
 AZIMUTHS, GUSTS = 8, (-20.0, 0.0, 20.0)
@@ -60,6 +59,10 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
 
     Both are float32 [rows, columns]. values: the operator's parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land import snow as kernels
+    from ..attributes.sky_layer import sweep
+
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
 
@@ -100,11 +103,14 @@ def _where_bare(ground: OperatorGround) -> np.ndarray:
     return (bare if ground.missing is None else bare | ground.missing).astype(np.uint8)
 
 
-def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Weather:
+def _weather(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Weather":
     """Return the snow line, the depth of snow, the aspect and the noon sun of an equinox for kernels.
 
     values: the operator's parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land import snow as kernels
+
     weather, latitude = kernels.Weather(), math.radians(values["latitude"])
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
@@ -168,6 +174,9 @@ def _slide_snow(
     at least 2; each has two halves, slabs of two rows that begin at even and at odd rows. values: the operator's
     parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land import snow as kernels
+
     arguments, mean_snow, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     arguments.height, arguments.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
@@ -237,7 +246,7 @@ SNOW = HeightOperator(
     label="Snow",
     about="Snow by height, sun, wind and sky; it slides off steep ground",
     apply=apply,
-    kernels=(pyramid_kernels, sweep_kernels, kernels),
+    kernels=("effects.pyramid", "effects.sweep", "land.snow"),
     example=example,
     parameters=(
         Parameter("line", 600.0, -1000.0, 9000.0, "m", "Height above which snow falls instead of rain"),

@@ -7,16 +7,18 @@ A mask scales the rock that may break; scree slides where the mask is 0, too.
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.land import thermal as kernels
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .balance import balance_mass
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
+
+if TYPE_CHECKING:
+    from ...kernels.land import thermal as kernels
 
 # Sweeps of a level in which rock breaks, then sweeps in which scree comes to rest, and their factor at the coarsest
 # level.
@@ -98,6 +100,8 @@ def settle_scree(
     kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`. values: the operator's parameters
     by name.
     """
+    from ...kernels.land import thermal as kernels
+
     slope, mean_scree = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
     launch.spread(kernels.vary_repose, slope.height, inputs, step="scree", threads=ground.threads, cost=cost)
@@ -115,12 +119,14 @@ def settle_scree(
     return mean_scree
 
 
-def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
+def sweep(slope: "kernels.Slope", number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
     """Run sweep `number`, from 0, and yield after each half. recorded: cache of launch.py for sweeps over one slope.
 
     The order of slabs alternates, else those of one parity would erode more than the others. The first half also
     settles pairs along the rows.
     """
+    from ...kernels.land import thermal as kernels
+
     spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
     spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)
     for along, parity in ((1, odd), (0, 1 - odd)):
@@ -148,12 +154,15 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
 
 def pack_slope(
     ground: OperatorGround, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
-) -> kernels.Slope:
+) -> "kernels.Slope":
     """Return parameters and arrays as the kernels read them; the memory of the arrays is shared.
 
     base: constant rock, left: rock that may break off, scree; float32 [rows, columns] metres. values: the operator's
     parameters by name.
     """
+    from ...kernels import wp
+    from ...kernels.land import thermal as kernels
+
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape
     slope.first_row, slope.first_column = ground.first
@@ -188,7 +197,7 @@ THERMAL = HeightOperator(
     label="Scree",
     about="Steep rock breaks off, and loose stones gather below at the angle at which they rest",
     apply=apply,
-    kernels=(kernels,),
+    kernels=("land.thermal",),
     example=example,
     parameters=(
         Parameter("depth", 30.0, 0.0, 500.0, "m", "Largest thickness of rock that breaks off"),

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..attributes import sizing
 from ..attributes.tiling import Tiling
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
@@ -163,6 +162,8 @@ def tiles_seen(
     not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world, None for the identity.
     Heights are multiplied by `vertical_scale`, then `vertical_offset` metres are added.
     """
+    from ..attributes import sizing
+
     levels = levels_of(field.lattice)
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     boxes, tiles = None, []
@@ -183,6 +184,8 @@ def _round_error(metres: float) -> float:
 
 def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
     """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3]."""
+    from ..attributes import sizing
+
     west, south, _, _ = field.lattice.rectangle()
     sides = TILE * level.step_x, TILE * level.step_y
     tiling = Tiling(level.tiles[1], level.tiles[0], west, south, *sides, margin=0.0)

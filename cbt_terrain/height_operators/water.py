@@ -4,18 +4,17 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from ...kernels.effects import catchment as catchment_kernels
-from ...kernels.effects import routing as routing_kernels
-from ...kernels.land import water as kernels
 from ..attributes.attribute import Parameter
-from ..attributes.routing import route
 from ..run import launch
 from ..run.buffers import flat
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
+
+if TYPE_CHECKING:
+    from ...kernels.land import water as kernels
 
 YEAR = 365.2425 * 86400.0  # seconds
 
@@ -31,6 +30,10 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
     values: the parameters by name, as `sea`, the height of the sea in metres.
     """
+    from ...kernels import wp
+    from ...kernels.land import water as kernels
+    from ..attributes.routing import route
+
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
     dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)  # 1 in holes
@@ -55,11 +58,13 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
 
 
-def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.SteadyRain:
+def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.SteadyRain":
     """Return the rain for kernels: `runoff` is m^3/s of each sample, from metres a year.
 
     values: the operator's parameters by name.
     """
+    from ...kernels.land import water as kernels
+
     rain = kernels.SteadyRain()
     rain.height, rain.width = ground.heights.shape
     rain.step_x, rain.step_y = ground.step_x, ground.step_y
@@ -92,7 +97,7 @@ WATER = HeightOperator(
     label="Water",
     about="Rivers, lakes and the sea under steady rain, with their depth and speed; heights stay",
     apply=apply,
-    kernels=(catchment_kernels, routing_kernels, kernels),
+    kernels=("effects.catchment", "effects.routing", "land.water"),
     example=example,
     parameters=(
         Parameter("rain", 1.0, 0.0, 1000.0, "m/yr", "Rain that runs off, without what evaporates or seeps away"),

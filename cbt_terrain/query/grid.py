@@ -6,15 +6,12 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import warp as wp
 
-from ...kernels.query import grid as kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
 from ..run import launch
 from ..run.buffers import shared
-from .surface import pack_surface
 
 SNAPPED = 1e-5  # a step that differs by less, relatively, from a simple part of the raster's is taken for that part
 MAX_DENOMINATOR = 1 << 20
@@ -104,6 +101,10 @@ def heights_on_grid(
 
     Holes have heights, too. The displacement of the field is included.
     """
+    from ...kernels import wp
+    from ...kernels.query import grid as kernels
+    from .surface import pack_surface
+
     surface, shape = pack_surface(field, 1.0, 0.0), (len(rows.cells), len(columns.cells))
     heights, inside = np.empty(shape), np.empty(shape, bool)
     inputs = [surface, shared(columns.cells, wp.int32), shared(columns.parts, wp.float64)]

@@ -12,19 +12,19 @@ m from `mean_ramp`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
-import warp as wp
-
-from ...kernels.field.domain import Domain
-from ...kernels.refine.excess import ANY, AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_largest
-from ...kernels.refine.pixels import CriterionArrays
 from ..run import launch
 from ..run.buffers import Buffers
-from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 from ..view.criterion import LARGEST, Criterion
 from ..view.morph import mean_ramp
 from ..view.spans import Spans
 from .terms import MARGIN, Terms, weighed_as
+
+if TYPE_CHECKING:
+    from ...kernels.field.domain import Domain
+    from ...kernels.refine.pixels import CriterionArrays
+    from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 
 # If no factor on the criterion meets a triangle limit, the factor of the root triangles is reported, up to this.
 MAX_FACTOR = 1e100
@@ -95,17 +95,17 @@ class Outcome:
     between the lowest and the highest point. `in_frame`: returns `arrays` without the guard band.
     """
 
-    domain: Domain
-    arrays: CriterionArrays
+    domain: "Domain"
+    arrays: "CriterionArrays"
     relaxed: float
     stopped: bool
     max_depth: int
     deepest: int
-    tree: ConcurrentBinaryTree
+    tree: "ConcurrentBinaryTree"
     squares: int
     relief: float
     buffers: Buffers
-    in_frame: Callable[[], CriterionArrays]
+    in_frame: "Callable[[], CriterionArrays]"
 
     def search(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
@@ -115,6 +115,9 @@ class Outcome:
         tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
         hundredth.
         """
+        from ...kernels import wp
+        from ...kernels.refine.excess import STACK, Triangle, find_largest
+
         stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
             self.domain,
@@ -153,6 +156,8 @@ class Outcome:
         limit stopped a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all
         numbers are.
         """
+        from ...kernels.refine.excess import ANY
+
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
         worst = replace(self, max_depth=ANY).search(what, finest)
@@ -205,6 +210,8 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway. `finest`
     is the tolerance of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
     """
+    from ...kernels.refine.excess import ERROR, FIXED
+
     fixed = outcome.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
@@ -238,6 +245,8 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     It is the request times the relaxation factor, or more if rounding or the depth limit prevents that. outcome: the
     refinement and how it ended.
     """
+    from ...kernels.refine.excess import METRES
+
     if not criterion.error_m:
         return None
     fixed, source, mean = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
@@ -259,6 +268,8 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     The search measures edges in spans, `spans.edge` of them a pixel. `longer`: factor by which rounding to float32
     lengthens edges.
     """
+    from ...kernels.refine.excess import EDGE
+
     if not criterion.edge_px:
         return None
     mean = mean_ramp(criterion.morph_until)
@@ -275,6 +286,8 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     The search uses the square root of twice the area: the leg of a right triangle of two equal legs. So bounds are
     computed as lengths, pixels. spans: pixel footprints of the views. outcome: result of the refinement.
     """
+    from ...kernels.refine.excess import AREA
+
     if not criterion.area_px:
         return None
     request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)

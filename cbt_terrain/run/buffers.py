@@ -6,35 +6,30 @@ Results are lent (`Loans`): their arrays are read-only, and their memory is not 
 
 import weakref
 from collections.abc import Container, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
+
+if TYPE_CHECKING:
+    import warp as wp
 
 MAX_ITEMS = 2**31 - 1  # Warp's shapes and indices are int32
-_NUMPY = {
-    wp.vec2i: (np.int32, 2),
-    wp.vec3i: (np.int32, 3),
-    wp.vec4i: (np.int32, 4),
-    wp.vec2f: (np.float32, 2),
-    wp.vec3f: (np.float32, 3),
-    wp.vec4f: (np.float32, 4),
-    wp.vec3d: (np.float64, 3),
-}
 
 
-def shared(array: np.ndarray, dtype: Any) -> wp.array:
+def shared(array: np.ndarray, dtype: Any) -> "wp.array":
     """Return a Warp array over the memory of a numpy array of the same layout.
 
     dtype: of Warp, as wp.vec3f for [n, 3]. The length that Warp sees is MAX_ITEMS at most: kernels read longer arrays
     without it (kernels/unchecked.py).
     """
+    from ...kernels import wp
+
     if len(array) > MAX_ITEMS:
         array = array[:MAX_ITEMS]
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
-def flat(array: np.ndarray, dtype: Any) -> wp.array:
+def flat(array: np.ndarray, dtype: Any) -> "wp.array":
     """Return a one-dimensional Warp array over the memory of a numpy array, in C order, without a copy.
 
     A Warp array ends at MAX_ITEMS; kernels reach the items of a larger one by `item_at` and `put` alone.
@@ -54,9 +49,22 @@ def bind(struct: Any, **values: Any) -> None:
             setattr(struct, name, value)
 
 
-def _numpy_dtype(dtype: Any) -> np.dtype:
-    """Return the numpy dtype of a Warp scalar or struct."""
-    return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
+def _layout_of(dtype: Any) -> tuple[Any, int]:
+    """Return the numpy dtype of a Warp scalar or struct, or of a vector's elements, and the number of columns."""
+    from ...kernels import wp
+
+    vectors = {
+        wp.vec2i: (np.int32, 2),
+        wp.vec3i: (np.int32, 3),
+        wp.vec4i: (np.int32, 4),
+        wp.vec2f: (np.float32, 2),
+        wp.vec3f: (np.float32, 3),
+        wp.vec4f: (np.float32, 4),
+        wp.vec3d: (np.float64, 3),
+    }
+    if dtype in vectors:
+        return vectors[dtype]
+    return (dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)), 1
 
 
 class Loans:
@@ -105,7 +113,7 @@ class Buffers:
         self._structs: dict = {}  # by kind and slot
         self.launches: dict = {}
 
-    def get(self, name: str, count: int, dtype: Any) -> wp.array:
+    def get(self, name: str, count: int, dtype: Any) -> "wp.array":
         """Return an array of at least `count` items of a Warp dtype; the contents are kept only if it need not grow.
 
         dtype: the same at every call with a name. A larger array gets a quarter more than the last one had, so that
@@ -113,7 +121,7 @@ class Buffers:
         """
         existing = self._arrays.get(name)
         if existing is None or len(existing[0]) < count:
-            scalar, columns = _NUMPY.get(dtype) or (_numpy_dtype(dtype), 1)
+            scalar, columns = _layout_of(dtype)
             capacity = count if existing is None else max(count, int(1.25 * len(existing[0])))
             array = np.empty((capacity, columns) if columns > 1 else capacity, scalar)
             self._arrays[name] = existing = (array, shared(array, dtype))
@@ -125,7 +133,7 @@ class Buffers:
             self._structs[kind, slot] = kind()
         return self._structs[kind, slot]
 
-    def table(self, name: str, values: np.ndarray, dtype: Any) -> wp.array:
+    def table(self, name: str, values: np.ndarray, dtype: Any) -> "wp.array":
         """Return the buffer `name` with `values` at its beginning. It may be longer, because buffers only grow."""
         table = self.get(name, values.size, dtype)
         self.numpy(name)[: values.size] = values.reshape(-1)

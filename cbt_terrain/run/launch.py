@@ -13,14 +13,16 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 
 from ..plain_numbers import plain_number
-from . import kernel_cache, locks, stopping
+from . import locks, stopping
 from .buffers import shared
+
+if TYPE_CHECKING:
+    import warp as wp
 
 DEVICE = "cpu"
 # Fewer items are faster on one thread: a second one needs about 0.3 ms of work.
@@ -120,7 +122,7 @@ def _wait_for(futures: Sequence[Future]) -> None:
         raise
 
 
-def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
+def once(kernel: "wp.Kernel", inputs: list, *, step: str, recorded: dict | None = None) -> None:
     """Launch a kernel that is one serial loop, on the calling thread.
 
     recorded: dictionary of recorded launches, which are faster when repeated; None to record none.
@@ -128,7 +130,7 @@ def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = 
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 
-def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
+def slices(kernel: "wp.Kernel", inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
     """Launch a kernel once with each list of inputs, all in parallel, each on its own thread.
 
     Without any list it only loads the kernel. `recorded` caches launches for a caller that launches again and again:
@@ -142,7 +144,7 @@ def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: di
         together([_command(held, kernel, slot, 1, values).launch for slot, values in enumerate(inputs)])
 
 
-def _command(recorded: dict, kernel: wp.Kernel, slot: int, count: int, values: list) -> Any:
+def _command(recorded: dict, kernel: "wp.Kernel", slot: int, count: int, values: list) -> Any:
     """Return the recorded launch of `kernel` over `count` items, with `values` as its inputs; record it at first.
 
     recorded: launches so far, by kernel, slot and count. Slots that run in parallel must not share a launch, so `slot`
@@ -151,6 +153,8 @@ def _command(recorded: dict, kernel: wp.Kernel, slot: int, count: int, values: l
     """
     key = kernel, slot, count
     if key not in recorded:
+        from ...kernels import wp
+
         launched = wp.launch(kernel, count, inputs=values, device=DEVICE, record_cmd=True)
         recorded[key] = launched, list(values)
     command, last = recorded[key]
@@ -162,7 +166,7 @@ def _command(recorded: dict, kernel: wp.Kernel, slot: int, count: int, values: l
 
 
 def spread(
-    kernel: wp.Kernel,
+    kernel: "wp.Kernel",
     count: int,
     inputs: list,
     *,
@@ -177,6 +181,8 @@ def spread(
     to a lookup and a few operations (about 15 ns); small jobs stay on one thread. More than MAX_LAUNCH items need an
     int64 offset. `recorded`: dictionary of recorded launches, which are faster when repeated; None to record none.
     """
+    from ...kernels import wp
+
     if count <= 0:
         return
     stopping.check()
@@ -203,6 +209,8 @@ def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -
     Both arrays have at least 2 `count` items, of which those after the first `count` are scratch. step: name of the
     timed step.
     """
+    from ...kernels import wp
+
     stopping.check()
     with timed(step):
         wp.utils.radix_sort_pairs(shared(keys, wp.float32), shared(values, wp.int32), count)
@@ -214,9 +222,11 @@ if hasattr(os, "register_at_fork"):  # a fork waits for a module that is being l
     os.register_at_fork(before=_loading.acquire, after_in_parent=_loading.release, after_in_child=_loading.release)
 
 
-def _load(kernel: wp.Kernel) -> None:
+def _load(kernel: "wp.Kernel") -> None:
     """Load the kernel's module, compiled if necessary, on one thread, because Warp's loader is not reentrant."""
     if kernel not in _loaded:
+        from . import kernel_cache
+
         with _loading:
             kernel_cache.load(kernel.module.name)
             _loaded.add(kernel)

@@ -6,6 +6,9 @@ blocks every other thread of Python for up to 50 ms. So child processes fill War
 loads from it (60 ms in all; it blocks other threads for 8 ms at most). With a full cache there is no child. The kernels
 of a frame come first. Those of the overlay and of the first buttons follow while the first terrain is already shown.
 All others (detail, geomorph, occlusion, most attributes) are prepared when a scene first uses them.
+
+The modules of kernels, and Warp, are imported by the thread as well: importing them takes 1.5 s of a processor, which a
+file without a terrain does not pay.
 """
 
 import importlib
@@ -14,51 +17,33 @@ import pkgutil
 import subprocess
 import threading
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
-import warp as wp
-
-from ...kernels import (
-    accuracy,
-    bicubic,
-    budget,
-    detail,
-    effects,
-    field,
-    fitting,
-    land,
-    leb,
-    mesh,
-    morph,
-    query,
-    refine,
-    scatter,
-    tree,
-)
 from ..errors import TerrainError
-from . import child, kernel_cache, launch, locks, stopping
+from . import child, launch, locks, stopping
+
+if TYPE_CHECKING:
+    import warp as wp
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
-HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
-OTHERS = effects, land, leb, detail, morph, query, scatter, bicubic, fitting
-RARE = {
-    f"{refine.__name__}.horizon_map",
-    f"{refine.__name__}.split_merge",
-    f"{tree.__name__}.edits",
-}  # in rooms of a frame
+HOUSE = f"{child.PACKAGE}.kernels."  # of kernels, in this process
+# Names of rooms of kernels. They are imported when they are first needed: they take 1.5 s, and not every file of
+# Blender has a terrain.
+FRAME = "field", "tree", "refine", "budget", "mesh"
+OVERLAY = ("accuracy",)
+OTHERS = "effects", "land", "leb", "detail", "morph", "query", "scatter", "bicubic", "fitting"
+RARE = {f"{HOUSE}refine.horizon_map", f"{HOUSE}refine.split_merge", f"{HOUSE}tree.edits"}  # in rooms of a frame
 # Modules that Set Up Scene, Add Water, Add Scatter and Drop to Ground need. After an installation the children compile
 # them last, so that these buttons seldom wait. They are loaded when a scene first uses them.
 FIRST_CLICKS = (
-    *(
-        f"{effects.__name__}.{name}"
-        for name in ("catchment", "flow", "footprint", "jet", "pyramid", "routing", "splat")
-    ),
-    f"{land.__name__}.water",
-    *(f"{scatter.__name__}.{name}" for name in ("points", "seams", "squares", "tile")),
-    f"{query.__name__}.rays",
+    *(f"{HOUSE}effects.{name}" for name in ("catchment", "flow", "footprint", "jet", "pyramid", "routing", "splat")),
+    f"{HOUSE}land.water",
+    *(f"{HOUSE}scatter.{name}" for name in ("points", "seams", "squares", "tile")),
+    f"{HOUSE}query.rays",
 )
 
 
@@ -69,11 +54,11 @@ class _Preparation:
     ends the run.
     """
 
-    def __init__(self, *groups: list[ModuleType], later: tuple[str, ...] = ()) -> None:
+    def __init__(self, *groups: Callable[[], list[ModuleType]], later: tuple[str, ...] = ()) -> None:
         """Start the thread.
 
-        groups: modules that are needed together, the most urgent group first. later: names of modules that children, if
-        any are needed, compile after the groups.
+        groups: each imports and returns modules that are needed together, the most urgent group first; the thread calls
+        them. later: names of modules that children, if any are needed, compile after the groups.
         """
         self.fraction: float | None = None
         self._groups, self._later, self.ready = groups, later, [threading.Event() for _ in groups]
@@ -86,22 +71,26 @@ class _Preparation:
 
         All events are set at the end, also after a failure, so that no caller waits for ever.
         """
-        processes = []
+        from . import kernel_cache
+
+        processes: list[subprocess.Popen] = []
+        groups: list[list[ModuleType]] = []
         try:
-            compiled = {module: compiled_file(module) for group in self._groups for module in group}
+            groups += [modules() for modules in self._groups]
+            compiled = {module: compiled_file(module) for group in groups for module in group}
             if not all(file.exists() for file in compiled.values()):
                 self.fraction = 0.0
                 kernel_cache.ensure_writable()
                 compiled = {module: compiled_file(module) for module in compiled}
-                processes = self._start_children()
-            for group, ready in zip(self._groups, self.ready, strict=True):
+                processes = self._start_children(groups)
+            for group, ready in zip(groups, self.ready, strict=True):
                 self._finish(group, compiled, processes)
                 ready.set()
         except Exception:  # the launch of a kernel raises it again
             traceback.print_exc()
         finally:
             self.fraction = None
-            _tried.update(module for group in self._groups for module in group)
+            _tried.update(module for group in groups for module in group)
             for ready in self.ready:
                 ready.set()
             for process in processes:
@@ -124,12 +113,14 @@ class _Preparation:
                 return
             load(module)
 
-    def _start_children(self) -> list[subprocess.Popen]:
+    def _start_children(self, groups: list[list[ModuleType]]) -> list[subprocess.Popen]:
         """Start the child processes, each with a share of every group; return none if the system allows none."""
+        from ...kernels import wp
+
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
-        names = [[module.__name__.removeprefix(HOUSE) for module in group] for group in self._groups]
+        names = [[module.__name__.removeprefix(HOUSE) for module in group] for group in groups]
         names.append([name.removeprefix(HOUSE) for name in self._later])
         processes = []
         try:
@@ -151,18 +142,19 @@ def start() -> None:
     """Start to prepare the kernels of a frame and of the overlay in the background, unless that was started before."""
     global _current
     if _current is None:
-        _current = _Preparation(kernel_modules(), overlay_modules(), later=FIRST_CLICKS)
+        _current = _Preparation(kernel_modules, overlay_modules, later=FIRST_CLICKS)
 
 
-def prepare_modules(modules: Iterable[ModuleType]) -> bool:
+def prepare_modules(modules: Iterable[ModuleType | str]) -> bool:
     """Return whether these modules are prepared. If not, start that, unless others are in progress; then call again.
 
-    A module whose preparation failed counts as prepared: the launch of its kernels raises the error.
+    modules: as in `import_kernels`. A module whose preparation failed counts as prepared: the launch of its kernels
+    raises the error.
     """
     global _requested
-    missing = [module for module in modules if module not in _tried]
+    missing = [module for module in import_kernels(modules) if module not in _tried]
     if missing and not preparing():
-        _requested = _Preparation(missing)
+        _requested = _Preparation(lambda: missing)
     return not missing
 
 
@@ -214,19 +206,23 @@ def wait(overlay: bool = False) -> None:
 
 def kernel_modules() -> list[ModuleType]:
     """Return every module with kernels for an import or a frame, except those in RARE."""
-    modules = [module for room in (field, tree, refine, budget, mesh) for module in modules_of(room)]
-    return [module for module in modules if module.__name__ not in RARE]
+    return [module for module in _modules_of_rooms(FRAME) if module.__name__ not in RARE]
 
 
 def overlay_modules() -> list[ModuleType]:
     """Return the modules that measure errors for the overlay."""
-    return modules_of(accuracy)
+    return _modules_of_rooms(OVERLAY)
 
 
 def other_modules() -> list[ModuleType]:
     """Return the modules of kernels that are not prepared, but compiled on first use."""
     rare = [importlib.import_module(name) for name in sorted(RARE)]
-    return [*(module for room in OTHERS for module in modules_of(room)), *rare]
+    return [*_modules_of_rooms(OTHERS), *rare]
+
+
+def _modules_of_rooms(names: Iterable[str]) -> list[ModuleType]:
+    """Return the modules with kernels of the rooms with these names."""
+    return [module for name in names for module in modules_of(importlib.import_module(HOUSE + name))]
 
 
 def modules_of(package: ModuleType) -> list[ModuleType]:
@@ -236,14 +232,24 @@ def modules_of(package: ModuleType) -> list[ModuleType]:
     return [module for module in modules if _kernels_of(module)]
 
 
-def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
+def import_kernels(declared: Iterable[ModuleType | str]) -> list[ModuleType]:
+    """Return declared modules of kernels, each once; those of this package are declared by name ("effects.jet")."""
+    modules = [importlib.import_module(HOUSE + item) if isinstance(item, str) else item for item in declared]
+    return list(dict.fromkeys(modules))
+
+
+def _kernels_of(module: ModuleType) -> "list[wp.Kernel]":
     """Return the kernels that a module defines, without imported ones."""
+    from ...kernels import wp
+
     kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
     return [kernel for kernel in kernels if kernel.module.name == module.__name__]
 
 
 def compiled_file(module: ModuleType) -> Path:
     """Return the path of a module's object; the file appears when it is complete."""
+    from . import kernel_cache
+
     return kernel_cache.compiled_file(module.__name__)
 
 

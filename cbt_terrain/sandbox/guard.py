@@ -7,7 +7,6 @@ Loading comes first, because Warp writes kernels and Python writes compiled modu
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ...kernels import remove_temporary_cache
 from ..errors import TerrainError, shown, unwritable
 from ..field import store_folder
 from ..formats.format_choice import inner_format
@@ -32,6 +31,8 @@ def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> 
     Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
     right remains.
     """
+    from ...kernels import remove_temporary_cache
+
     forms: dict[str, tuple[SourceFormat, Path]] = {}
     drivers: set[str] = set()
     for path in paths:
@@ -78,7 +79,6 @@ def guard_import(
     """
     from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges, window_errors
     from ..field.lands import LANDS
-    from ..run import launch
     from ..run.warmup import load
 
     for module in (
@@ -93,7 +93,7 @@ def guard_import(
     ):
         load(module)
     if settings.source in LANDS:
-        launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
+        LANDS[settings.source].load()
     if path is not None:
         store_folder.check_target(path)
         try:

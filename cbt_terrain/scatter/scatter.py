@@ -9,7 +9,6 @@ from ..attributes.splat import NAMES
 from ..attributes.splat_rules import Layer, check_layers
 from ..errors import TerrainError, check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
-from .tile import POINTS
 
 ANYWHERE = Layer("Anywhere")
 LARGEST = 1e9
@@ -71,6 +70,8 @@ class Scatter:
     @property
     def tile_side(self) -> float:
         """Return the side of a tile of the pattern in metres."""
+        from .tile import POINTS
+
         return self.spacing * math.sqrt(POINTS)
 
     def reads(self) -> list[tuple[AttributeRequest, int]]:

@@ -3,20 +3,21 @@
 
 import json
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import bpy
 
-from ...cbt_terrain.accuracy import Measurement, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
-from ...cbt_terrain.accuracy.rows import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
 from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest_run, timed_runs
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.view.criterion import requested_unit
 from ..session import session
 from ..terrain.request import RENDER, VIEWPORT, Request, gather
 from .measuring import MeasuringOperator
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.accuracy.measure import Measurement
 
 MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
 TRIES = 3  # measurements of an error whose runs differ too much: the window is drawn by this process, too
@@ -35,7 +36,7 @@ class Result:
     """
 
     curve: CostCurve | None
-    measured: Measurement
+    measured: "Measurement"
     digest: str
     no_curve: str = ""
 
@@ -51,6 +52,8 @@ def read_measured(detail) -> dict:
 
     The result is {} if the text is missing, is not JSON or lacks a field; values are not checked.
     """
+    from ...cbt_terrain.accuracy.measure import Measurement
+
     try:
         measured = json.loads(detail.measured)
     except (ValueError, RecursionError):
@@ -59,7 +62,7 @@ def read_measured(detail) -> dict:
     return measured if isinstance(measured, dict) and measured.keys() >= names else {}
 
 
-def errors_text(measured: Measurement) -> str:
+def errors_text(measured: "Measurement") -> str:
     """Describe the largest measured errors: of visible points in pixels, if there is a view, and of heights."""
     seen = "" if measured.screen_px is None else f"{measured.screen_px.max:.3g} px on screen, "
     return f"measured at most {seen}{measured.vertical_max_m:.3g} m of height"
@@ -92,6 +95,10 @@ def measure_request(field, request: Request, on_progress) -> Result:
     field: the height field. request: its criterion has an error. on_progress: called with the fraction done and a
     message; may raise to stop. Raises TerrainError if no two errors can be measured.
     """
+    from ...cbt_terrain.accuracy.measure import measure
+    from ...cbt_terrain.accuracy.rows import is_unsteady, spread_of, unsteady_text, worst
+    from ...cbt_terrain.terrain import Terrain
+
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = requested_unit(request.criterion)
     name = f"error_{unit}"  # of the criterion's field

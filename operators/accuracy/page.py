@@ -5,7 +5,6 @@ import csv
 import io
 import json
 
-from ...cbt_terrain.accuracy import interpolation
 from ...cbt_terrain.accuracy.rows import STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row, unsteady_text
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -190,6 +189,8 @@ def table_blocks(subject: AccuracySubject, of: str) -> list:
 
     of: " of NAME" for headings if the page has several terrains, else "".
     """
+    from ...cbt_terrain.accuracy.interpolation import interpolation
+
     heights, rows = subject.heights, subject.rows
     relief = heights.max_height - heights.min_height
     origin = heights.provenance

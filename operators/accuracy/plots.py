@@ -2,8 +2,8 @@
 """Plots of a report about accuracy: error against time and against triangles, and which settings nothing beats."""
 
 import math
+from typing import TYPE_CHECKING
 
-from ...cbt_terrain.accuracy.rows import Row, pareto, unsteady_row
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.view.criterion import LARGEST
@@ -11,16 +11,21 @@ from ..text.log_plot import CROSS, RING, Curve, draw
 from ..text.page_blocks import Plot
 from ..text.svg import BLUE, GOLD, GREEN, INK, PURPLE, RED, SOFT, TEAL
 
+if TYPE_CHECKING:
+    from ...cbt_terrain.accuracy.rows import Row
+
 SPREAD = " Processor time of all threads. Pale bars: from the fastest to the slowest run."
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 
 
-def error_plots(subject, unit: str, current: Row | None) -> list[Plot]:
+def error_plots(subject, unit: str, current: "Row | None") -> list[Plot]:
     """Return plots of error against time, unless times are not steady, and against triangles.
 
     subject: an AccuracySubject. unit: "px" or "m". current: row of the scene's own setting. A fit is made once, not a
     frame, so it is in no plot of times.
     """
+    from ...cbt_terrain.accuracy.rows import unsteady_row
+
     rows = [row for row in subject.rows if row.setting.unit == unit]
     found = []
     for cost, axis in (("ms", "ms of CPU to the finished mesh"), ("triangles", "triangles")):
@@ -34,23 +39,23 @@ def error_plots(subject, unit: str, current: Row | None) -> list[Plot]:
     return found
 
 
-def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
+def plot_curves(rows: "list[Row]", cost: str, current: "Row | None") -> list[Curve]:
     """Return the curves of a plot of rows of one unit, one row at least; `cost` is "ms" or "triangles".
 
     The first row has the interpolation that most rows have; rows of the other one have one curve. Curves without points
     are among them: `draw` leaves them out. current: row to mark if it is among `rows`, or None.
     """
 
-    def points(candidates: list[Row], error) -> list[tuple[float, float]]:
+    def points(candidates: "list[Row]", error) -> list[tuple[float, float]]:
         """Return (cost, error) of rows for a curve, the coarsest first. error: function of a row."""
         coarse_first = sorted(candidates, key=lambda row: -row.setting.error)
         return [(cost_of(row, cost), error(row)) for row in coarse_first]
 
-    def measured(row: Row) -> float:
+    def measured(row: "Row") -> float:
         """Return the measured error of a row."""
         return row.error
 
-    def bound(row: Row) -> float:
+    def bound(row: "Row") -> float:
         """Return the bound of a row, infinity if it has none."""
         return row.bound if row.bound < LARGEST else math.inf  # not drawn
 
@@ -85,7 +90,7 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     return found
 
 
-def time_spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
+def time_spreads(rows: "list[Row]", cost: str) -> list[tuple[float, float]]:
     """Return the fastest and the slowest time of each row in the order of its curve; [] for triangles.
 
     A row without a spread has its time twice.
@@ -94,13 +99,15 @@ def time_spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
     return [row.spread_ms or (row.cost_ms, row.cost_ms) for row in coarse_first] if cost == "ms" else []
 
 
-def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
+def pareto_rows(rows: "list[Row]", cost: str) -> "list[Row]":
     """Return the rows that no other row of the same interpolation beats in both error and cost.
 
     rows: of one unit. cost: "ms" or "triangles". Interpolations are different surfaces, whose errors do not
     compare. A fit is made once, so it has no time per frame. Rows with the other setting of geomorph are left out:
     its purpose is no smaller error.
     """
+    from ...cbt_terrain.accuracy.rows import pareto
+
     found, rows = [], [row for row in rows if row.setting.morph is None]
     for name in dict.fromkeys(row.setting.interpolation for row in rows):
         candidates = [r for r in rows if r.setting.interpolation == name]
@@ -109,7 +116,7 @@ def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
     return found
 
 
-def cost_of(row: Row, cost: str) -> float:
+def cost_of(row: "Row", cost: str) -> float:
     """Return the cost of a row. cost: "ms" or "triangles"."""
     return row.cost_ms if cost == "ms" else float(row.triangles)
 

@@ -6,12 +6,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...cbt_terrain.accuracy.crops import crops
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.terrain import Terrain
 from ..export.exporting import check_room, check_target, make_folder, write_files
 from ..text.machine import describe_machine
-from . import page as accuracy_page
 from .plots import setting_label
 from .subject import AccuracySubject
 
@@ -31,6 +28,8 @@ def prepare_folder(out: Path) -> None:
 
 def write_report(subjects: Sequence[AccuracySubject], out: Path) -> None:
     """Write all files of a report into the folder `out`, all or none. Raises TerrainError."""
+    from . import page as accuracy_page
+
     make_folder(out)  # which may be gone since `prepare_folder`
     write_files(out, accuracy_page.report_files(subjects, describe_machine()))
 
@@ -40,6 +39,10 @@ def draw_crops(subject: AccuracySubject) -> None:
 
     It is [] without such rows, without a view and for a panorama.
     """
+    from ...cbt_terrain.accuracy.crops import crops
+    from ...cbt_terrain.terrain import Terrain
+    from . import page as accuracy_page
+
     errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
     subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 

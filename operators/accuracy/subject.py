@@ -6,11 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...cbt_terrain.accuracy.crops import Crop
-from ...cbt_terrain.accuracy.rows import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import TimedFrame
 from ...cbt_terrain.attributes.plan import AttributePlan, plan
@@ -21,8 +20,11 @@ from ...cbt_terrain.view.criterion import Criterion, requested_unit
 from ...cbt_terrain.view.linear import length
 from ...cbt_terrain.view.view import View
 from ..export.blend_files import file_name
-from ..export.frame_sources import SceneFrames
 from ..session.pauses import paused
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.accuracy.crops import Crop
+    from ...cbt_terrain.accuracy.rows import Row
 
 # Number of frames of a camera path that are measured if none are named.
 SPREAD = 4
@@ -55,9 +57,9 @@ class AccuracySubject:
     seen: str
     current: Setting | None
     base: Criterion = field(default_factory=Criterion)
-    rows: list[Row] = field(default_factory=list)
+    rows: "list[Row]" = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    crops: list[Crop] = field(default_factory=list)
+    crops: "list[Crop]" = field(default_factory=list)
     called: str = ""
     effects: AttributePlan = AttributePlan()
 
@@ -116,6 +118,8 @@ def scene_subjects(
     None for the scene's. Triangles that a clean-up cuts away are measured, too: they change no error of the others.
     Raises TerrainError.
     """
+    from ..export.frame_sources import SceneFrames
+
     source = SceneFrames(blend, camera, resolution)
     import bpy
 

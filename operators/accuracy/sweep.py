@@ -7,7 +7,6 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.scene_paths import absolute_path
@@ -87,6 +86,8 @@ def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubjec
 
     Only writing meshes is done on the main thread. through: the camera, as a phrase after "through".
     """
+    from ...cbt_terrain.accuracy.sweep import sweep
+
     with session.engine_lock:
         subject = look.subject(through)
     settings = subject.settings

@@ -8,7 +8,6 @@ nothing moves.
 import bpy
 
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
-from ...cbt_terrain.attributes.evaluate import MAX_BYTES
 from ..maps.properties import title_of
 from ..session import session
 from ..text.effect_lines import cost_text, readers_text
@@ -106,6 +105,8 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     statuses: an EffectStatus by name; the cost includes the bytes of the values. nbytes: memory of all attributes,
     including their cache for the next update.
     """
+    from ...cbt_terrain.attributes.evaluate import MAX_BYTES
+
     computed = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in computed), sum(status.nbytes for status in computed) / 1e6
     return [

@@ -4,12 +4,12 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, AttributeRequest
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
-from ...cbt_terrain.attributes.evaluate import Ran
 from ...cbt_terrain.attributes.layers import why_missing
 from ...cbt_terrain.attributes.plan import AttributePlan
 from ...cbt_terrain.attributes.splat import NAMES
@@ -20,6 +20,9 @@ from ..layers.decals import decal_parameters
 from ..layers.properties import color_parameters, empty_layers_note, layer_parameters
 from .properties import GROUPS, OFF, PINNED, changed_numbers
 from .sun_lamps import suns_over
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.attributes.evaluate import Ran
 
 PIN = Reader("a pin", PICTURE)
 
@@ -100,13 +103,15 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
 
 
 def statuses(
-    effects: Effects, plan: AttributePlan, ran: Mapping[str, Ran], heights: HeightField
+    effects: Effects, plan: AttributePlan, ran: "Mapping[str, Ran]", heights: HeightField
 ) -> dict[str, EffectStatus]:
     """Return an EffectStatus for every attribute by its name, computed or not.
 
     effects: result of `gather_effects`. plan: the attributes of the update, with those that they read, also if these
     are switched off. ran: cost of the steps; one that is missing cost nothing.
     """
+    from ...cbt_terrain.attributes.evaluate import Ran
+
     found = {}
     for step in plan.steps:
         cost = ran.get(step.name, Ran(0.0, 0, 0))

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.mesh.cut import above_line, cut
-from ...cbt_terrain.mesh.outline import inside
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 
@@ -39,6 +37,9 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     """Return a surface without the parts that the clean-up cuts away, in new arrays; the surface itself if it cuts
     nothing.
     """
+    from ...cbt_terrain.mesh.cut import above_line, cut
+    from ...cbt_terrain.mesh.outline import inside
+
     threads = launch.default_threads()
     if cleanup.below is not None:
         surface, _ = cut(surface, [above_line(axis=2, at=cleanup.below)], threads=threads)

@@ -7,15 +7,12 @@ nothing. Materials and other settings of the mesh stay.
 
 import bpy
 import numpy as np
-import warp as wp
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.attributes import NORMALS, TYPES, UV
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.buffers import shared
-from ...kernels.mesh import ingest
-from . import memory as mesh_memory
 
 UV_LAYER = "UVMap"
 COLOUR_ATTRIBUTE = "terrain_overlay"  # corner colours that Solid shading and materials show
@@ -84,6 +81,10 @@ def _write_geometry(mesh, surface: Surface) -> None:
 
     Raises TerrainError for the name of an attribute that Blender changes; the mesh then has elements without values.
     """
+    from ...kernels import wp
+    from ...kernels.mesh import ingest
+    from . import memory as mesh_memory
+
     triangles = len(surface.triangles)
     named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}
     mesh.clear_geometry()
@@ -133,6 +134,8 @@ def _write_offsets(mesh, triangles: int, offsets) -> None:
 
     offsets: Warp array over Blender's memory, None to use `foreach_set`.
     """
+    from ...kernels.mesh import ingest
+
     if offsets is None:
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * triangles, 3, dtype=np.int32))
     else:

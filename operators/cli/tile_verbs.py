@@ -12,8 +12,7 @@ MAX_ERROR_M = 1e9
 
 def add_tiles(verb: argparse.ArgumentParser) -> None:
     """Add the options of the verb `tiles`."""
-    from ...cbt_terrain.exporting.height_tiles import PATTERN
-    from ...cbt_terrain.exporting.tile_grid import UNREAL_SIZES
+    from ...cbt_terrain.exporting.tile_grid import PATTERN, UNREAL_SIZES
     from ...cbt_terrain.height_operators.export import FORMATS
 
     forms = [suffix[1:] for suffix in FORMATS]

@@ -6,18 +6,13 @@ from types import ModuleType
 
 import bpy
 
-from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.fit.fit import bake as bake_mesh
-from ...cbt_terrain.fit.fit import check_interpolation
-from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.warmup import modules_of
 from ...cbt_terrain.view.criterion import Criterion
-from ...kernels import fitting
 from ..attributes.request import gather_effects
 from ..bridge.cleanup import clean_up
 from ..bridge.scene_paths import absolute_path
@@ -42,6 +37,9 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
         fitted: move vertices off the surface to save triangles; each leaf is then one triangle. Otherwise the
             meshlet level of the render settings applies.
     """
+    from ...cbt_terrain.fit.fit import bake as bake_mesh
+    from ...cbt_terrain.fit.fit import check_interpolation
+
     request = _request_of(obj, depsgraph, error_m)
     if fitted:
         check_interpolation(request.interpolation)
@@ -85,6 +83,9 @@ def _request_of(obj, depsgraph, error_m: float) -> Request:
 
 def _with_attributes(surface: Surface, heights: HeightField, request: Request) -> Surface:
     """Return a baked surface with the attributes of a request, at the scale of the finest samples without a camera."""
+    from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+    from ...cbt_terrain.history.frame_history import FrameHistory
+
     effects = EffectRequest(
         plan(request.effects.requests),
         surface,
@@ -142,6 +143,8 @@ class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
 
     def kernels(self, context) -> list[ModuleType]:
         """Return the modules of the terrain's surface and attributes, and of the fit if the mesh is to be fitted."""
+        from ...kernels import fitting
+
         settings = context.object.adaptive_terrain
         found = kernels_for(_request_of(context.object, context.evaluated_depsgraph_get(), settings.bake_error_m))
         return found + modules_of(fitting) if settings.bake_fit else found

@@ -6,15 +6,12 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
-from ...cbt_terrain.attributes.evaluate import kernels_of
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.attributes.splat import NAMES as SPLATS
-from ...cbt_terrain.exporting.height_tiles import PATTERN, HeightTiles, export_height_tiles
-from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
+from ...cbt_terrain.exporting.tile_grid import MAX_TILE, PATTERN, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
 from ...cbt_terrain.height_operators.export import FORMATS, WRITERS, check_export, export_raster
 from ...cbt_terrain.run import stopping
-from ...kernels.query import grid
 from .. import jobs
 from ..attributes.request import gather_effects
 from ..bridge.evaluated import raster_placement_of
@@ -139,6 +136,7 @@ class ExportHeights(LandExport, bpy.types.Operator):
 
         The rasters are named after the chosen file.
         """
+        from ...kernels.query import grid
 
         def write(on_progress) -> str:
             """Write the files, and return their names."""
@@ -218,6 +216,10 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
 
         They are named after the chosen file, in its folder.
         """
+        from ...cbt_terrain.attributes.evaluate import kernels_of
+        from ...cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
+        from ...kernels.query import grid
+
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}  # 0: one tile
         fits = self.fit and self.size != WHOLE
         settings = HeightTiles(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store_folder import check_no_description
@@ -25,7 +26,6 @@ from ..session.pauses import paused
 from ..text.console import quiet
 from .blender_exporters import only_selected
 from .formats import FORMATS, format_of
-from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 from .summaries import (
     close_summary,
@@ -36,6 +36,9 @@ from .summaries import (
     settings_digest,
     summary_name,
 )
+
+if TYPE_CHECKING:
+    from .frame_sources import Piece
 
 # More than the blocks in which Blender's exporters write.
 PROBE_BYTES = 1 << 16
@@ -238,7 +241,7 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
     }
 
 
-def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
+def _write_scatters(piece: "Piece", frame: int, out: Path) -> list[Path]:
     """Write the scatters of a terrain as CSV files into `out`; return the files."""
     from .scatter_files import write_points_csv
 
@@ -250,8 +253,10 @@ def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
     return files
 
 
-def figures(piece: Piece) -> dict:
+def figures(piece: "Piece") -> dict:
     """Return the figures of one terrain for the summary of its frame: counts after the clean-up, bounds and times."""
+    from .frame_sources import bounds_of
+
     update = piece.update
     return {
         "name": piece.name,
@@ -263,12 +268,12 @@ def figures(piece: Piece) -> dict:
     }
 
 
-def write_piece(piece: Piece, path: Path) -> None:
+def write_piece(piece: "Piece", path: Path) -> None:
     """Write one terrain to `path`; the suffix is the format. Raises TerrainError."""
     format_of(path).call("write", [piece], path)
 
 
-def write_arrays(pieces: Sequence[Piece], path: Path) -> None:
+def write_arrays(pieces: "Sequence[Piece]", path: Path) -> None:
     """Write one terrain's arrays to an .npz."""
     [piece] = pieces
     with named_failures(path):
@@ -304,7 +309,7 @@ def _check_fully_written(path: Path) -> None:
         file.truncate(size)
 
 
-def write_blend(pieces: Sequence[Piece], path: Path) -> None:
+def write_blend(pieces: "Sequence[Piece]", path: Path) -> None:
     """Save a copy of the open file, which keeps its path.
 
     Reading the copy back would take as long as writing it, so the triangles of `pieces` are counted in the open file.
@@ -319,7 +324,7 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
         _check_fully_written(partial)
 
 
-def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
+def write_with_blender(pieces: "Sequence[Piece]", path: Path) -> None:
     """Write one terrain by Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
 
     The file holds the terrain's own mesh, whose bound is known, without modifiers. It is read back before it gets its
@@ -340,7 +345,7 @@ def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
             form.call("finish", piece, partial)
 
 
-def _check_count(piece: Piece, path: Path, found: int) -> None:
+def _check_count(piece: "Piece", path: Path, found: int) -> None:
     """Raise TerrainError if a file would hold another number of triangles, `found`, than the terrain has."""
     expected = len(piece.surface.triangles)
     if found != expected:

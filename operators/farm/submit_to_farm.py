@@ -11,7 +11,6 @@ from ..export.formats import parse_frames
 from ..session import session
 from ..session.polls import cancelled_by_errors
 from ..terrain.properties import PATH_OPTIONS
-from .submit import INSTALLED, submit
 
 
 class SubmitToFarm(bpy.types.Operator):
@@ -78,6 +77,8 @@ class SubmitToFarm(bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Write the job of the saved file into the chosen folder, and report its commands and notes."""
+        from .submit import INSTALLED, submit
+
         _check_is_saved()
         if not self.folder.strip():
             raise TerrainError("The job has no folder", expected="one, such as //farm/")

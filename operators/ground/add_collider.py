@@ -3,7 +3,6 @@
 
 import bpy
 
-from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.view.linear import lengths
 from ..bridge.writer import write_mesh
@@ -59,6 +58,8 @@ def _bake_collider(terrain, depsgraph):
 
     The mesh is in the terrain's space. Raises TerrainError if the ground cannot be computed.
     """
+    from ...cbt_terrain.fit.fit import bake
+
     ground = world_ground.ground_of(terrain, depsgraph)
     metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
     warmup.wait()

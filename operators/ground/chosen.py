@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...kernels.query import ground, rays
+from ...cbt_terrain.run.warmup import import_kernels
 from ..kernel_operator import KernelOperator
 from ..session import session
 from ..session.polls import IN_A_MODE
@@ -21,7 +21,7 @@ NO_TERRAIN = "The scene has no terrain; add one"
 class GroundOperator(KernelOperator):
     """Base of operators that measure the ground of the scene's terrains. `modules`: kernels of the measurement."""
 
-    modules: tuple[ModuleType, ...] = (ground, rays)
+    modules: tuple[str, ...] = ("query.ground", "query.rays")
 
     @classmethod
     def poll(cls, context):
@@ -34,7 +34,7 @@ class GroundOperator(KernelOperator):
 
     def kernels(self, context) -> list[ModuleType]:
         """Return the modules of the measurement, and those of the terrains' surfaces."""
-        depsgraph, found = context.evaluated_depsgraph_get(), list(self.modules)
+        depsgraph, found = context.evaluated_depsgraph_get(), import_kernels(self.modules)
         for obj in session.terrains_of(context.scene):
             if obj.adaptive_terrain.store:
                 request = gather(obj, depsgraph, criterion=world_ground.ANY, overrides=Overrides(effects=()))

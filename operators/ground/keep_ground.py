@@ -14,7 +14,6 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
-from ...kernels.query import ground, rays
 from ..terrain.request import RENDER, VIEWPORT
 from . import vertical_moves as moves
 from . import world_ground
@@ -232,7 +231,7 @@ def settle_shown(scene, depsgraph) -> bool:
     objects = objects_on_ground(scene)
     if not objects or depsgraph is None:
         return True
-    if not warmup.prepare_modules([ground, rays]):
+    if not warmup.prepare_modules(["query.ground", "query.rays"]):
         return False
     try:
         grounds = world_ground.grounds_of(scene, depsgraph, waits=False)

@@ -10,7 +10,6 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.georeference import from_crs
 from ...cbt_terrain.importing.placing import reproject_point
-from ...cbt_terrain.query.ground import ground_at
 from ..bridge.scene_origin import WGS84, coordinates_text, is_in_degrees
 from ..text.coordinates import EAST_FIRST, NORTH_FIRST, Coordinates
 from ..text.numbers import length_text
@@ -108,6 +107,8 @@ def _is_of_earth(read: Coordinates, system: str) -> bool:
 
 def _point_at(ground: WorldGround, at: np.ndarray) -> KnownPoint | None:
     """Return the ground at a position of a terrain's space, float64 [2]; None outside and in holes."""
+    from ...cbt_terrain.query.ground import ground_at
+
     samples = ground_at(ground.field, at[None], **ground.heights)
     if not samples.inside[0]:
         return None

@@ -9,7 +9,6 @@ from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.georeference import to_crs
-from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.scene_origin import is_in_degrees
 from ..bridge.scene_paths import absolute_path
@@ -157,6 +156,8 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
         line: float64 [n, 3], points of the world.
         spacing: metres between points; None for one at every cell border that the line crosses.
     """
+    from ...cbt_terrain.query.ground import profile
+
     found = profile(ground.field, ground.to_local(line)[:, :2], spacing, **ground.heights)
     known = np.isfinite(found.heights)
     points = ground.to_world(np.c_[found.places, np.where(known, found.heights, 0.0)])

@@ -4,8 +4,6 @@
 import bpy
 import numpy as np
 
-from ...cbt_terrain.query.viewshed import viewshed
-from ...kernels.query import viewshed as viewshed_kernels
 from ..bridge import camera as cameras
 from ..bridge.writer import UV_LAYER
 from ..session.polls import cancelled_by_errors
@@ -24,7 +22,7 @@ class Viewshed(GroundOperator, bpy.types.Operator):
     bl_label = "Viewshed"
     bl_options = {"REGISTER", "UNDO"}
 
-    modules = (*GroundOperator.modules, viewshed_kernels)
+    modules = (*GroundOperator.modules, "query.viewshed")
 
     target_height: bpy.props.FloatProperty(
         name="Target Height",
@@ -52,6 +50,8 @@ class Viewshed(GroundOperator, bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Compute the ground that the active object or the camera sees, as an image and an attribute."""
+        from ...cbt_terrain.query.viewshed import viewshed
+
         depsgraph, eye = context.evaluated_depsgraph_get(), _eye(context)
         point = np.array([eye.evaluated_get(depsgraph).matrix_world.translation], np.float64)
         terrain, ground = terrain_at(context, point, repr(eye.name), depsgraph)

@@ -12,8 +12,6 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.query.ground import ground_at
-from ...cbt_terrain.query.rays import pick
 from ...cbt_terrain.view.criterion import Criterion
 from ...cbt_terrain.view.linear import inverse, product
 from ..bridge.scene_origin import coordinates_text
@@ -67,6 +65,8 @@ class WorldGround:
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return the points where rays of the world first hit the ground, float64 [n, 3]; NaN for rays that miss."""
+        from ...cbt_terrain.query.rays import pick
+
         to_local = inverse(self.placement)
         local_directions = _transform_vectors(to_local[:3, :3], directions)
         local_origins = _transform_points(to_local, origins)
@@ -74,6 +74,8 @@ class WorldGround:
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Return upward unit normals in the world, float64 [n, 3], at points of the world on the surface."""
+        from ...cbt_terrain.query.ground import ground_at
+
         local = ground_at(self.field, self.to_local(points)[:, :2], **self.heights).normals
         normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)  # by the inverse transpose
         normals = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]

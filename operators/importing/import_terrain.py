@@ -11,7 +11,6 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import changed_ns, read_json
 from ...cbt_terrain.formats.header_files import lacks_header
-from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.source_list import names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
@@ -220,6 +219,8 @@ class ImportOperator(JobOperator):
 
     def _import(self, job: jobs.BackgroundJob, settings: ImportSettings, folder: str) -> jobs.Steps:
         """Import into the store `folder` in a child process; return the import's report and the path."""
+        from ...cbt_terrain.importing.import_process import ImportJob
+
         job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
         yield from jobs.wait_with_result(job)  # the end of an import may update the mesh

@@ -5,21 +5,12 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.import_process import ImportJob
-from ...cbt_terrain.importing.refining import (
-    MAX_SQUARES,
-    SeenLand,
-    is_fine_enough,
-    loaded_at,
-    missing_squares,
-    missing_tiles,
-    with_loaded,
-)
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.view.linear import inverse, product
 from .. import jobs
@@ -32,6 +23,10 @@ from ..terrain import request, sight
 from ..text.numbers import length_text
 from ..text.translations import phrase
 from .imported import imported_of, loaded_text
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.importing.import_process import ImportJob
+    from ...cbt_terrain.importing.refining import SeenLand
 
 REST_S = 1.0  # without a change of a view, before tiles are loaded for it
 RAY_DISTANCES = np.geomspace(1e-3, 4.0, 128)  # at which a ray may meet the ground, in diagonals of the terrain
@@ -54,12 +49,14 @@ class TileLoader:
         self._since = 0.0  # monotonic seconds since when that view has been shown
         self._served = self._shown  # key of the last view whose tiles were requested
 
-    def start(self, obj, depsgraph, *modes: str) -> ImportJob | None:
+    def start(self, obj, depsgraph, *modes: str) -> "ImportJob | None":
         """Start `child` if views lack tiles, and return it; None if they lack none.
 
         modes: VIEWPORT or RENDER, whose views count. Raises TerrainError if the store cannot be read or the child
         cannot start.
         """
+        from ...cbt_terrain.importing.refining import MAX_SQUARES, missing_squares, missing_tiles
+
         tiles: set[int] = set()
         lands = []
         for mode in modes:
@@ -70,11 +67,14 @@ class TileLoader:
         self.child = self._load(tiles, squares) if tiles or squares else None
         return self.child
 
-    def _load(self, tiles: Iterable[int], squares: Iterable[int]) -> ImportJob:
+    def _load(self, tiles: Iterable[int], squares: Iterable[int]) -> "ImportJob":
         """Start a child that loads further tiles and squares, by their numbers, and those that were loaded.
 
         Raises TerrainError.
         """
+        from ...cbt_terrain.importing.import_process import ImportJob
+        from ...cbt_terrain.importing.refining import with_loaded
+
         return ImportJob(with_loaded(self._settings, self._store, tiles, squares), self._store)
 
     def turn(self, obj) -> bool:
@@ -107,6 +107,8 @@ class TileLoader:
         False also if they cannot be found or loaded: only the complete import then helps. Raises TerrainError after
         Esc. depsgraph: the render's.
         """
+        from ...cbt_terrain.importing.refining import is_fine_enough, missing_squares, missing_tiles
+
         if self.child is not None:
             render_wait.wait_for_import(self.child)
         while True:
@@ -155,16 +157,18 @@ def suffice(obj, depsgraph) -> bool:
     return loader is not None and loader.wait_for(obj, depsgraph)
 
 
-def _seen_by(obj, depsgraph, mode: str) -> SeenLand:
+def _seen_by(obj, depsgraph, mode: str) -> "SeenLand":
     """Return the land that a terrain's views see in a mode, VIEWPORT or RENDER. Raises TerrainError."""
     return seen_land(request.gather(obj, depsgraph, mode, about_middle=True))
 
 
-def seen_land(found: request.Request) -> SeenLand:
+def seen_land(found: request.Request) -> "SeenLand":
     """Return the views of a terrain, and what else determines the tiles that they need: 1 pixel if no error is set.
 
     found: the request of an update, about the raster's middle.
     """
+    from ...cbt_terrain.importing.refining import SeenLand
+
     scale = found.vertical_scale, found.vertical_offset
     return SeenLand(found.views, found.placement, found.criterion.error_px or 1.0, *scale)
 
@@ -175,6 +179,8 @@ def loaded_here(context, obj) -> str:
     It is that of the whole terrain (`loaded_text`) if no tiles are loaded or the view cannot be read, and "" for a
     complete one. context: of a panel, in a viewport or another editor.
     """
+    from ...cbt_terrain.importing.refining import loaded_at
+
     imported, text = imported_of(obj.adaptive_terrain), loaded_text(obj.adaptive_terrain)
     if imported is None or imported.refined_m is None:
         return text

@@ -12,7 +12,6 @@ from ...cbt_terrain.height_operators import prepare
 from ...cbt_terrain.height_operators.derived_store import Land, raster_of
 from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.height_operators.water import DEPTH, WATER
-from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from .. import jobs
@@ -115,6 +114,8 @@ def _water_mesh(
     name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the land's own
     water, or else a level that shows water. Raises TerrainError.
     """
+    from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
+
     field = anchored(raster_of(store, land, session.open_field, verified=True), *anchor)
     if level is None and DEPTH.name not in field.layers:
         level = default_sea(field)

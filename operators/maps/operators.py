@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake maps of a terrain into images beside the window."""
 
+from typing import TYPE_CHECKING
+
 import bpy
 
-from ...cbt_terrain.attributes.bake import Baked
 from ...cbt_terrain.attributes.folder import image_files
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from .. import jobs
 from ..job_operator import JobOperator
 from ..session import session
 from . import images as map_images
-from .baking import MapRequest, bake_maps, summary
-from .request import visit_for_request
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.attributes.bake import Baked
+    from .baking import MapRequest
 
 
 class BakeMaps(JobOperator, bpy.types.Operator):
@@ -30,25 +33,31 @@ class BakeMaps(JobOperator, bpy.types.Operator):
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Visit the frames that decide how fine the maps have to be, then bake them on a thread; return the Baked."""
+        from .request import visit_for_request
+
         request = yield from jobs.visit_frames(job, visit_for_request(context.object, context.scene))
         job.progress(0.0)
         yield from jobs.wait_for_kernels(job)
         return (yield from jobs.run_on_thread(job, lambda: _shape_and_bake(request, job)))
 
-    def finish(self, _context, obj, baked: Baked) -> None:
+    def finish(self, _context, obj, baked: "Baked") -> None:
         """Have Blender read baked images again that it has loaded, and report; a material loads the others."""
+        from .baking import summary
+
         map_images.reserve_folder(obj)  # an undo may have removed it
         map_images.reload(map_images.map_folder(obj), _image_files(baked))
         self.report({"INFO"}, summary(baked, obj.name))
 
 
-def _shape_and_bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
+def _shape_and_bake(request: "MapRequest", job: jobs.BackgroundJob) -> "Baked":
     """Shape the land of a request if that is not done, and bake its maps, on the job's thread. Raises TerrainError."""
+    from .baking import bake_maps
+
     with session.engine_lock:
         field = raster_of(request.store, request.land, session.open_field, verified=True)
     return bake_maps(request, field, job.progress, session.engine_lock)
 
 
-def _image_files(baked: Baked) -> set[str]:
+def _image_files(baked: "Baked") -> set[str]:
     """Return the file names by which Blender's images may show the maps: of single tiles, and patterns of all tiles."""
     return image_files(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...cbt_terrain.accuracy import triangle_errors
 from ...cbt_terrain.mesh.attributes import CORNER, FACE, Attribute
 from ..bridge.writer import COLOUR_ATTRIBUTE
 from ..terrain.properties import ERROR_OVERLAY
@@ -56,6 +55,8 @@ def _color_errors(field, request, surface) -> Overlay:
 
     Errors are pixels if the request has views, else metres.
     """
+    from ...cbt_terrain.accuracy.measure import triangle_errors
+
     unit, criterion = ("px", request.criterion.error_px) if request.views else ("m", request.criterion.error_m)
     heights = request.vertical_scale, request.vertical_offset
     errors = triangle_errors(field, surface, request.views, request.placement, *heights)

@@ -6,18 +6,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run.memory import physical_memory
-from ...cbt_terrain.scatter.points import ScatterPoints, ScatterRequest, on_mesh, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.view.view import View
-from ..bridge.point_writer import write_points
 from .properties import MESH, scatter_of
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.history.frame_history import FrameHistory
+    from ...cbt_terrain.scatter.points import ScatterPoints
 
 # Largest memory of a point as an instance: measured in Blender 5.2, in a viewport and in Cycles.
 POINT_BYTES = 1500
@@ -57,6 +59,13 @@ class Scatters:
         return self.items, tuple(view.key() for view in self.views)
 
 
+def _new_history() -> "FrameHistory":
+    """Return an empty history. The engine is imported with the first scatter."""
+    from ...cbt_terrain.history.frame_history import FrameHistory
+
+    return FrameHistory()
+
+
 @dataclass
 class ScatterRecord:
     """The last points of a scatter.
@@ -65,9 +74,9 @@ class ScatterRecord:
     `runs`: how often points were made. `history`: holds candidates on the ground for later frames.
     """
 
-    history: FrameHistory = field(default_factory=FrameHistory)
+    history: "FrameHistory" = field(default_factory=_new_history)
     key: tuple = ()
-    points: ScatterPoints | None = None
+    points: "ScatterPoints | None" = None
     shown: tuple = ()
     ms: dict[str, float] = field(default_factory=dict)
     runs: int = 0
@@ -131,6 +140,8 @@ def make_points(
         surface: the terrain's mesh, for points on it.
         serial: number of that mesh, which changes with it.
     """
+    from ...cbt_terrain.scatter.points import ScatterRequest, on_mesh, place_points
+
     scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
     views = tuple(view.key() for view in scatters.views)
     below, outline = request.cleanup.key()
@@ -175,6 +186,8 @@ def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
 
     records: from `make_points`, by session_uid of the object; those of objects that are gone are removed.
     """
+    from ..bridge.point_writer import write_points
+
     uids = {item.uid for item in request.scatters.items}
     children = {obj.session_uid: obj for obj in scatters_of(terrain)}
     for uid in set(records) - set(children):

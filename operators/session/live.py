@@ -26,7 +26,7 @@ from ..land import resting_land
 from ..terrain.camera_source import follows_viewport
 from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, gather, record_time
 from ..terrain.request_kernels import kernels_for
-from . import previews, session
+from . import session
 
 IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
 NORMALS_S = 1.0  # without an update before a live mesh gets its exact normals
@@ -72,6 +72,8 @@ def tick() -> float:
 def _turn() -> float:
     """Run a turn of the timer: show a finished update, start the next one or use idle time; return seconds to wait."""
     global _dirty, _job
+    if _dirty and not bpy.app.background and session.all_terrains():
+        warmup.start()  # a terrain was opened or added; without one, Warp and the kernels are not imported
     if warmup.preparing():
         return IDLE_S
     if jobs.is_rendering():
@@ -243,6 +245,8 @@ def _solve_on_worker(record: session.Record, request: Request):
 
     Returns the Update, the serial number of its surface in the record, and whether no preview was needed.
     """
+    from . import previews
+
     global _stage
     _stage = "Refining"
     with session.engine_lock:
@@ -255,6 +259,8 @@ def _refine_on_worker(record: session.Record, request: Request):
 
     After the last step, return the Update, the serial number of its surface and True: no preview is shown.
     """
+    from . import previews
+
     global _stage
     _stage = "Refining effects"
     if not previews.refine(request, session.field_of(request)):
@@ -339,7 +345,6 @@ def start() -> None:
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
-        warmup.start()
         bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
         _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
 

@@ -3,6 +3,7 @@
 
 import dataclasses
 from collections import Counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +12,13 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import FieldKey
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.refine.contract import ReportedBounds
-from ...cbt_terrain.terrain import Terrain
 from ..attributes.request import EffectStatus
 from ..overlay.colors import Overlay
 from ..scatter.request import ScatterRecord
 from ..terrain.request import Request
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.terrain import Terrain
 
 
 @dataclasses.dataclass
@@ -78,7 +81,7 @@ class Record:
         generation: changes with everything that makes a running update stale.
     """
 
-    terrain: Terrain | None = None
+    terrain: "Terrain | None" = None
     field: object = None
     serial: int = 0
     shown: tuple | None = None

@@ -9,18 +9,15 @@ import time
 
 import bpy
 
-from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.layered_detail import displaced
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import HeightField, anchored
 from ...cbt_terrain.field.store import check_exists, is_intact, open_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.owned_files import real_path
-from ...cbt_terrain.terrain import Terrain
 from ..attributes.request import statuses
 from ..bridge import freed_memory
 from ..bridge.cleanup import clean_up
@@ -179,6 +176,8 @@ def _refine(record: Record, request: Request, heights: HeightField):
 
     The record gets a new engine for another height field.
     """
+    from ...cbt_terrain.terrain import Terrain
+
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
     vertical = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
@@ -198,6 +197,8 @@ def _make_effects(record: Record, request: Request, update, vertical: dict[str, 
 
     vertical: `vertical_scale` and `vertical_offset` of the terrain.
     """
+    from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+
     names_before, planned = set(record.effects), plan(request.effects.requests)
     effects = EffectRequest(
         planned,
@@ -248,6 +249,8 @@ def field_of(request: Request):
 
     Its callees cache it, and `_refine` keeps the engine of the same object. Raises TerrainError.
     """
+    from ...cbt_terrain.field.bicubic import interpolated
+
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(anchored(raster, *request.anchor), request.interpolation)
     vertical = request.vertical_scale, request.vertical_offset

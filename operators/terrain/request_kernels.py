@@ -4,14 +4,11 @@
 from types import ModuleType
 
 from ...cbt_terrain.attributes.attribute import AttributeRequest
-from ...cbt_terrain.attributes.evaluate import kernels_of
 from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.height_operators.prepare import kernels_of as kernels_of_stack
 from ...cbt_terrain.run.warmup import modules_of
-from ...kernels import bicubic, detail, morph, scatter
-from ...kernels.refine import horizon_map
 from .request import Request
 
 
@@ -20,6 +17,10 @@ def kernels_for(request: Request) -> list[ModuleType]:
 
     Raises TerrainError for attributes that are not valid.
     """
+    from ...cbt_terrain.attributes.evaluate import kernels_of
+    from ...kernels import bicubic, detail, morph, scatter
+    from ...kernels.refine import horizon_map
+
     attributes = list(request.effects.requests)
     if isinstance(request.ground, LayeredDetail):  # its weights are splat attributes
         attributes.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))

@@ -2,6 +2,8 @@
 """The extension comes and goes without a trace."""
 
 import gc
+import subprocess
+import sys
 
 import adaptive_terrain
 import bpy
@@ -33,6 +35,21 @@ def test_many_times_leaves_nothing(unregistered):
         assert hasattr(bpy.types.Object, "adaptive_terrain")
         adaptive_terrain.unregister()
     assert trace() == before and gc.isenabled()
+
+
+def test_registering_imports_no_kernels():
+    """Every start of Blender pays for what `register` imports; Warp and the kernels would take 1.5 s of a processor."""
+    script = "import sys, bpy, adaptive_terrain; adaptive_terrain.register(); "
+    script += "sys.exit(any(name == 'warp' or '.kernels' in name for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", script], timeout=300).returncode == 0
+
+
+def test_a_missing_warp_is_an_error_at_once(unregistered, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match="warp"):
+        adaptive_terrain.register()
+    assert not hasattr(bpy.types.Object, "adaptive_terrain")
+    monkeypatch.undo()
 
 
 def test_no_class_of_a_room_is_forgotten(empty):

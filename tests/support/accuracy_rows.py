@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rows of a sweep whose figures are known, for what reports make of them."""
 
-from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
+from adaptive_terrain.cbt_terrain.accuracy.measure import Measurement
+from adaptive_terrain.cbt_terrain.accuracy.mesh import Errors
 from adaptive_terrain.cbt_terrain.accuracy.rows import Row
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 

@@ -107,14 +107,13 @@ def imports_here(monkeypatch):
     from adaptive_terrain.cbt_terrain.importing.build_store import run_import
     from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
     from adaptive_terrain.cbt_terrain.importing.source_list import names_several
-    from adaptive_terrain.operators.importing import import_terrain
 
     def finished_job(settings, store):
         if not names_several(settings):
             run_import(settings, store)
         return ImportJob(settings, store)  # it has nothing left to do, except for several files
 
-    monkeypatch.setattr(import_terrain, "ImportJob", finished_job)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.import_process.ImportJob", finished_job)
 
 
 @pytest.fixture

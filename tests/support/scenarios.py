@@ -11,7 +11,7 @@ import json
 from contextlib import contextmanager
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.accuracy import triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy.measure import triangle_errors
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import click, folder, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
+from window_steps import click, folder, module, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
 
 # Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
 FIRST_BUTTON_BELOW_TOP = 40
@@ -23,15 +23,11 @@ SMALL = 257  # samples a side
 [subjects] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.subject")]
 [timed_runs] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.timed_runs")]
 [measuring] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.measure")]
-[sweeping] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.sweep")]
 [session] = [module for name, module in sys.modules.items() if name.endswith("operators.session.session")]
 [jobs] = [module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.jobs")]
-[rows] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.rows")]
-rows.MAX_SPREAD = math.inf  # of times that other programs disturb: there is a curve all the same
 settings_for = subjects.settings_for
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
-# Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.
-result["preparing_at_start"] = warmup.preparing()
+result["warp_at_start"] = "warp" in sys.modules
 
 
 def click_first_button():
@@ -67,6 +63,8 @@ def steps():
     started = time.monotonic()
     yield from click_first_button()
     yield from until(lambda: terrain() is not None)
+    yield from until(lambda: warmup.preparing() or len(terrain().data.polygons) > 0)
+    result["preparing_when_added"] = warmup.preparing()
     result["added_s"] = time.monotonic() - started
     yield from until(lambda: len(terrain().data.polygons) > 0)
     result["visible_s"] = time.monotonic() - started
@@ -119,6 +117,8 @@ def measure_accuracy():
     """Measure in the background; a stopped measurement leaves nothing, and a finished one the curves."""
     settings = terrain().adaptive_terrain
     operators = bpy.ops.adaptive_terrain
+    # Times that other programs disturb have a curve all the same.
+    module("cbt_terrain.accuracy.rows").MAX_SPREAD = math.inf
     # too many errors to finish before the stop, even on a busy machine
     errors, measuring.PIXELS = measuring.PIXELS, tuple(16.0 * 0.999**i for i in range(4000))
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
@@ -150,6 +150,7 @@ def write_a_report():
     """Run a sweep in the background while meshes are written; a stopped sweep leaves no report."""
     bpy.context.scene.render.resolution_percentage = 10  # rays through all pixels are most of its time
     timed_runs.SHORT_UPDATES = 1  # times are not looked at
+    sweeping = module("cbt_terrain.accuracy.sweep")
     # too many settings to finish before the stop
     subjects.settings_for = lambda *arguments: coarse_settings(*arguments) * 100
     settings, operators = terrain().adaptive_terrain, bpy.ops.adaptive_terrain

@@ -4,6 +4,7 @@
 The report has the largest and the median mean difference of a line of pixels.
 """
 
+import importlib
 import json
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ SIZE = 400
 
 bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)  # as it was before any other script
 folder = sys.argv[sys.argv.index("--") + 1] + "/seams"
-tiling = next(module for name, module in sys.modules.items() if name.endswith("cbt_terrain.attributes.tiling"))
+tiling = importlib.import_module("bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.tiling")
 tiling.SINGLE_CELLS, tiling.TILE_CELLS = 64, 100
 scene = bpy.context.scene
 terrain = next(item for item in scene.objects if item.adaptive_terrain.enabled)

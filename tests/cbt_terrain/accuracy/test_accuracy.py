@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, shading_change, triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy.interpolation import interpolation
+from adaptive_terrain.cbt_terrain.accuracy.measure import look, measure, popping, shading_change, triangle_errors
 from adaptive_terrain.cbt_terrain.accuracy.mesh import MeasuredMesh, MeshGround, errors_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import look, measure, triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy.measure import look, measure, triangle_errors
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion

@@ -7,7 +7,8 @@ import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
+from adaptive_terrain.cbt_terrain.accuracy.measure import Measurement
+from adaptive_terrain.cbt_terrain.accuracy.mesh import Errors
 from adaptive_terrain.cbt_terrain.accuracy.rows import Row, curve_of, median_count, pareto, unsteady_row, worst
 from adaptive_terrain.cbt_terrain.accuracy.sweep import sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting, metre_steps, settings_for

@@ -139,8 +139,8 @@ def stored(tmp_path):
 
 def test_a_result_is_computed_once(stored, monkeypatch):
     runs = []
-    route = flow.route
-    monkeypatch.setattr(flow, "route", lambda *given: runs.append(1) or route(*given))
+    route = routing.route
+    monkeypatch.setattr(routing, "route", lambda *given: runs.append(1) or route(*given))
     first = flow_at(places_of(stored))
     assert np.array_equal(flow_at(places_of(stored, scale=2.5)), first) and len(runs) == 1, "in memory"
     whole.forget_results()

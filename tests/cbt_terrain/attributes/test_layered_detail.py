@@ -74,7 +74,7 @@ def test_masks_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
     monkeypatch.setattr(blocks, "ROWS", 4)
     assert displaced(stored(tmp_path, field), ground, 1.0, 0.0, 1).key == expected.key
     with monkeypatch.context() as nothing:  # is computed again
-        nothing.setattr(layered_detail, "on_samples", None)
+        nothing.setattr("adaptive_terrain.cbt_terrain.attributes.evaluate.on_samples", None)
         again = displaced(open_store(tmp_path), ground, 1.0, 0.0, 1)
     view = ground_view(field, above=3.0)
     for one, two in zip(again.detail.layers, expected.detail.layers, strict=True):

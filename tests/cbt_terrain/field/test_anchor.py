@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest, SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.evaluate import values_at
 from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, displaced

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import interpolation, measure, triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy.interpolation import interpolation
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure, triangle_errors
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import bicubic, bicubic_errors
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail as details
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated

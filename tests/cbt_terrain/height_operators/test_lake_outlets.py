@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators import rivers
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import coarser, interpolate_change
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
@@ -42,7 +41,7 @@ def test_a_lake_has_the_outlet_of_the_coarser_level(coarse):
 
 
 def test_without_keep_outlets_the_lower_pass_is_the_outlet(coarse, monkeypatch):
-    monkeypatch.setattr(rivers, "keep_outlets", lambda *_: None)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.height_operators.lake_outlets.keep_outlets", lambda *_: None)
     west, east = flows(bowl(), coarse)
     assert west < 2000 and east > 8000
 

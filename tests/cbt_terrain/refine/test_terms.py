@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import measure
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.saved import depths_from_bytes, depths_to_bytes

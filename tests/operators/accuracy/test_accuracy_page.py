@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from accuracy_rows import known_rows
-from adaptive_terrain.cbt_terrain.accuracy import Errors
 from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
+from adaptive_terrain.cbt_terrain.accuracy.mesh import Errors
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.field.build import from_array

@@ -76,7 +76,8 @@ def held(monkeypatch):
 
 
 def some_errors():
-    from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
+    from adaptive_terrain.cbt_terrain.accuracy.measure import Measurement
+    from adaptive_terrain.cbt_terrain.accuracy.mesh import Errors
 
     errors = Errors(count=10, max=0.5, p95=0.25, p999=0.5, mean=0.125, rms=0.1875)
     return Measurement(errors, 0.75, 1e-5, errors, errors, errors, Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0), None)

@@ -10,6 +10,7 @@ from unittest.mock import Mock
 
 import bpy
 import pytest
+from adaptive_terrain.cbt_terrain.accuracy import sweep as engine_sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.operators import handlers, jobs, registration
 from adaptive_terrain.operators.accuracy import measuring
@@ -53,7 +54,7 @@ def every_kind(terrain, monkeypatch):
 def held(monkeypatch):
     """Hold a sweep before its first row until `go` is set; `reached` is set when it waits."""
     gate = SimpleNamespace(go=threading.Event(), reached=threading.Event())
-    sweep = sweep_accuracy.sweep
+    sweep = engine_sweep.sweep
 
     def waiting(*arguments, **options):
         options["on_progress"](0.5)
@@ -61,7 +62,7 @@ def held(monkeypatch):
         gate.go.wait(60)
         return sweep(*arguments, **options)
 
-    monkeypatch.setattr(sweep_accuracy, "sweep", waiting)
+    monkeypatch.setattr(engine_sweep, "sweep", waiting)
     yield gate
     gate.go.set()
     for job in list(jobs.running):
@@ -286,7 +287,7 @@ def test_a_terrain_without_a_view_is_told(terrain, scene):
 
 
 def test_an_unwritable_folder_is_an_error_before_measuring(terrain, tmp_path, monkeypatch):
-    monkeypatch.setattr(sweep_accuracy, "sweep", lambda *arguments, **options: pytest.fail("measured for nothing"))
+    monkeypatch.setattr(engine_sweep, "sweep", lambda *arguments, **options: pytest.fail("measured for nothing"))
     terrain.adaptive_terrain.reports = "//accuracy/"
     with pytest.raises(RuntimeError, match="save the file, or choose another folder"):
         bpy.ops.adaptive_terrain.sweep_accuracy()
@@ -305,13 +306,13 @@ def test_an_unwritable_folder_is_an_error_before_measuring(terrain, tmp_path, mo
 
 
 def test_a_broken_bound_is_an_error_and_in_the_report(terrain, monkeypatch):
-    sweep = sweep_accuracy.sweep
+    sweep = engine_sweep.sweep
 
     def too_proud(*arguments, **options):
         first, *rest = sweep(*arguments, **options)
         return [dataclasses.replace(first, bound=first.error / 2), *rest]
 
-    monkeypatch.setattr(sweep_accuracy, "sweep", too_proud)
+    monkeypatch.setattr(engine_sweep, "sweep", too_proud)
     with pytest.raises(RuntimeError, match="The bound does not hold in 1 row, first of Terrain at 8 px"):
         bpy.ops.adaptive_terrain.sweep_accuracy()
     assert len(rows_of(terrain)) == 2

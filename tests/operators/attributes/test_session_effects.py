@@ -199,7 +199,7 @@ def test_an_update_that_an_effect_stops_keeps_the_last_mesh(worn, monkeypatch):
     def fails(*_arguments, **_named):
         raise TerrainError("The effect 'slope' cannot be made; try another.")
 
-    monkeypatch.setattr(session, "evaluate", fails)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.attributes.evaluate.evaluate", fails)
     with pytest.raises(TerrainError):
         session.update_object(worn)
     assert len(worn.data.polygons) == before and made(worn) == {"slope", "height"}

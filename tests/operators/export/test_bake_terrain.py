@@ -248,7 +248,7 @@ def test_a_click_refuses_land_that_is_not_shaped(terrain):
 
 def test_attributes_are_computed_before_anything_is_added(scene, add_same, monkeypatch):
     terrain = add_same(reads=["slope"])
-    monkeypatch.setattr("adaptive_terrain.operators.export.bake_terrain.evaluate", Mock(side_effect=MemoryError))
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.attributes.evaluate.evaluate", Mock(side_effect=MemoryError))
     before = len(bpy.data.objects), len(bpy.data.meshes)
     with pytest.raises(MemoryError):
         bake(terrain)

@@ -10,6 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.exporting import tileset
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import export_tiles
@@ -123,7 +124,7 @@ def test_a_cancelled_export_leaves_no_half_tileset(export, tmp_path, monkeypatch
 
 def test_an_export_stops_within_a_level(export, monkeypatch):
     operator = export()
-    monkeypatch.setattr(tileset.Terrain, "update", lambda *_some: [operator.job.stop(), launch.stopping.check()])
+    monkeypatch.setattr(Terrain, "update", lambda *_some: [operator.job.stop(), launch.stopping.check()])
     assert to_the_end(operator) == {"CANCELLED"}
 
 

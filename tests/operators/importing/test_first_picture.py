@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
-from adaptive_terrain.cbt_terrain.importing import refining
+from adaptive_terrain.cbt_terrain.importing import import_process, refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -135,7 +135,7 @@ def test_an_import_that_fails_later_keeps_the_first_picture(terrain, monkeypatch
         def __init__(self, settings, store):
             raise TerrainError("The disk is full", fix="make room")
 
-    monkeypatch.setattr(import_terrain, "ImportJob", FailingJob)  # the quick one runs
+    monkeypatch.setattr(import_process, "ImportJob", FailingJob)  # the quick one runs
     assert to_the_end(operator) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == LOADED
     assert "The disk is full: make room" in " ".join(str(call) for call in operator.report.call_args_list)
 
@@ -293,8 +293,7 @@ def held(monkeypatch, terrain):
         monkeypatch.setattr(refining, name, value)
     monkeypatch.setattr(view_tiles, "REST_S", 0.0)
     monkeypatch.setattr(HeldImport, "is_released", False)
-    for module in (import_terrain, view_tiles):
-        monkeypatch.setattr(module, "ImportJob", HeldImport)
+    monkeypatch.setattr(import_process, "ImportJob", HeldImport)
     look_down(terrain, -600.0, -300.0)
     operator = running(import_terrain.ImportTerrain, terrain)
     until(operator, lambda: tiles_of(terrain) and jobs.find(jobs.IMPORT, terrain).message == "Reading")

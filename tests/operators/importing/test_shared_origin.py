@@ -166,7 +166,7 @@ def test_a_join_beside_the_window_shows_no_first_picture(saved, monkeypatch):
     """The other terrains are removed, so the import has to be complete by then."""
     scene, path = saved
     monkeypatch.setattr(import_terrain, "QUICK_SAMPLES", 60)
-    monkeypatch.setattr(import_terrain, "ImportJob", ImportJob)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.import_process.ImportJob", ImportJob)
     west = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "west", hills(40, 30))
     east = add(path, "EPSG:32632", Affine(10, 0, 6e5 + 400, 0, -10, 5.2e6), "east", hills(40, 30))
     monkeypatch.setattr(join_terrains, "others_of", lambda _context: [east])

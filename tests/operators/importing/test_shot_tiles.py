@@ -91,7 +91,7 @@ def assert_same(store, other):
 
 def wait_locally(frames, monkeypatch, quick=600):
     """Render frames as with a running import: each waits for its tiles in the terrain's own store."""
-    monkeypatch.setattr(view_tiles, "ImportJob", FinishedImport)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.importing.import_process.ImportJob", FinishedImport)
     monkeypatch.setattr(view_tiles.render_wait, "wait_for_import", lambda _child: None)
     monkeypatch.setattr(FinishedImport, "cancel", lambda _child: None, raising=False)
     monkeypatch.setattr(FinishedImport, "poll", lambda _child: view_tiles.jobs.BackgroundJob, raising=False)

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy.measure import triangle_errors
 from adaptive_terrain.cbt_terrain.mesh.attributes import LEVEL
 from adaptive_terrain.operators.bridge.writer import COLOUR_ATTRIBUTE
 from adaptive_terrain.operators.overlay import colors as overlay
@@ -160,7 +160,7 @@ def test_it_survives_a_clean_up(scene, add_terrain):
 def test_a_failure_is_told_and_the_mesh_stays(scene, add_terrain, monkeypatch):
     terrain = add_terrain()
     triangles = session.update_object(terrain).triangles
-    monkeypatch.setattr(overlay, "triangle_errors", lambda *arguments: 1 / 0)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.accuracy.measure.triangle_errors", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         turn_on(terrain, "ERROR")
     assert "ZeroDivisionError" in session.record_of(terrain).status.error

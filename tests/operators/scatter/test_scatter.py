@@ -120,7 +120,7 @@ def test_points_follow_the_camera_in_viewport_and_render(scene, terrain, scatter
 def test_a_hidden_scatter_costs_nothing(scene, terrain, scatter, monkeypatch):
     """No points are made, no views gathered, no kernels requested; shown again it has its points."""
     made = []
-    monkeypatch.setattr(scatters, "place_points", lambda *_: made.append(1))
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.scatter.points.place_points", lambda *_: made.append(1))
     for hide in (lambda: scatter.hide_set(True), lambda: setattr(scatter, "hide_viewport", True)):
         scatter.hide_set(False)
         scatter.hide_viewport = False
@@ -185,7 +185,7 @@ def test_a_renamed_layer_keeps_its_scatters_and_masks(terrain, scatter):
 
 def test_unchanged_points_are_not_made_or_written_again(terrain, scatter, monkeypatch):
     session.update_object(terrain)
-    monkeypatch.setattr("adaptive_terrain.operators.scatter.request.write_points", None)
+    monkeypatch.setattr("adaptive_terrain.operators.bridge.point_writer.write_points", None)
     session.update_object(terrain)
     assert record_of(terrain, scatter).runs == 1
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.island import SIDE
+from adaptive_terrain.cbt_terrain.importing import import_process
 from adaptive_terrain.cbt_terrain.view.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.operators.accuracy.panel import statistics_lines, summary_lines
@@ -177,9 +178,12 @@ def test_a_failed_export_keeps_the_viewports_detail(scene, add_terrain, tmp_path
 
 
 def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
-    from adaptive_terrain.operators.importing import import_terrain
 
-    monkeypatch.setattr(import_terrain, "ImportJob", Mock(side_effect=TerrainError("The disk is full")))
+    monkeypatch.setattr(
+        import_process,
+        "ImportJob",
+        Mock(side_effect=TerrainError("The disk is full")),
+    )
     before = len(bpy.data.objects), len(bpy.data.meshes)
     with pytest.raises(RuntimeError, match="The disk is full") as failure:
         bpy.ops.mesh.adaptive_terrain_add()
@@ -263,7 +267,7 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     report["warnings"] = []
     done = SimpleNamespace(fraction=1.0, message="Done", done=True, error=None, report=report)
     child = SimpleNamespace(poll=lambda: done, cancel=lambda: None, cancelled=False)
-    monkeypatch.setattr(import_terrain, "ImportJob", lambda settings, folder: child)
+    monkeypatch.setattr(import_process, "ImportJob", lambda settings, folder: child)
     monkeypatch.setattr(import_terrain, "store_folder", lambda obj, settings: terrain.adaptive_terrain.store)
     operator = running(import_terrain.ImportTerrain, terrain)
     assert turn(operator) == {"PASS_THROUGH"}

@@ -21,7 +21,7 @@ from ..run import launch
 from . import codes, derived_arrays, hierarchy
 from .blocks import halvings
 from .codes import MAX_EXPONENT, MIN_EXPONENT
-from .finer_build import corners_of_squares, outward, square_at, tiles_of
+from .finer_build import corners_of_squares, outward, rectangle_around, tiles_of
 from .finer_heights import border_margin, border_weights, extend_beyond, raster_heights
 from .finer_measures import fill_errors, fill_ranges, limits_of
 from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
@@ -40,9 +40,9 @@ def bicubic_tiles(smooth: HeightField) -> tuple[FinerTiles, float, float]:
     assert finer is not None
     shapes = bicubic_shapes(smooth.lattice, finer.bits, len(finer.heights))
     arrays = derived_arrays.derive(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
-    exponent, *scale, low, high, off = arrays["finer_values_c"].tolist()
+    exponent, base, step, low, high, off = arrays["finer_values_c"].tolist()
     heights, errors, ranges, limits = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits"))
-    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, *scale, int(exponent), limits, off=off)
+    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, base, step, int(exponent), limits, off=off)
     return tiles, low, high
 
 
@@ -62,19 +62,21 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     off = _max_distance(smooth, finer)
     low, high = _fill_heights(smooth, finer, heights)
     low, high = (float(end) for end in (outward(np.float32(low), off)[0], outward(np.float32(high), off)[1]))
-    square = partial(square_at, smooth, bits, numbers, heights, surface=bicubic_heights, off=off)
+    around = partial(rectangle_around, smooth, bits, numbers, heights, surface=bicubic_heights, off=off)
     corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners:
-        change = square(corner).change
-        for row, column, _tile, where in tiles_of(corner, numbers):
-            limits[row, column] = limits_of(change[where], steps)
+        tiles = list(tiles_of(corner, numbers))
+        rectangle = around(tiles)
+        for tile in tiles:
+            limits[tile.row, tile.column] = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
     arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
     table, scale = codes.tables([exponent])[0], hierarchy.range_scale(low, high)
     for corner in corners:
-        measured, tiles = square(corner), list(tiles_of(corner, numbers))
-        fill_errors(measured, tiles, errors, threads, steps=steps, table=table)
-        fill_ranges(measured, tiles, ranges, threads, steps=steps, scale=scale)
+        tiles = list(tiles_of(corner, numbers))
+        rectangle = around(tiles)
+        fill_errors(rectangle, tiles, errors, threads, steps=steps, table=table)
+        fill_ranges(rectangle, tiles, ranges, threads, steps=steps, scale=scale)
     arrays["finer_values_c"][:] = exponent, *scale, low, high, off
 
 

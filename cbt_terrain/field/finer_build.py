@@ -27,7 +27,7 @@ from .finer_heights import (
     raster_heights,
     window_of,
 )
-from .finer_measures import Part, Square, fill_errors, fill_ranges, limits_of
+from .finer_measures import MeasuredRectangle, MeasuredTile, fill_errors, fill_ranges, limits_of
 from .finer_reuse import inputs_of_tiles, is_measured, limits_before
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, FinerTiles, tile_shape
 from .heightfield import HeightField
@@ -136,48 +136,51 @@ def _part_of(numbers: np.ndarray, corner: Tile) -> np.ndarray:
     return numbers[max(row, 0) : row + BLOCK + 2, max(column, 0) : column + BLOCK + 2]
 
 
-def square_at(
+def rectangle_around(
     plain: HeightField,
     bits: int,
     numbers: np.ndarray,
     heights: np.ndarray,
-    corner: Tile,
+    tiles: list[MeasuredTile],
     surface: SurfaceAt = raster_heights,
     off: float = 0.0,
-) -> Square:
-    """Return a square of BLOCK x BLOCK tiles with a margin of one tile on each side.
+) -> MeasuredRectangle:
+    """Return the smallest rectangle of tiles around some of them, with a margin of one tile on each side.
 
     Beyond the raster's border all values are those at the border.
 
     Args:
         plain: the raster; bits: a raster cell has 2^bits finer cells a side.
-        numbers, heights: those of the tiles. corner: column and row of the square's first tile.
+        numbers, heights: of all tiles (`FinerTiles`). tiles: those to enclose, at least one.
         surface: returns the heights of the raster's surface, as `raster_heights`.
         off: largest distance of the surface, metres, from the bilinear one between the heights.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
-    count, (column, row), part = (BLOCK + 2) * SIDE + 1, corner, _part_of(numbers, corner)
-    change, low, high = (np.zeros((count, count), np.float32) for _ in range(3))
-    for down, across in np.argwhere(part >= 0):
+    row, column = (min(tile[axis] for tile in tiles) - 1 for axis in (0, 1))
+    rows, columns = (
+        SIDE * (max(tile[axis] for tile in tiles) + 2 - first) + 1 for axis, first in ((0, row), (1, column))
+    )
+    near = numbers[max(row, 0) : row + rows // SIDE, max(column, 0) : column + columns // SIDE]
+    change, low, high = (np.zeros((rows, columns), np.float32) for _ in range(3))
+    for down, across in np.argwhere(near >= 0):
         y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
-        finer = heights[part[down, across], 1:-1, 1:-1]
-        at = x + np.arange(SIDE + 1), y + np.arange(SIDE + 1)
-        coarse = surface(plain, bits, *at)
+        finer = heights[near[down, across], 1:-1, 1:-1]
+        coarse = surface(plain, bits, x + np.arange(SIDE + 1), y + np.arange(SIDE + 1))
         # The rounding of the raster's surface to float32 is no change.
         difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
         i, j = x - SIDE * column, y - SIDE * row
-        inside = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
-        change[inside], low[inside] = difference, finer
+        area = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
+        change[area], low[area] = difference, finer
         if off:
-            low[inside], high[inside] = outward(finer, off)
-    for axis, first, end in ((1, SIDE * column, last[0]), (0, SIDE * row, last[1])):
-        inside = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
-        change, low, high = (np.take(values, inside, axis) for values in (change, low, high))
+            low[area], high[area] = outward(finer, off)
+    for axis, count, first, end in ((1, columns, SIDE * column, last[0]), (0, rows, SIDE * row, last[1])):
+        clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
+        change, low, high = (np.take(values, clamped, axis) for values in (change, low, high))
     change, low, high = map(np.ascontiguousarray, (change, low, high))
-    return Square(column, row, low, high if off else low, change)
+    return MeasuredRectangle(column, row, low, high if off else low, change)
 
 
-def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
+def outward(heights: np.ndarray | np.float32, off: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
     low, high = (np.float32(heights - np.float64(off)), np.float32(heights + np.float64(off)))
     return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
@@ -195,22 +198,25 @@ def _measured(
     records: FinerRecords,
 ) -> FinerTiles:
     """Return the tiles with the errors and limits of their change. ends: lowest and highest height, metres."""
-    lattice, part = plain.lattice, 1.0 / (1 << bits)
-    steps = lattice.step_x * part, lattice.step_y * part
+    lattice, ratio = plain.lattice, 1.0 / (1 << bits)
+    steps = lattice.step_x * ratio, lattice.step_y * ratio
     limits = np.zeros((*numbers.shape, 2), np.float32)
     corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
     for corner in corners:
         missing = []
-        for row, column, _tile, where in tiles_of(corner, numbers):
-            found = limits_before(records, (column, row), inputs[row, column])
-            if found is None:
-                missing.append((row, column, where))
+        for tile in tiles_of(corner, numbers):
+            row, column, _number = tile
+            earlier = limits_before(records, (column, row), inputs[row, column])
+            if earlier is None:
+                missing.append(tile)
             else:
-                limits[row, column] = found
-        if missing:
-            change = square_at(plain, bits, numbers, heights, corner).change
-        for row, column, where in missing:
-            limits[row, column] = pair = limits_of(change[where], steps)
+                limits[row, column] = earlier
+        if not missing:
+            continue
+        rectangle = rectangle_around(plain, bits, numbers, heights, missing)
+        for tile in missing:
+            row, column, _number = tile
+            limits[row, column] = pair = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
             records.note(LIMITED, (column, row), inputs=inputs[row, column], limits=[float(value) for value in pair])
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
@@ -224,19 +230,21 @@ def _measured(
     )
     for corner in corners:
         on_progress((corner[1] + 1) / len(numbers))
-        square = None
-        for kind, array, coding, fill in outputs:
-            tiles = []
-            for each in tiles_of(corner, numbers):
-                row, column, tile, _where = each
-                if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[tile]):
-                    tiles.append(each)
-            if tiles:
-                square = square or square_at(plain, bits, numbers, heights, corner)
-                fill(square, tiles, array, threads)
-            for row, column, tile, _where in tiles:
-                given, sums = f"{inputs[row, column]} {coding}", digest_of([array[tile]])
-                records.note(kind, (column, row), array=array[tile], inputs=given, sums=sums)
+        tiles_of_output: list[list[MeasuredTile]] = [[] for _ in outputs]
+        for (kind, array, coding, _fill), tiles in zip(outputs, tiles_of_output, strict=True):
+            for tile in tiles_of(corner, numbers):
+                row, column, number = tile
+                if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[number]):
+                    tiles.append(tile)
+        missing = sorted(set().union(*tiles_of_output))
+        if not missing:
+            continue
+        rectangle = rectangle_around(plain, bits, numbers, heights, missing)
+        for (kind, array, coding, fill), tiles in zip(outputs, tiles_of_output, strict=True):
+            fill(rectangle, tiles, array, threads)
+            for row, column, number in tiles:
+                given, sums = f"{inputs[row, column]} {coding}", digest_of([array[number]])
+                records.note(kind, (column, row), array=array[number], inputs=given, sums=sums)
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)
@@ -247,10 +255,9 @@ def _measured(
     return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
 
 
-def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[Part]:
-    """Yield row, column and number of each tile inside a square's margin, and its samples in the square."""
+def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[MeasuredTile]:
+    """Yield the tiles inside a square's margin. corner: column and row of the square's first tile, of the margin."""
     for down, across in product(range(1, BLOCK + 1), range(1, BLOCK + 1)):
         row, column = corner[1] + down, corner[0] + across
         if row < numbers.shape[0] and column < numbers.shape[1] and numbers[row, column] >= 0:
-            where = slice(SIDE * down, SIDE * (down + 1) + 1), slice(SIDE * across, SIDE * (across + 1) + 1)
-            yield row, column, int(numbers[row, column]), where
+            yield MeasuredTile(row, column, int(numbers[row, column]))

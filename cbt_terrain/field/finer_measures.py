@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), measured in squares of tiles."""
+"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), measured in rectangles of tiles."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -13,14 +13,20 @@ from .lattice import PAGE, Lattice
 GROUPS = 3  # of depths with stored errors
 UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
 
-Part = tuple[int, int, int, tuple[slice, slice]]  # row, column and number of a tile, and its samples in a square
+
+class MeasuredTile(NamedTuple):
+    """Row, column and number of a tile."""
+
+    row: int
+    column: int
+    number: int
 
 
-class Square(NamedTuple):
-    """A square of tiles that is measured at a time.
+class MeasuredRectangle(NamedTuple):
+    """Some tiles that are measured together, with a margin of one tile on each side.
 
     Attributes:
-        column, row: its first tile.
+        column, row: its first tile, of the margin.
         low, high: bounds of the surface at its finer samples, float32 metres; a bilinear surface has one array.
         change: the surface minus that of the raster at its finer samples, float32 metres; all are 0 outside of tiles.
     """
@@ -32,51 +38,57 @@ class Square(NamedTuple):
     change: np.ndarray
 
     def lattice(self, steps: tuple[float, float]) -> Lattice:
-        """Return the lattice of the square, one root square for each tile. steps: of finer samples, metres."""
-        count = len(self.change) // SIDE
-        return Lattice(count, count, TILE_BITS, *steps)
+        """Return a lattice with a root square for each tile. steps: of finer samples, metres."""
+        rows, columns = (count // SIDE for count in self.change.shape)
+        return Lattice(columns, rows, TILE_BITS, *steps)
+
+    def samples_of(self, tile: MeasuredTile) -> tuple[slice, slice]:
+        """Return the rows and columns of a tile's samples in the rectangle."""
+        y, x = SIDE * (tile.row - self.row), SIDE * (tile.column - self.column)
+        return slice(y, y + SIDE + 1), slice(x, x + SIDE + 1)
 
 
 def fill_errors(
-    square: Square,
-    tiles: list[Part],
+    rectangle: MeasuredRectangle,
+    tiles: list[MeasuredTile],
     errors: np.ndarray,
     threads: int,
     *,
     steps: tuple[float, float],
     table: np.ndarray,
 ) -> None:
-    """Fill the errors of some tiles of a square. steps: of finer samples, metres. table: metres of the codes."""
-    small = square.lattice(steps)
+    """Fill the errors of some tiles of a rectangle. steps: of finer samples, metres. table: metres of the codes."""
+    small = rectangle.lattice(steps)
     metres = np.zeros(small.node_count, np.float32)
-    hierarchy.build_errors(square.change, small, metres, threads)
+    hierarchy.build_errors(rectangle.change, small, metres, threads)
     images = list(_images(small.layout(), metres * UP))
-    for _row, _column, tile, where in tiles:
-        stored = np.concatenate([_pages(image, where, shift) for image, shift in images])
-        errors[tile] = 0  # an earlier attempt may have left others, and zeros are not written
-        codes.encode_part(stored, table, errors[tile], threads)
+    for tile in tiles:
+        stored = np.concatenate([_pages(image, rectangle.samples_of(tile), shift) for image, shift in images])
+        errors[tile.number] = 0  # an earlier attempt may have left others, and zeros are not written
+        codes.encode_part(stored, table, errors[tile.number], threads)
 
 
 def fill_ranges(
-    square: Square,
-    tiles: list[Part],
+    rectangle: MeasuredRectangle,
+    tiles: list[MeasuredTile],
     ranges: np.ndarray,
     threads: int,
     *,
     steps: tuple[float, float],
     scale: tuple[float, float],
 ) -> None:
-    """Fill the ranges of heights of some tiles of a square. steps: as of `fill_errors`. scale: metres of the codes."""
-    small = square.lattice(steps)
+    """Fill the ranges of heights of some tiles of a rectangle. steps: as of `fill_errors`. scale: metres of codes."""
+    small = rectangle.lattice(steps)
     found = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(square.low, small, *scale, found, threads)
-    if square.high is not square.low:
+    hierarchy.build_ranges(rectangle.low, small, *scale, found, threads)
+    if rectangle.high is not rectangle.low:
         above = np.zeros_like(found)
-        hierarchy.build_ranges(square.high, small, *scale, above, threads)
+        hierarchy.build_ranges(rectangle.high, small, *scale, above, threads)
         found[:, 1] = above[:, 1]
     images = list(_images(small.range_layout(), found, False))
-    for _row, _column, tile, where in tiles:
-        ranges[tile] = np.concatenate([_pages(image, where, shift + 1) for image, shift in images])
+    for tile in tiles:
+        area = rectangle.samples_of(tile)
+        ranges[tile.number] = np.concatenate([_pages(image, area, shift + 1) for image, shift in images])
 
 
 def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float32, np.float32]:
@@ -100,9 +112,12 @@ def _images(
         yield rows, 2 * group if group < GROUPS else 0
 
 
-def _pages(image: np.ndarray, where: tuple[slice, slice], shift: int) -> np.ndarray:
-    """Return the entries of a tile as pages, [n, ...]; `image`: rows of vertices, 2^shift cells apart."""
-    y, x = (slice(at.start >> shift, at.stop - 1 >> shift) for at in where)
+def _pages(image: np.ndarray, area: tuple[slice, slice], shift: int) -> np.ndarray:
+    """Return the entries of a tile as pages, [n, ...]; `image`: rows of vertices, 2^shift cells apart.
+
+    area: the tile's rows and columns of finer samples in the rectangle of `image`.
+    """
+    y, x = (slice(side_range.start >> shift, side_range.stop - 1 >> shift) for side_range in area)
     part, rest = image[y, x], image.shape[2:]
     side = max(len(part), PAGE)
     full = np.zeros((side, side, *rest), image.dtype)

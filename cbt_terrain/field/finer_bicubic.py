@@ -61,7 +61,8 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
     off = _max_distance(smooth, finer)
     low, high = _fill_heights(smooth, finer, heights)
-    low, high = (float(end) for end in (outward(np.float32(low), off)[0], outward(np.float32(high), off)[1]))
+    bounds = outward(np.array([low, high], np.float32), off)
+    low, high = float(bounds[0].min()), float(bounds[1].max())
     around = partial(rectangle_around, smooth, bits, numbers, heights, surface=bicubic_heights, off=off)
     corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners:

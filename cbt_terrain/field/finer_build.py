@@ -180,7 +180,7 @@ def rectangle_around(
     return MeasuredRectangle(column, row, low, high if off else low, change)
 
 
-def outward(heights: np.ndarray | np.float32, off: float) -> tuple[np.ndarray, np.ndarray]:
+def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
     low, high = (np.float32(heights - np.float64(off)), np.float32(heights + np.float64(off)))
     return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))

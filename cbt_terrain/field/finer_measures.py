@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), measured in rectangles of tiles."""
+"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), by rectangles of tiles."""
 
 from collections.abc import Iterator
 from typing import NamedTuple

@@ -48,7 +48,7 @@ def _weights(field: HeightField, node: np.ndarray) -> np.ndarray:
     lattice, tiles = field.lattice, field.raster.finer
     margin = min(2 << tiles.bits, SIDE // 2)
     rows, columns = (-(-(cells << tiles.bits) // SIDE) for cells in (lattice.cells_y, lattice.cells_x))
-    there = tiles.numbers[:rows, :columns] >= 0
+    there = tiles.numbers >= 0  # also beyond the border
     weights = np.ones(len(node))
     for row, column in np.ndindex(rows, columns):
         if there[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].all():

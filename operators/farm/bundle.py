@@ -86,6 +86,7 @@ def write_bundle(job: FarmJob, folder: Path) -> None:
         )
     guard = read_template("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = read_template("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
+    flamenco = flamenco.replace("IMPORT_TASKS = 0", f"IMPORT_TASKS = {_num_shares(job)}")
     values = _parameter_values(job)
     value_list = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
     files = {
@@ -107,8 +108,7 @@ def job_template(job: FarmJob, guard: str) -> str:
     indent = " " * 8  # of the embedded file in job.yaml
     text = read_template("job.yaml") + steps
     has_tiles = job.stores is not None
-    shares = min(MAX_SHARES, -(-job.max_tiles // SHARE_TILES))
-    view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(shares))
+    view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(_num_shares(job)))
     after_tiles = "  dependencies: [{dependsOn: Measure}]\n"
     parts = {
         "@VIEW_STEPS@\n": view_steps if has_tiles else "",
@@ -121,6 +121,11 @@ def job_template(job: FarmJob, guard: str) -> str:
     for mark, part in parts.items():
         text = text.replace(mark, part)
     return text
+
+
+def _num_shares(job: FarmJob) -> int:
+    """Return the number of tasks that share a step of an import; 0 for a job without tiles in view."""
+    return min(MAX_SHARES, -(-job.max_tiles // SHARE_TILES))
 
 
 def host_requirements(job: FarmJob) -> str:

@@ -4,6 +4,8 @@
 const GUARD = "@GUARD@";
 // Blender's names of movies: tasks render parts of the frames, and each would write a movie of its own.
 const MOVIES = ["FFMPEG", "AVI_JPEG", "AVI_RAW"];
+// The number of tasks for the scene with whose job this file was written.
+const IMPORT_TASKS = 0;
 const JOB_TYPE = {
     label: "Adaptive Terrain Render",
     description: "Pictures of a scene with adaptive terrains, each refined for its frame.",
@@ -11,6 +13,8 @@ const JOB_TYPE = {
         { key: "frames", type: "string", required: true, eval: "f'{C.scene.frame_start}-{C.scene.frame_end}'",
             description: "Such as 47, 1-30 or 3, 5-10, 47-327" },
         { key: "chunk_size", type: "int32", default: 4, description: "Frames of one task", visible: "submission" },
+        { key: "import_tasks", type: "int32", default: IMPORT_TASKS, visible: "submission",
+            description: "Tasks that share the import of terrains with incomplete stores; 0 if all stores are complete" },
         { key: "render_output_path", type: "string", subtype: "file_path", editable: false,
             eval: "str(Path(abspath('//render')) / '{timestamp}' / '######')" },
         { key: "blendfile", type: "string", required: true, description: "The .blend file", visible: "web" },
@@ -25,6 +29,35 @@ function outputPath(job) {
     return job.settings.render_output_path.replaceAll("{timestamp}", formatTimestampLocal(job.created));
 }
 
+// Return the folder of the stores in which the job loads the tiles that its frames see.
+function jobStores(job) {
+    return path.join(path.dirname(outputPath(job)), "stores");
+}
+
+// Add a task that prepares the frames after the tasks `before`; return it in a list.
+function addStep(job, name, options, before) {
+    const task = author.Task(name, "blender");
+    const scene = ["--scene", job.settings.blendfile, "--frames", job.settings.frames];
+    task.addCommand(author.Command("exec", {
+        exe: "{blender}",
+        args: ["--command", "adaptive_terrain", "prepare", ...scene, ...options],
+    }));
+    before.forEach((other) => task.addDependency(other));
+    job.addTask(task);
+    return [task];
+}
+
+// Add the tasks of a step, each with its share of the work; several workers do them at the same time.
+function addShares(job, step, stores, before) {
+    const tasks = [];
+    const total = job.settings.import_tasks;
+    for (let share = 1; share <= total; share++) {
+        const options = ["--only", step, "--share", `${share}/${total}`, ...stores];
+        tasks.push(...addStep(job, `${step}-${share}`, options, before));
+    }
+    return tasks;
+}
+
 function compileJob(job) {
     const settings = job.settings;
     // Neither the manager's ranges nor Blender's --render-frame, where -3 counts from the last frame, can say them.
@@ -34,12 +67,17 @@ function compileJob(job) {
     if (MOVIES.includes(settings.format)) {
         throw `The scene is rendered into a movie (${settings.format}); expected a picture a frame: choose an image format under Output.`;
     }
-    const prepare = author.Task("prepare", "blender");
-    prepare.addCommand(author.Command("exec", {
-        exe: "{blender}",
-        args: ["--command", "adaptive_terrain", "prepare", "--scene", settings.blendfile, "--frames", settings.frames],
-    }));
-    job.addTask(prepare);
+    const stores = settings.import_tasks > 0 ? ["--job-stores", jobStores(job)] : [];
+    let done = [];
+    if (stores.length) {
+        done = addStep(job, "view", ["--only", "view", ...stores], done);
+        done = addShares(job, "tiles", stores, done);
+        done = addStep(job, "load", ["--only", "load", ...stores], done);
+        done = addShares(job, "read", stores, done);
+        done = addStep(job, "fill", ["--only", "fill", ...stores], done);
+        done = addShares(job, "measure", stores, done);
+    }
+    const [prepare] = addStep(job, "prepare", stores, done);
     for (const chunk of frameChunker(settings.frames, settings.chunk_size)) {
         const task = author.Task(`render-${chunk}`, "blender");
         task.addCommand(author.Command("blender-render", {
@@ -51,6 +89,7 @@ function compileJob(job) {
                 "--python-exit-code", "1", "--python-expr", GUARD,
                 "--render-output", outputPath(job), "--render-format", settings.format,
                 "--render-frame", chunk.replaceAll("-", ".."),
+                ...(stores.length ? ["--", ...stores] : []),
             ],
         }));
         task.addDependency(prepare);

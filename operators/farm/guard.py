@@ -4,10 +4,12 @@
     blender -b X.blend --python-exit-code 1 --python guard.py -f 1..4
 
 A job of Open Job Description runs it without a file and with `-- ZIP FOLDER`, which installs the zip into a separate
-user folder in FOLDER.
+user folder in FOLDER. After `-- --job-stores FOLDER`, terrains with an incomplete store use those of a job in FOLDER.
 """
 
+import importlib
 import os
+import pathlib
 import shutil
 import subprocess
 import sys
@@ -18,6 +20,7 @@ import bpy
 
 VERSION = ""  # version of the extension that wrote the job; empty accepts any
 USER_FOLDER = "BLENDER_USER_RESOURCES"
+JOB_STORES = "--job-stores"
 
 
 def one_line(text):
@@ -63,9 +66,13 @@ def check_extension():
     """Fail if the extension is not enabled or has another version."""
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         fail("the extension Adaptive Terrain is not enabled in this Blender, terrains would be stale")
-    # The extension's module is bl_ext.REPOSITORY.adaptive_terrain, of any repository.
+    check_version(getattr(extension(), "__version__", "unknown"))
+
+
+def extension():
+    """Return the module bl_ext.REPOSITORY.adaptive_terrain of any repository, None if it has no version."""
     modules = [module for name, module in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
-    check_version(next((m.__version__ for m in modules if hasattr(m, "__version__")), "unknown"))
+    return next((module for module in modules if hasattr(module, "__version__")), None)
 
 
 def check_version(found):
@@ -81,19 +88,39 @@ def absolute(path):
     return found if os.path.lexists(found) else bpy.path.abspath(path.replace("\\", "/"))
 
 
+def terrains():
+    """Return the terrains of the scene that is rendered."""
+    objects = bpy.context.scene.objects
+    return [obj for obj in objects if obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None]
+
+
+def use_job_stores(folder):
+    """Give terrains the stores that a job has made in `folder`, and fail if an incomplete one has none there."""
+    package = extension().__name__
+    shot_tiles = importlib.import_module(f"{package}.operators.importing.shot_tiles")
+    errors = importlib.import_module(f"{package}.cbt_terrain.errors")
+    try:
+        shot_tiles.use_job_stores(terrains(), pathlib.Path(folder))
+    except errors.TerrainError as error:
+        fail(error)
+
+
 def check_file():
     """Make stale renders stop Blender, and fail if the store of a terrain is missing."""
     for scene in bpy.data.scenes:
         scene.adaptive_terrain.stop_stale_renders = True
-    for obj in bpy.context.scene.objects:
-        if obj.type == "MESH" and obj.adaptive_terrain.enabled and obj.library is None:
-            store = absolute(obj.adaptive_terrain.store)
-            if not os.path.isfile(os.path.join(store, "store.json")):
-                fail(f"the store of {obj.name} is missing: {store}")
+    for obj in terrains():
+        store = absolute(obj.adaptive_terrain.store)
+        if not os.path.isfile(os.path.join(store, "store.json")):
+            fail(f"the store of {obj.name} is missing: {store}")
 
 
 arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
-if arguments and arguments[0]:
+if arguments[:1] == [JOB_STORES]:
+    check_extension()
+    use_job_stores(arguments[1])
+    check_file()
+elif arguments and arguments[0]:
     install(arguments[0], os.path.join(arguments[1], "blender"))
 else:
     check_extension()

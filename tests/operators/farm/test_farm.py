@@ -346,12 +346,15 @@ class Task {
 global.author = { Task: (name, kind) => new Task(name, kind), Command: (name, parameters) => ({ name, parameters }) };
 global.frameChunker = (frames, size) => frames.split(",");
 global.formatTimestampLocal = (date) => `local ${date.toISOString()}`;
+global.path = require("path").posix;
 const globals = ";globalThis.compileJob = compileJob; globalThis.type = JOB_TYPE;";
 (0, eval)(fs.readFileSync(process.argv[1], "utf8") + globals);
-const [, , frames, format] = process.argv;
-const settings = { frames, format, blendfile: "/x/a.blend", render_output_path: "/o {timestamp}/{x}/#" };
+const [, , frames, format, tasksOfImport] = process.argv;
+const paths = { blendfile: "/x/a.blend", render_output_path: "/o {timestamp}/{x}/#" };
+const settings = { frames, format, import_tasks: Number(tasksOfImport ?? 0), ...paths };
 compileJob({ settings, created: new Date(0), addTask: (task) => tasks.push(task) });
-console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) => item.key) }));
+const defaults = Object.fromEntries(globalThis.type.settings.map((item) => [item.key, item.default ?? null]));
+console.log(JSON.stringify({ tasks, defaults }));
 """
 
 
@@ -366,7 +369,8 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     message = json.loads(
         subprocess.run([*command, "1-10,20", "PNG"], capture_output=True, text=True, check=True).stdout
     )
-    assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(message["keys"])
+    assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(message["defaults"])
+    assert message["defaults"]["import_tasks"] == 0, "all stores are complete, or imported in one piece"
     prepare, *chunks = message["tasks"]
     assert prepare["commands"][0]["parameters"]["args"][:3] == ["--command", "adaptive_terrain", "prepare"]
     assert [(task["name"], task["after"]) for task in chunks] == [
@@ -377,6 +381,27 @@ def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
     assert arguments[-2:] == ["--render-frame", "1..10"]
     assert arguments[arguments.index("--render-output") + 1] == "/o local 1970-01-01T00:00:00.000Z/{x}/#"
     assert arguments[arguments.index("--python-expr") + 1] == (tmp_path / "out" / "guard.py").read_text()
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")
+def test_flamenco_shares_the_import_of_incomplete_stores(shot, tmp_path):
+    """Each step waits for all tasks of the step before, and frames are made from the stores of the job."""
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
+    command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO), "3-8", "PNG", "2"]
+    tasks = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)["tasks"]
+    steps = [["view"], ["tiles-1", "tiles-2"], ["load"], ["read-1", "read-2"], ["fill"], ["measure-1", "measure-2"]]
+    steps += [["prepare"], ["render-3-8"]]
+    after = {task["name"]: task["after"] for task in tasks}
+    assert after == {name: before for before, step in zip([[], *steps], steps, strict=False) for name in step}
+    stores = "/o local 1970-01-01T00:00:00.000Z/{x}/stores"
+    for task in tasks[:-1]:
+        parts = task["commands"][0]["parameters"]["args"]
+        parsed = parser.build_parser().parse_args(parts[2:])
+        step, _, share = task["name"].partition("-")
+        assert (parsed.verb, parsed.only) == ("prepare", None if step == "prepare" else step)
+        assert parsed.share == ((int(share), 2) if share else None) and str(parsed.job_stores) == stores
+        assert list(parsed.frames) == list(range(3, 9)) and str(parsed.scene) == "/x/a.blend"
+    assert tasks[-1]["commands"][0]["parameters"]["args"][-3:] == ["--", "--job-stores", stores]
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")

@@ -139,12 +139,31 @@ def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]
 
     Repeated calls of `missing_tiles` for each land find the same. Raises TerrainError.
     """
-    field, wanted = open_store(first_picture(store)), set[int]()
-    if is_large(field):
-        lands = list(lands)
-        for needs, seen in zip(errors_in_view(field, _picture_side(field), lands), lands, strict=True):
-            wanted.update(map(int, np.flatnonzero(needs > seen.error_px)))
-    return tuple(sorted(wanted - loaded_tiles(read_json(store)["provenance"])))
+    field = open_store(first_picture(store))
+    if not is_large(field):
+        return ()
+    wanted = np.flatnonzero(_ratios_in_view(field, _picture_side(field), list(lands)) > 1.0)
+    return tuple(sorted(set(map(int, wanted)) - loaded_tiles(read_json(store)["provenance"])))
+
+
+def neediest_tile(store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> int:
+    """Return that of some tiles whose errors exceed the allowed ones of several lands most. Raises TerrainError."""
+    field = open_store(first_picture(store))
+    ratios = _ratios_in_view(field, _picture_side(field), lands)
+    return max(tiles, key=lambda tile: ratios[tile])
+
+
+def are_loaded_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
+    """Return whether the loaded tiles have the detail that several lands need there, or squares can add what they lack.
+
+    It is judged as in `is_fine_enough`, which also needs all tiles. Raises TerrainError.
+    """
+    field = open_store(store)
+    squares = finer_squares(field)
+    if squares is not None and squares.is_coarse:
+        return True
+    ratios, loaded = _ratios_in_view(field, 1 << BITS, lands), loaded_tiles(field.provenance)
+    return all(ratio <= 1.0 for tile, ratio in enumerate(ratios) if tile in loaded)
 
 
 def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
@@ -181,8 +200,7 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     squares = finer_squares(field)
     if squares is not None and squares.is_coarse:
         return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
-    needs = errors_in_view(field, 1 << BITS, lands)
-    return all(errors.max() <= seen.error_px for errors, seen in zip(needs, lands, strict=True))
+    return bool((_ratios_in_view(field, 1 << BITS, lands) <= 1.0).all())
 
 
 def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | None = None) -> tuple[int, ...]:
@@ -196,9 +214,7 @@ def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | Non
     if squares is None:
         return ()
     wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
-    ratios = np.zeros(len(wanted))
-    for needs, seen in zip(errors_in_view(field, side, lands, side), lands, strict=True):
-        np.maximum(ratios, needs.ravel()[wanted] / seen.error_px, out=ratios)
+    ratios = _ratios_in_view(field, side, lands, side)[wanted]
     order = np.argsort(-ratios, kind="stable")[:max_count]
     return tuple(sorted(wanted[place] for place in order if ratios[place] > 1.0))
 
@@ -237,6 +253,17 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
             return squares.finest_m
     column, row = cell_x >> BITS, cell_y >> BITS
     return tiles[0] if row * grid.columns + column in loaded_tiles(field.provenance) else steps[0]
+
+
+def _ratios_in_view(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
+    """Return the largest error in each square by that which a land allows, of several lands: float64 [squares].
+
+    A square needs more detail above 1. side, part: as of `errors_in_view`, powers of two.
+    """
+    ratios = np.zeros(len(TileGrid(field.lattice, side.bit_length() - 1)))
+    for needs, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
+        np.maximum(ratios, needs.ravel() / seen.error_px, out=ratios)
+    return ratios
 
 
 def errors_in_view(

@@ -88,10 +88,11 @@ def import_store(obj, task: Preparation) -> None:
 def find_view(obj, task: Preparation) -> None:
     """Choose the tiles that the frames see, for `read_view`, if single tiles of the terrain can be loaded.
 
-    Raises TerrainError.
+    If a job's frames need more than tiles have, begin the import of all samples. Raises TerrainError.
     """
     if can_load_tiles(store_folder_of(obj)):
-        task.say(f"{obj.name}: {plan_tiles(obj, task.frames, task.stores)}")
+        text = plan_tiles(obj, task.frames, task.stores) or _begin_import(obj, task)
+        task.say(f"{obj.name}: {text}")
 
 
 def read_view(obj, task: Preparation) -> None:
@@ -107,11 +108,16 @@ def load_view(obj, task: Preparation) -> None:
 
     `import_share` and `import_store` then do the rest. Raises TerrainError.
     """
-    assert task.stores is not None, "the command line has checked it"
     if not can_load_tiles(store_folder_of(obj)) or is_begun(obj, task.stores, task.frames):
         return
     text = load_tiles(obj, task.frames, task.stores, task.on_progress)
-    task.say(f"{obj.name}: {text or begin_import(obj, task.frames, task.stores)}")
+    task.say(f"{obj.name}: {text or _begin_import(obj, task)}")
+
+
+def _begin_import(obj, task: Preparation) -> str:
+    """Begin the import of all samples by the workers of a job, and return a text about it. Raises TerrainError."""
+    assert task.stores is not None, "only a job begins it"
+    return begin_import(obj, task.frames, task.stores)
 
 
 def import_share(step: str, obj, task: Preparation) -> None:

@@ -23,10 +23,13 @@ from ...cbt_terrain.importing.refining import (
     SeenLand,
     all_missing_tiles,
     are_all_samples,
+    are_loaded_enough,
     first_picture,
     is_fine_enough,
     is_large,
+    loaded_tiles,
     missing_squares,
+    neediest_tile,
     picture_tiles,
     with_loaded,
 )
@@ -97,22 +100,23 @@ def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, l
 def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     """Write the tiles that frames need and the store lacks, for `read_tiles`; return a text about them.
 
-    If the frames need nearly all tiles, and these have all samples, none is written: `load_tiles` then returns "".
-    stores: as of `find_tiles`. Raises TerrainError, also if the store is not of the terrain's sources and settings.
+    Return "" if a job's frames need all samples: nearly all tiles, or more detail than the neediest tile has, which is
+    loaded to find that out. stores: as of `find_tiles`. Raises TerrainError, also if the store is not of the terrain's
+    sources and settings.
     """
     if is_begun(obj, stores, frames):
         return ALL_SAMPLES
     forget_import(obj, stores)
-    store, _lands, tiles = find_tiles(obj, frames, stores)
-    if _needs_nearly_all(store, tiles, stores):
-        discard_store(store)
-        return ALL_SAMPLES
+    store, lands, tiles = find_tiles(obj, frames, stores)
     if not tiles:
         remove_ahead(store)
         return "no further tiles are in view"
-    report = import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
-    _write_wanted(store, tiles)
-    return f"{len(tiles):,} further tiles of {report['tiles']:,} are in view"
+    if _needs_nearly_all(store, tiles, stores) or not (stores is None or _load_neediest(obj, store, lands, tiles)):
+        discard_store(store)
+        return ""
+    import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
+    _write_wanted(store, all_missing_tiles(store, lands))
+    return f"{len(tiles):,} further tiles of {num_tiles(store):,} are in view"
 
 
 def _needs_nearly_all(store: Path, tiles: Sequence[int], stores: Path | None) -> bool:
@@ -122,6 +126,16 @@ def _needs_nearly_all(store: Path, tiles: Sequence[int], stores: Path | None) ->
     """
     picture = open_store(first_picture(store))
     return stores is not None and are_all_samples(picture) and len(tiles) >= NEARLY_ALL * picture_tiles(picture)
+
+
+def _load_neediest(obj, store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> bool:
+    """Load the tile that lacks most of the detail that lands need; return whether it then has it. Raises TerrainError.
+
+    The other tiles would be loaded for nothing if it has not. If the store has tiles already, these count instead.
+    """
+    if not loaded_tiles(read_json(store)["provenance"]):
+        import_source(_settings_with(obj, store, (neediest_tile(store, lands, tiles),)), store)
+    return are_loaded_enough(store, lands)
 
 
 def _copied(picture: Path, store: Path) -> Path:

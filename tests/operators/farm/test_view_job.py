@@ -3,6 +3,7 @@
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -78,8 +79,8 @@ def shot(scene, add_terrain, tmp_path, monkeypatch):
     settings.source, settings.source_path, settings.store = "FILE", str(source), str(tmp_path / "own.store")
     monkeypatch.chdir(tmp_path)
     run_import(replace(import_terrain.settings_of(obj), source="a.tif", quick=600), tmp_path / "own.store")
-    settings.render.error_px = open_store(tmp_path / "own.store").max_height
-    scene.camera.rotation_euler, scene.camera.data.angle = (0.0, 0.0, 0.0), 0.5
+    settings.render.error_px = 0.4 * open_store(tmp_path / "own.store").max_height
+    scene.camera.rotation_euler, scene.camera.data.angle = (0.0, 0.0, 0.0), 0.9
     for frame, (x, y) in enumerate(((-600.0, -300.0), (-200.0, 400.0), (300.0, -300.0), (700.0, 400.0)), start=1):
         scene.camera.location = obj.matrix_world @ Vector((x, y, 900.0))
         scene.camera.keyframe_insert("location", frame=frame)
@@ -137,6 +138,8 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, two_share
     assert code == 0, report
     ahead = shot / "job" / "stores" / "Terrain.store" / "ahead"
     wanted = json.loads((ahead / "wanted.json").read_text())
+    first = refining.loaded_tiles(read_json(ahead.parent)["provenance"])
+    assert len(first) == 1 and first.isdisjoint(wanted), "the neediest tile is loaded"
     assert 2 < len(wanted) < total
     killed, other = start("Tiles", *share(1), DIE="ahead"), start("Tiles", *share(2))
     assert ended(killed)[0] != 0 and ended(other)[0] == 0, "two workers at the same time"
@@ -144,7 +147,7 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, two_share
     assert there == {wanted[0], *wanted[1::2]}, "the killed one has read one tile"
     code, report = ended(start("Verify", "--run-dependencies"))
     assert code == 0 and "4 frames are whole" in report, report
-    assert f"Terrain: {len(wanted)} further tiles of {total} are in view" in report
+    assert f"Terrain: {len(wanted)} further tiles of {total} are in view" in report, "View is done again"
     assert f"Terrain: {len(wanted)} further tiles in view are loaded" in report
     job = shot / "job" / "frames"
     assert json.loads((job / "frame_0001.json").read_text())["terrains"][0]["loaded"].startswith(
@@ -152,7 +155,9 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, two_share
     )
     assert not refining.loaded_tiles(read_json(shot / "own.store")["provenance"]), "the artist's store is as it was"
 
-    settings = replace(import_terrain.settings_of(bpy.data.objects["Terrain"]), quick=600, loaded_tiles=tuple(wanted))
+    settings = replace(
+        import_terrain.settings_of(bpy.data.objects["Terrain"]), quick=600, loaded_tiles=(*first, *wanted)
+    )
     run_import(settings, shot / "own.store")  # as a local render that has waited for its tiles
     out = "--format", "npz", "--out", shot / "local"
     assert run("export", "--scene", shot / "shot.blend", "--frames", "1,4", *out) == 0
@@ -212,6 +217,28 @@ def test_workers_share_the_import_of_all_samples(shot, start, two_shares):
             assert all(np.array_equal(mesh[array], expected[array]) for array in arrays)
 
 
+def test_one_tile_shows_that_tiles_are_not_enough(shot, start, two_shares):
+    obj = bpy.data.objects["Terrain"]
+    obj.adaptive_terrain.render.error_px = 100.0
+    bpy.ops.wm.save_mainfile()
+    store, lands, tiles = shot_tiles.find_tiles(obj, (2, 3), shot / "all_tiles")
+    assert 2 < len(tiles) < shot_tiles.NEARLY_ALL * shot_tiles.num_tiles(store)
+    run_import(replace(import_terrain.settings_of(obj), quick=600, loaded_tiles=tiles), store)
+    assert not refining.is_fine_enough(store, lands), "all tiles in view are loaded for nothing"
+
+    assert run("submit", "--scene", shot / "shot.blend", "--out", shot / "job", "--frames", "2-3") == 0
+    code, report = ended(start("View"))
+    assert code == 0 and "the frames need all samples, of which 130 tiles are imported by several" in report, report
+    assert not (shot / "job" / "stores" / "Terrain.store").exists()
+    for step in ("Tiles", "Load"):
+        code, report = ended(start(step))
+        assert code == 0 and "tiles in view" not in report, report
+        assert not (shot / "job" / "stores" / "Terrain.store").exists()
+    assert num_parts(shot / "own.store", tile_records.READ) == 0
+    code, report = ended(start("View"))
+    assert code == 0 and "Terrain: the frames need all samples" in report, "done again, it has begun"
+
+
 def test_only_incomplete_stores_need_these_steps(shot, capsys):
     where = "--scene", shot / "shot.blend", "--out", shot / "job"
     assert run("submit", *where, "--render", "--min-memory", "2") == 0
@@ -229,6 +256,7 @@ def test_only_incomplete_stores_need_these_steps(shot, capsys):
     assert str(shot / "own.store") in assets["inputs"]["directories"]
     assert str(shot / "a.tif") not in assets["inputs"]["filenames"], "workers share its disk"
     assert str(shot / "job" / "stores") in assets["outputs"]["directories"]
+    assert "const IMPORT_TASKS = 2;" in (shot / "job" / bundle.FLAMENCO).read_text(), "12 tiles, 8 a task"
     capsys.readouterr()
     run_import(import_terrain.settings_of(bpy.data.objects["Terrain"]), shot / "own.store")
     assert run("submit", *where, "--render") == 0 and "first imports" not in capsys.readouterr().out
@@ -238,6 +266,22 @@ def test_only_incomplete_stores_need_these_steps(shot, capsys):
     assert (
         "StoresDir" not in (shot / "job" / bundle.OPENJD_VALUES).read_text() and "@" not in template.split("steps:")[1]
     )
+
+
+def test_the_guard_uses_the_stores_of_a_job(shot, monkeypatch, capsys):
+    """A farm with its own command for Blender renders from them, and fails where an incomplete store has none."""
+    stores = shot / "stores"
+    monkeypatch.setattr("sys.argv", ["blender", "--", "--job-stores", str(stores)])
+    with pytest.raises(SystemExit):
+        runpy.run_path(bundle.HERE / bundle.GUARD)
+    text = capsys.readouterr().out
+    assert "openjd_fail: The tiles of 'Terrain' that the frames see are not loaded in" in text
+    assert run("prepare", "--scene", shot / "shot.blend", "--frames", "2", "--job-stores", stores) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(shot / "shot.blend"))
+    obj = bpy.data.objects["Terrain"]
+    assert obj.adaptive_terrain.store == "//own.store"
+    runpy.run_path(bundle.HERE / bundle.GUARD)
+    assert obj.adaptive_terrain.store == str(stores / "Terrain.store")
 
 
 def test_a_share_is_one_of_several(capsys):

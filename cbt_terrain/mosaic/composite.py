@@ -75,7 +75,8 @@ class Composite:
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
         near: float64 [tiles, 4], boxes with their reach.
         steps: float64 [tiles], samples of the grid between two of a tile.
-        levels: int64 [tiles], 0 for the coarsest tiles; finer ones on top of them have higher numbers.
+        step_levels: int64 [tiles], 0 for the coarsest tiles; finer ones on top of them have higher numbers.
+        levels: `step_levels`, or 0 for all tiles if the settings leave the blending out.
         finer: the plan and the composite of finer tiles, None for one step everywhere.
         finest: the plan of finer tiles that a composite with one step leaves out, None without one.
         reads_overviews: whether overviews of files were read for a quick import.
@@ -105,9 +106,8 @@ class Composite:
         self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
         self.near = self.boxes + near
-        self.levels = np.zeros(len(tiles), np.int64)
-        if settings.blend:
-            self.levels = find_levels(self.lattices, steps, self.boxes)
+        self.step_levels = find_levels(self.lattices, steps, self.boxes)
+        self.levels = self.step_levels if settings.blend else np.zeros(len(tiles), np.int64)
         self.insets = InsetBlend(self.levels, steps, grid, self._scan) if self.levels.any() else None
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}

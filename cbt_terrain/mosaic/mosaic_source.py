@@ -46,7 +46,7 @@ def open_composite(
     grid = choose_grid(tiles, settings)
     tile_footprints = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
-    plan = plan_finer(grid, whole.levels, whole.steps, whole.boxes) if settings.step is None else None
+    plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes) if settings.step is None else None
     if plan is None or (settings.quick and plan.work > WORTHWHILE * settings.quick):
         whole.finest = plan
         return whole

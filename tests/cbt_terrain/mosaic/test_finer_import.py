@@ -20,6 +20,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
+from fields import mesh_heights
 from invariants import assert_invariants
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
@@ -118,6 +119,34 @@ def test_a_flight_over_the_border_has_no_cracks(country):
         update = terrain.update(Criterion(error_px=1.0), [view])
         assert_invariants(update.surface, field.lattice)
         assert update.bound_px <= 1.0 + 1e-6
+
+
+@pytest.mark.thorough
+def test_a_city_without_blending_has_finer_tiles_and_a_hard_edge(country, tmp_path, monkeypatch):
+    """Its heights, also at its border, are those of its file, and the step to the country is within one finer cell."""
+    coarse, city, store, report = country
+    monkeypatch.setattr(finer_plan, "FEWEST", 1 << 20)
+    settings = ImportSettings(source=str(store.parent / "files"), blend=False)
+    sharp = run_mosaic_import(settings, tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    assert sharp["finer_tiles"] == report["finer_tiles"] and sharp["raster"] == report["raster"]
+    assert "blend_m" not in sharp and field.raster.finer.bits == 5
+    spacing = 1.5  # of the outer samples from the file's border, metres, and a finer cell
+    inner = points_of(field, (CITY[0] + spacing, CITY[1] - spacing), (900 - 2 * spacing, 700 - 2 * spacing), 4000, 1)
+    off = ground_at(field, inner).heights - city.at(UTM32, *coordinates(field, inner))
+    assert np.abs(off).max() <= field.source_max + 1e-3
+    east, north = np.meshgrid(CITY[0] - 11.5 + np.arange(12), CITY[1] - 100.5 - np.arange(100))  # samples of the grid
+    a, _, c, _, e, f = field.raster.place
+    outer = np.stack([(east.ravel() - c) / a, (north.ravel() - f) / e], 1)
+    off = ground_at(field, outer).heights - coarse.at(UTM32, *coordinates(field, outer))
+    assert np.abs(off).max() <= field.source_max + 1e-3
+    # The mesh is compared with the surface on both sides of the edge, and in the cell of the edge.
+    update = Terrain(field).update(Criterion(error_px=0.0, error_m=0.5))
+    assert_invariants(update.surface, field.lattice)
+    near = points_of(field, (CITY[0] - 8, CITY[1] + 8), (916, 16), 6000, 3)
+    assert update.bound_m <= 0.5 and not update.limited
+    off = mesh_heights(update.surface, near) - ground_at(field, near).heights
+    assert np.abs(off).max() <= update.bound_m
 
 
 def test_an_explicit_step_makes_one_raster(country, tmp_path, monkeypatch):

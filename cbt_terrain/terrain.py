@@ -21,9 +21,10 @@ from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .mesh.welding import TornMesh
 from .plain_numbers import plain_number, rows, vertical
-from .refine.contract import Outcome, ReportedBounds, bounds_of
+from .refine.contract import Outcome, bounds_of
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
+from .refine.reported_bounds import ReportedBounds
 from .refine.request import RefinementRequest, pack, refinable_domain
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import MARGIN, Terms, position_rounding, rounding

@@ -27,7 +27,7 @@ from .finer_heights import (
     raster_heights,
     window_of,
 )
-from .finer_measures import MeasuredRectangle, MeasuredTile, fill_errors, fill_ranges, limits_of
+from .finer_measures import MeasuredFinerTile, MeasuredRectangle, fill_errors, fill_ranges, limits_of
 from .finer_reuse import inputs_of_tiles, is_measured, limits_before
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, FinerTiles, tile_shape
 from .heightfield import HeightField
@@ -141,7 +141,7 @@ def rectangle_around(
     bits: int,
     numbers: np.ndarray,
     heights: np.ndarray,
-    tiles: list[MeasuredTile],
+    tiles: list[MeasuredFinerTile],
     surface: SurfaceAt = raster_heights,
     off: float = 0.0,
 ) -> MeasuredRectangle:
@@ -230,7 +230,7 @@ def _measured(
     )
     for corner in corners:
         on_progress((corner[1] + 1) / len(numbers))
-        tiles_of_output: list[list[MeasuredTile]] = [[] for _ in outputs]
+        tiles_of_output: list[list[MeasuredFinerTile]] = [[] for _ in outputs]
         for (kind, array, coding, _fill), tiles in zip(outputs, tiles_of_output, strict=True):
             for tile in tiles_of(corner, numbers):
                 row, column, number = tile
@@ -255,9 +255,9 @@ def _measured(
     return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
 
 
-def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[MeasuredTile]:
+def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[MeasuredFinerTile]:
     """Yield the tiles inside a square's margin. corner: column and row of the square's first tile, of the margin."""
     for down, across in product(range(1, BLOCK + 1), range(1, BLOCK + 1)):
         row, column = corner[1] + down, corner[0] + across
         if row < numbers.shape[0] and column < numbers.shape[1] and numbers[row, column] >= 0:
-            yield MeasuredTile(row, column, int(numbers[row, column]))
+            yield MeasuredFinerTile(row, column, int(numbers[row, column]))

@@ -14,7 +14,7 @@ GROUPS = 3  # of depths with stored errors
 UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
 
 
-class MeasuredTile(NamedTuple):
+class MeasuredFinerTile(NamedTuple):
     """Row, column and number of a tile."""
 
     row: int
@@ -42,7 +42,7 @@ class MeasuredRectangle(NamedTuple):
         rows, columns = (count // SIDE for count in self.change.shape)
         return Lattice(columns, rows, TILE_BITS, *steps)
 
-    def samples_of(self, tile: MeasuredTile) -> tuple[slice, slice]:
+    def samples_of(self, tile: MeasuredFinerTile) -> tuple[slice, slice]:
         """Return the rows and columns of a tile's samples in the rectangle."""
         y, x = SIDE * (tile.row - self.row), SIDE * (tile.column - self.column)
         return slice(y, y + SIDE + 1), slice(x, x + SIDE + 1)
@@ -50,7 +50,7 @@ class MeasuredRectangle(NamedTuple):
 
 def fill_errors(
     rectangle: MeasuredRectangle,
-    tiles: list[MeasuredTile],
+    tiles: list[MeasuredFinerTile],
     errors: np.ndarray,
     threads: int,
     *,
@@ -70,7 +70,7 @@ def fill_errors(
 
 def fill_ranges(
     rectangle: MeasuredRectangle,
-    tiles: list[MeasuredTile],
+    tiles: list[MeasuredFinerTile],
     ranges: np.ndarray,
     threads: int,
     *,

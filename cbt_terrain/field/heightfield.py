@@ -167,7 +167,7 @@ class HeightField:
     steepest_y: float
     source_max: float = 0.0
     surface: SurfaceSpec = SurfaceSpec()
-    bicubic_finer: FinerTiles | None = field(default=None, repr=False)
+    bicubic_finer: "FinerTiles | None" = field(default=None, repr=False)
 
     samples = property(attrgetter("raster.samples"))
     steps = property(attrgetter("raster.steps"))
@@ -216,7 +216,7 @@ class HeightField:
         return bound_terms(self.detail, self.finest_edge, self.lattice)
 
     @property
-    def finer(self) -> FinerTiles | None:
+    def finer(self) -> "FinerTiles | None":
         """Return the finer tiles of this surface, whose change is that of the surface between samples; None if none."""
         return self.bicubic_finer or self.raster.finer
 

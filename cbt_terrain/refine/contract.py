@@ -11,20 +11,21 @@ m from `mean_ramp`.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
+import warp as wp
+
+from ...kernels.field.domain import Domain
+from ...kernels.refine.excess import ANY, AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_largest
+from ...kernels.refine.pixels import CriterionArrays
 from ..run import launch
 from ..run.buffers import Buffers
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 from ..view.criterion import LARGEST, Criterion
 from ..view.morph import mean_ramp
 from ..view.spans import Spans
+from .reported_bounds import ReportedBounds
 from .terms import MARGIN, Terms, weighed_as
-
-if TYPE_CHECKING:
-    from ...kernels.field.domain import Domain
-    from ...kernels.refine.pixels import CriterionArrays
-    from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 
 # If no factor on the criterion meets a triangle limit, the factor of the root triangles is reported, up to this.
 MAX_FACTOR = 1e100
@@ -39,37 +40,6 @@ class Bound:
     value: float
     reason: str = ""
     terms: Terms | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReportedBounds:
-    """The bounds of a mesh. A bound is None if the criterion does not limit it.
-
-    Attributes:
-        bound_px: no visible point of the reference surface is further than this from the mesh's point below it, in
-            pixels (0: nothing is in view; 1e30: the mesh may reach the eye). It includes the rounding of float32
-            positions and of the source, so it also holds for the heights before that rounding.
-        bound_m: the same in metres of height, everywhere.
-        bound_edge_px, bound_area_px: longest edge, largest triangle, also of float32 corners.
-        terms_px, terms_m: terms of `bound_px` and `bound_m`.
-        relaxed: factor by which a triangle limit coarsened the criterion.
-        limited: cause of a bound above the criterion, one of REASONS, or "". "precision" is the rounding of float32,
-            "source" that of the source.
-    """
-
-    bound_px: float | None = None
-    bound_m: float | None = None
-    bound_edge_px: float | None = None
-    bound_area_px: float | None = None
-    terms_px: Terms | None = None
-    terms_m: Terms | None = None
-    relaxed: float = 1.0
-    limited: str = ""
-
-    @property
-    def bounds(self) -> "ReportedBounds":
-        """Return the bounds alone, without the other fields that a subclass, as an update's result, adds."""
-        return ReportedBounds(**{item.name: getattr(self, item.name) for item in fields(ReportedBounds)})
 
 
 @dataclass(frozen=True)
@@ -95,17 +65,17 @@ class Outcome:
     between the lowest and the highest point. `in_frame`: returns `arrays` without the guard band.
     """
 
-    domain: "Domain"
-    arrays: "CriterionArrays"
+    domain: Domain
+    arrays: CriterionArrays
     relaxed: float
     stopped: bool
     max_depth: int
     deepest: int
-    tree: "ConcurrentBinaryTree"
+    tree: ConcurrentBinaryTree
     squares: int
     relief: float
     buffers: Buffers
-    in_frame: "Callable[[], CriterionArrays]"
+    in_frame: Callable[[], CriterionArrays]
 
     def search(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
@@ -115,9 +85,6 @@ class Outcome:
         tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
         hundredth.
         """
-        from ...kernels import wp
-        from ...kernels.refine.excess import STACK, Triangle, find_largest
-
         stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
             self.domain,
@@ -156,8 +123,6 @@ class Outcome:
         limit stopped a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all
         numbers are.
         """
-        from ...kernels.refine.excess import ANY
-
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
         worst = replace(self, max_depth=ANY).search(what, finest)
@@ -210,8 +175,6 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway. `finest`
     is the tolerance of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
     """
-    from ...kernels.refine.excess import ERROR, FIXED
-
     fixed = outcome.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
@@ -245,8 +208,6 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     It is the request times the relaxation factor, or more if rounding or the depth limit prevents that. outcome: the
     refinement and how it ended.
     """
-    from ...kernels.refine.excess import METRES
-
     if not criterion.error_m:
         return None
     fixed, source, mean = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
@@ -268,8 +229,6 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     The search measures edges in spans, `spans.edge` of them a pixel. `longer`: factor by which rounding to float32
     lengthens edges.
     """
-    from ...kernels.refine.excess import EDGE
-
     if not criterion.edge_px:
         return None
     mean = mean_ramp(criterion.morph_until)
@@ -286,8 +245,6 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     The search uses the square root of twice the area: the leg of a right triangle of two equal legs. So bounds are
     computed as lengths, pixels. spans: pixel footprints of the views. outcome: result of the refinement.
     """
-    from ...kernels.refine.excess import AREA
-
     if not criterion.area_px:
         return None
     request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)

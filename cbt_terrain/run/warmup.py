@@ -8,10 +8,12 @@ of a frame come first. Those of the overlay and of the first buttons follow whil
 All others (detail, geomorph, occlusion, most attributes) are prepared when a scene first uses them.
 
 The modules of kernels, and Warp, are imported by the thread as well: importing them takes 1.5 s of a processor, which a
-file without a terrain does not pay.
+file without a terrain does not pay. Only the first start after an installation prepares kernels without one, since
+compiling them takes long.
 """
 
 import importlib
+import importlib.util
 import os
 import pkgutil
 import subprocess
@@ -143,6 +145,12 @@ def start() -> None:
     global _current
     if _current is None:
         _current = _Preparation(kernel_modules, overlay_modules, later=FIRST_CLICKS)
+
+
+def is_first_start() -> bool:
+    """Return whether no process has imported the kernels of this installation: Python has kept no compiled module."""
+    kernels = Path(__file__).resolve().parents[2] / "kernels" / "__init__.py"
+    return not os.path.exists(importlib.util.cache_from_source(str(kernels)))
 
 
 def prepare_modules(modules: Iterable[ModuleType | str]) -> bool:

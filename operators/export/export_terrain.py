@@ -46,7 +46,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
         return ExportHelper.invoke(self, context, event)
 
     def draw(self, _context):
-        """Draw in the file browser what is written, and the formats."""
+        """Draw the formats in the file browser, and a line that says what a file holds."""
         column = self.layout.column(align=True)
         column.label(text="This frame, as fine as in a render", icon="INFO")
         column.label(text="The name's ending is the format:", icon="BLANK1")

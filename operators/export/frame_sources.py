@@ -18,7 +18,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, anchored, with_deta
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.thinning import loaded_text
 from ...cbt_terrain.mesh.surface import Surface
-from ...cbt_terrain.refine.contract import ReportedBounds
+from ...cbt_terrain.refine.reported_bounds import ReportedBounds
 from ...cbt_terrain.scatter.points import ScatterPoints
 from ...cbt_terrain.terrain import Terrain, Update
 from ...cbt_terrain.view.camera_path import read_camera_path

@@ -308,7 +308,7 @@ class ImportAdded(ImportOperator, bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     def invoke(self, context, event):
-        """Open the tab for the first terrain of a scene before the import's end frames the land beside it."""
+        """Open the tab for the first terrain of a scene before the end of the import frames the land next to it."""
         if session.terrains_of(context.scene) == [context.object]:
             sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
         return ImportOperator.invoke(self, context, event)

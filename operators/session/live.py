@@ -345,6 +345,8 @@ def start() -> None:
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
+        if warmup.is_first_start():
+            warmup.start()
         bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
         _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
 

@@ -11,7 +11,7 @@ from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import FieldKey
 from ...cbt_terrain.mesh.attributes import Attribute
-from ...cbt_terrain.refine.contract import ReportedBounds
+from ...cbt_terrain.refine.reported_bounds import ReportedBounds
 from ..attributes.request import EffectStatus
 from ..overlay.colors import Overlay
 from ..scatter.request import ScatterRecord

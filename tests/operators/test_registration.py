@@ -8,6 +8,7 @@ import sys
 import adaptive_terrain
 import bpy
 import pytest
+from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators import registration
 
 
@@ -42,6 +43,14 @@ def test_registering_imports_no_kernels():
     script = "import sys, bpy, adaptive_terrain; adaptive_terrain.register(); "
     script += "sys.exit(any(name == 'warp' or '.kernels' in name for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", script], timeout=300).returncode == 0
+
+
+def test_the_first_start_is_found_by_the_compiled_module(tmp_path, monkeypatch):
+    kept = tmp_path / "kernels.pyc"
+    monkeypatch.setattr("importlib.util.cache_from_source", lambda source: str(kept) if "kernels" in source else "")
+    assert warmup.is_first_start()
+    kept.touch()
+    assert not warmup.is_first_start()
 
 
 def test_a_missing_warp_is_an_error_at_once(unregistered, monkeypatch):

@@ -27,6 +27,8 @@ SMALL = 257  # samples a side
 [jobs] = [module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.jobs")]
 settings_for = subjects.settings_for
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
+# Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.
+result["preparing_at_start"] = warmup.preparing()
 result["warp_at_start"] = "warp" in sys.modules
 
 

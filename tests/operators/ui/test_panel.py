@@ -47,7 +47,7 @@ def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
 
 
 def test_the_bound_has_its_parts(scene, add_terrain):
-    from adaptive_terrain.cbt_terrain.refine.contract import ReportedBounds
+    from adaptive_terrain.cbt_terrain.refine.reported_bounds import ReportedBounds
     from adaptive_terrain.cbt_terrain.refine.terms import Terms
 
     terrain = add_terrain()

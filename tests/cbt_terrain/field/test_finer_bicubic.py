@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bicubic surface with finer tiles, against point-by-point code: heights, bounds, cracks, rays and boxes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
+from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.query.rays import pick
@@ -111,3 +114,43 @@ def test_rays_meet_the_surface_and_boxes_enclose_it(field):
         inside = inside[(inside <= np.array(field.lattice.rectangle()[2:])).all(axis=1)]
         heights, ends = reference_heights(field, inside), box_range(field, *low, *high)
         assert ends[0] - 3e-5 <= heights.min() and heights.max() <= ends[1] + 3e-5
+
+
+def test_frames_after_each_other_are_those_of_a_new_terrain(field):
+    low, step = np.array(field.lattice.rectangle()[:2]), field.lattice.step_x / (1 << field.raster.finer.bits)
+    cached = Terrain(field, 3)
+    for k in range(4):
+        at = low + SIDE * step * (np.array([0.6, 0.9]) + 0.05 * k)
+        view = View.look((*at, 140.0), (*(at + 300), 60.0))
+        criterion = Criterion(error_px=3.0, morph=1.5 if k > 1 else 1.0, hidden_factor=4.0 if k == 3 else 1.0)
+        update, fresh = (terrain.update(criterion, [view]) for terrain in (cached, Terrain(field, 1)))
+        assert update.surface.positions.tobytes() == fresh.surface.positions.tobytes()
+        assert update.surface.normals.tobytes() == fresh.surface.normals.tobytes()
+        assert np.array_equal(update.surface.corner_verts, fresh.surface.corner_verts)
+
+
+def test_an_anchor_moves_the_surface_alone(field):
+    places = places_on(field, 500, 6)
+    raster = replace(field.raster, origin=np.array([5e5, 5e6, 0.0]), place=(1.0, 0.0, 5e5, 0.0, 1.0, 5e6))
+    moved = anchored(replace(field, raster=raster), 1024.0, -1024.0)
+    found = ground_at(moved, places - [1024.0, -1024.0]).heights
+    assert np.allclose(found, ground_at(field, places).heights, atol=1e-9, equal_nan=True)
+
+
+def test_normals_are_those_of_the_slopes(field):
+    """Inside finer cells they are interpolated, so they differ from those of the heights by the step of the slopes."""
+    places, h = places_on(field, 2000, 7), 1e-3
+    inside = (np.abs(places) < np.array(field.lattice.rectangle()[2:]) - 64.0).all(axis=1)
+    places = places[inside]
+    low, part = np.array(field.lattice.rectangle()[:2]), field.lattice.step_x / (1 << field.raster.finer.bits)
+    tiles = np.floor((places - low) / part).astype(int) // SIDE
+    outside = field.raster.finer.numbers[tiles[:, 1], tiles[:, 0]] < 0
+    slopes = [
+        (reference_heights(field, places + way) - reference_heights(field, places - way)) / (2 * h)
+        for way in (np.array([h, 0.0]), np.array([0.0, h]))
+    ]
+    normals = np.stack([-slopes[0], -slopes[1], np.ones(len(places))], 1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    found = ground_at(field, places).normals
+    off = np.degrees(np.arccos(np.clip((found * normals).sum(axis=1), -1.0, 1.0)))
+    assert off[outside].max() < 0.05 and np.median(off[~outside]) < 3.0 and off.max() < 30.0

@@ -2,15 +2,17 @@
 """The bicubic surface with finer tiles, against point-by-point code: heights, bounds, cracks, rays and boxes."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.bicubic import bicubic, interpolated
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.query.rays import pick
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -55,6 +57,7 @@ def test_finer_samples_keep_their_heights_inside_the_tiles(field):
     assert np.array_equal(ground_at(field, places).heights.astype(np.float32), stored)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_bounds_hold_in_random_views(field, meshlet):
     rng = np.random.default_rng(5 + meshlet)
@@ -154,3 +157,14 @@ def test_normals_are_those_of_the_slopes(field):
     found = ground_at(field, places).normals
     off = np.degrees(np.arccos(np.clip((found * normals).sum(axis=1), -1.0, 1.0)))
     assert off[outside].max() < 0.05 and np.median(off[~outside]) < 3.0 and off.max() < 30.0
+
+
+def test_threads_change_no_byte_of_the_tiles(field):
+    plain = interpolated(field, "bilinear")
+    with mock.patch.object(launch, "default_threads", return_value=1):
+        one = bicubic(plain.with_raster(path=None))
+    with mock.patch.object(launch, "default_threads", return_value=3):
+        three = bicubic(plain.with_raster(path=None))
+    for name in ("heights", "errors", "ranges", "limits"):
+        assert getattr(one.finer, name).tobytes() == getattr(three.finer, name).tobytes()
+    assert one.finer.entry == three.finer.entry and one.finer.off == three.finer.off

@@ -54,8 +54,11 @@ def sweep(
     rows = []
     sights: dict[tuple, Sight] = {}
 
-    def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
-        """Return a cached sight: it is the same for every setting, and takes longest to compute."""
+    def cached_sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
+        """Return the sight of a view, which is the same for every setting, from the cache if it is there.
+
+        `look` casts no rays yet: the sight does so at the first measurement, which takes longest, and keeps the result.
+        """
         new_sight = look(reference, view, *frame.placement_and_heights, threads=threads)
         if new_sight.key not in sights and len(sights) == MAX_SIGHTS:
             del sights[next(iter(sights))]
@@ -78,7 +81,7 @@ def sweep(
                 frames,
                 base or Criterion(),
                 threads,
-                sight,
+                cached_sight,
                 write,
                 effects or AttributePlan(),
                 on_part,

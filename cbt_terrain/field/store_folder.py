@@ -50,6 +50,7 @@ def check_target(path: str | os.PathLike) -> None:
         raise TerrainError(f"The store's path {os.fspath(path)!r} names no folder", expected="the name of a folder")
     try:
         if not owned_files.is_real_file(folder):
+            # Neither the folder nor its description may be a link; both may be missing.
             with suppress(FileNotFoundError, NotADirectoryError), owned_files.open_folder(folder):
                 owned_files.check_no_link(folder / JSON_NAME)
         if not os.path.lexists(folder) or (folder / JSON_NAME).exists():

@@ -163,16 +163,18 @@ class InsetBlend:
         """
         ring = self.rings[lower]
         marks = self._marks_around(level, ring, piece, rings=1)
+        # The last bit marks samples of the inset without tiles below (`_marks`).
         seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
             return None
         wide = _widened(ring)
-        times = wide.cell // ring.cell
+        cells_per_wide = wide.cell // ring.cell
         widest = find_widest(self._marks_around(level, wide, piece, rings=MAX_PART + 1) >> lower & 1 != 0, wide)
         first = piece.row // ring.cell, piece.column // ring.cell
         last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
         corners = [np.arange(n, m + 2) for n, m in zip(first, last, strict=True)]
-        widest = _interpolate(widest, *(n / times - n[0] // times for n in corners))
+        # From cells of the wide ring, counted from its first one here, to the corners of cells of the ring.
+        widest = _interpolate(widest, *(n / cells_per_wide - n[0] // cells_per_wide for n in corners))
         nodes = ring_fractions(seams, ends, widest, ring)
         rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
         positions = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))

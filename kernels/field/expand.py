@@ -36,7 +36,7 @@ def raise_codes(
 @wp.kernel
 def raise_cells(
     offset: wp.int64,
-    first: wp.int64,
+    band_start: wp.int64,
     old_cells: Depth,
     old: wp.array(dtype=wp.uint8),
     cells: Depth,
@@ -45,10 +45,11 @@ def raise_cells(
 ):
     """Set the error codes of cells to the largest old code of themselves and their four neighbours, translated.
 
-    The thread works on cell `first + offset + tid`. old_cells: layout of the array `old`. translated: for each old code
-    the code of the same error or more in the new table.
+    The neighbours share the diamonds on a cell's sides. The thread works on cell `band_start + offset + tid`.
+    old_cells: layout of the array `old`. translated: for each old code the code in the new table of a share of its
+    error, rounded up (`_raise_cells` in meshlet_errors.py).
     """
-    p = diamond(cells, first + offset + wp.int64(wp.tid()))
+    p = diamond(cells, band_start + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))
     for k in range(4):
         step = 2 * (k & 1) - 1

@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 
 from ..run import launch
+from ..view.linear import add_up
 from . import codes, derived_arrays, hierarchy
 from .blocks import halvings
 from .codes import MAX_EXPONENT, MIN_EXPONENT
@@ -124,9 +125,8 @@ def bicubic_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray,
     first_column, first_row = int(columns.min()), int(rows.min())
     nodes = plain.heights(slice(first_row, int(rows.max()) + 1), slice(first_column, int(columns.max()) + 1))
     nodes = nodes.astype(np.float64)
-    # Sums written out: products of matrices differ between processors.
-    along = sum(nodes[:, columns[k] - first_column] * across[k] for k in range(4))
-    return sum(along[rows[k] - first_row] * up[k][:, None] for k in range(4))
+    along = add_up(nodes[:, columns[k] - first_column] * across[k] for k in range(4))
+    return add_up(along[rows[k] - first_row] * up[k][:, None] for k in range(4))
 
 
 def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndarray, np.ndarray]:

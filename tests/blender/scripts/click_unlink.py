@@ -75,6 +75,7 @@ def steps():
     window = bpy.context.window_manager.windows[0]
     area = next(item for item in window.screen.areas if item.type == "VIEW_3D")
     bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.data.objects["Camera"].location.x += 0.01  # placed by a user: otherwise viewports would decide
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.mesh.adaptive_terrain_add()
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)

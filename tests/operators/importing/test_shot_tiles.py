@@ -112,7 +112,8 @@ def test_a_job_loads_the_tiles_of_a_local_render(shot, monkeypatch):
     assert 1 < wanted < total
     shares = [prepared(shot, "tiles", share=(number, 3)) for number in (3, 1, 2)]
     assert sum(int(line.split()[1]) for line in shares) == wanted - 1, "the first step has loaded one"
-    assert prepared(shot, "stores").startswith(f"Terrain: {wanted - 1:,} further tiles in view are loaded, to 79.6 m of ")
+    said = prepared(shot, "stores")
+    assert said.startswith(f"Terrain: {wanted - 1:,} further tiles in view are loaded, to 79.6 m of ")
     job = shot / "job" / "Terrain.store"
     assert content(shot / "own.store")[1] == own, "the artist's store stays as it was"
     wait_locally(FRAMES, monkeypatch)

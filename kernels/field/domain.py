@@ -6,8 +6,9 @@ import warp as wp
 from .codes import Samples
 from .finer import PackedTiles
 
-# Options of modules whose kernels judge diamonds. Warp passes structs by value, and LLVM undoes that only where it
-# inlines. With Warp's threshold of 9000 the walk, a count and geomorphing take 1.4 to 4 times as long.
+# Options of modules whose kernels judge diamonds or read heights at points. Warp passes structs by value, and LLVM
+# undoes that only where it inlines. With Warp's threshold of 9000 the walk, a count, geomorphing and queries of heights
+# take 1.4 to 4 times as long.
 INLINED = {"cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=60000"}
 
 

@@ -5,7 +5,10 @@ import warp as wp
 
 from ..effects.jet import arc_tangent
 from ..field.codes import prefetch_sample
+from ..field.domain import INLINED
 from .surface import QueriedSurface, cell_of, is_ground, shaded_in
+
+wp.set_module_options(INLINED)
 
 AHEAD = wp.constant(16)  # points, from the one whose samples are prefetched to the one in use
 BLOCK = wp.constant(64)  # points of one call, which reads constants once: 42 ns a point, 53 one by one

@@ -16,8 +16,9 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import extent, mesh_heights, random_view, reference_heights, screen_error
+from fields import extent, mesh_heights, reference_heights
 from finer_fields import finer_field
+from finer_views import assert_bounds_in_random_views
 from invariants import assert_invariants
 
 
@@ -60,19 +61,7 @@ def test_finer_samples_keep_their_heights_inside_the_tiles(field):
 @pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_bounds_hold_in_random_views(field, meshlet):
-    rng = np.random.default_rng(5 + meshlet)
-    places, finest = places_on(field, 6000, 2), 0
-    for number in range(8):
-        view = random_view(rng, field)
-        if number % 2:
-            at = places[rng.integers(len(places))]
-            z = float(reference_heights(field, at[None])[0])
-            view = View.look((*at, z + 10 ** rng.uniform(0.3, 2.5)), (*(at + rng.normal(size=2) * 300), z))
-        criterion = Criterion(error_px=float(10 ** rng.uniform(-0.5, 1)), meshlet=meshlet, max_triangles=60_000)
-        update = Terrain(field).update(criterion, [view])
-        assert_invariants(update.surface, field.lattice, meshlet)
-        assert screen_error(view, field, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
-        finest = max(finest, int(update.surface.level.max()))
+    finest = assert_bounds_in_random_views(field, field, places_on(field, 6000, 2), 5 + meshlet, meshlet)
     assert finest > field.lattice.cell_depth + 2 * field.raster.finer.bits
 
 

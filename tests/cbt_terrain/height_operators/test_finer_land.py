@@ -26,8 +26,9 @@ from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import contents, mesh_heights, random_view, reference_heights, screen_error
+from fields import contents, mesh_heights, reference_heights
 from finer_fields import KNOWN, dense_field, dense_heights, dense_raster, finer_store
+from finer_views import assert_bounds_in_random_views
 from invariants import assert_invariants
 
 HILL = Entry("hill", {"east": 1300.0, "north": 1500.0, "radius": 700.0})
@@ -175,20 +176,8 @@ def test_rounding_is_no_difference():
 @pytest.mark.thorough
 @pytest.mark.parametrize("meshlet", [0, 2])
 def test_bounds_hold_in_random_views(unbroken, meshlet):
-    field = unbroken
-    rng, dense, finest = np.random.default_rng(8 + meshlet), dense_field(field), 0
-    places = known_places(field, 6000, 2)
-    for number in range(8):
-        view = random_view(rng, field)
-        if number % 2:
-            at = places[rng.integers(len(places))]
-            z = float(reference_heights(dense, at[None])[0])
-            view = View.look((*at, z + 10 ** rng.uniform(0.3, 2.5)), (*(at + rng.normal(size=2) * 300), z))
-        criterion = Criterion(error_px=float(10 ** rng.uniform(-0.5, 1)), meshlet=meshlet, max_triangles=60_000)
-        update = Terrain(field).update(criterion, [view])
-        assert_invariants(update.surface, field.lattice, meshlet)
-        assert screen_error(view, dense, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
-        finest = max(finest, int(update.surface.level.max()))
+    field, places = unbroken, known_places(unbroken, 6000, 2)
+    finest = assert_bounds_in_random_views(field, dense_field(field), places, 8 + meshlet, meshlet)
     assert finest > field.lattice.cell_depth + field.raster.finer.bits
 
 

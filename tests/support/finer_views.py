@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Random views of terrains with finer tiles, in which bounds must hold."""
+
+import numpy as np
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from fields import random_view, reference_heights, screen_error
+from invariants import assert_invariants
+
+VIEWS = 8
+
+
+def assert_bounds_in_random_views(
+    field: HeightField, reference: HeightField, places: np.ndarray, seed: int, meshlet: int
+) -> int:
+    """Assert that bounds hold in random views, every other one near a place; return the finest level of all meshes.
+
+    reference: field whose heights at the places are the true ones. places: points of the plan, metres.
+    """
+    rng, finest = np.random.default_rng(seed), 0
+    for number in range(VIEWS):
+        view = random_view(rng, field)
+        if number % 2:
+            at = places[rng.integers(len(places))]
+            z = float(reference_heights(reference, at[None])[0])
+            view = View.look((*at, z + 10 ** rng.uniform(0.3, 2.5)), (*(at + rng.normal(size=2) * 300), z))
+        criterion = Criterion(error_px=float(10 ** rng.uniform(-0.5, 1)), meshlet=meshlet, max_triangles=60_000)
+        update = Terrain(field).update(criterion, [view])
+        assert_invariants(update.surface, field.lattice, meshlet)
+        assert screen_error(view, reference, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
+        finest = max(finest, int(update.surface.level.max()))
+    return finest

@@ -4,6 +4,8 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 VENV ?= .venv
 TESTS ?= tests
+# Options of pytest that choose among tests: MARKS='-m "not thorough"'.
+MARKS ?=
 SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_importing.py mesh/test_surface.py) \
 	$(addprefix tests/cbt_terrain/,mosaic/test_finer_import.py refine/test_refinement.py test_terrain.py tree/test_tree.py) \
 	$(addprefix tests/operators/,bridge/test_mesh_writer.py export/test_exporting.py session/test_session.py) \
@@ -38,20 +40,25 @@ demo: $(READY)
 	$(PY) -m adaptive_terrain.operators.cli.command_line demo --out demo
 
 test: $(READY)
-	$(PY) -m pytest $(TESTS)
+	$(PY) -m pytest $(TESTS) $(MARKS)
 
 smoke: $(READY)
-	$(PY) -m pytest $(SMOKE)
+	$(PY) -m pytest $(SMOKE) $(MARKS)
 
-# The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`, in two
-# processes. A new room is in the second.
-# The two lists are meant to take about the same time.
-CORE_FIRST := $(addprefix tests/cbt_terrain/,field attributes fit refine tiling view)
-CORE_LEFT_OUT := $(addprefix --ignore=,$(CORE_FIRST)) $(addprefix --ignore=tests/cbt_terrain/,accuracy height_operators)
-CORE := $(PY) -m pytest -q -p no:cacheprovider -m "not thorough"
+# The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`. Two processes
+# take the next line that neither has begun, the longest first; the last one has the rooms that no other names.
+ENGINE := tests/cbt_terrain
+CORE_ROOMS := field mosaic importing formats refine
+define CORE_PARTS
+$(ENGINE)/mosaic
+$(ENGINE)/field
+$(ENGINE)/importing $(ENGINE)/formats
+$(ENGINE)/refine
+tests/kernels $(ENGINE) $(addprefix --ignore=$(ENGINE)/,$(CORE_ROOMS) accuracy height_operators)
+endef
+export CORE_PARTS
 test-core: $(READY)
-	$(CORE) tests/kernels $(CORE_FIRST) & first=$$!; \
-	$(CORE) tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second
+	echo "$$CORE_PARTS" | xargs -P 2 -L 1 $(PY) -m pytest -q -p no:cacheprovider -m "not thorough"
 
 test-all: $(READY)
 	tools/get_blender.sh trixie .cache/blender

@@ -131,6 +131,7 @@ os._exit(0)  # bpy's own end may hang (see tests/conftest.py)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
 def test_case_48_a_thousand_frames_grow_nothing(flight, add_terrain, tmp_path):
     """After 200 frames, 1,000 more add less than 8 MB of resident memory and no data-block."""

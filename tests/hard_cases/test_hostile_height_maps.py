@@ -23,7 +23,7 @@ from rasters import hills, imported, write_raster
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="named pipes, signals and limits are those of POSIX")
 GUARD_S = 300  # ends a hang
-FILES = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 20)  # damaged ones of each kind
+MANY = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 20)  # damaged files of each kind
 
 
 @pytest.fixture
@@ -252,7 +252,8 @@ for file in files:
 """
 
 
-def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path):
+@pytest.mark.parametrize("files", [4, pytest.param(MANY, marks=pytest.mark.thorough)])
+def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path, files):
     """Damaged TIFF, PNG, ASCII, EXR, NumPy and VRT files give a terrain or one sentence, and write only the store."""
     random = np.random.default_rng(63)
     (tmp_path / "good").mkdir()
@@ -260,20 +261,20 @@ def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path):
     for seed in seeds(tmp_path / "good"):
         folder = tmp_path / seed.name.replace(".", "_")
         folder.mkdir()
-        for i in range(FILES):
+        for i in range(files):
             text = seed.read_bytes().replace(b"strips.tif", b"../good/strips.tif")
             (folder / f"{i}{seed.suffix}").write_bytes(damaged(text, random))
         before = snapshot(tmp_path)
         store = tmp_path / f"{folder.name}.store"
         command = [sys.executable, "-c", READER, str(folder), str(store)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S + 2 * FILES)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S + 2 * files)
         lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
         output = {line["file"]: line["said"] for line in lines if "file" in line}
-        assert done.returncode == 0 and len(output) == FILES, (lines[-1:], done.stderr[-2000:])
+        assert done.returncode == 0 and len(output) == files, (lines[-1:], done.stderr[-2000:])
         for message in filter(None, output.values()):
             assert "\n" not in message and message.endswith(".") and len(message) < 900, message
             refused += 1
         after = snapshot(tmp_path)
         new = [path for path in after if path != store and store not in path.parents and path not in before]
         assert new == [] and all(after[path] == before[path] for path in before if path != tmp_path)
-    assert refused > FILES
+    assert refused > files

@@ -181,6 +181,7 @@ def test_another_first_picture_replaces_the_job_store(shot):
     assert len(refining.loaded_tiles(read_json(shot / "job" / "Terrain.store")["provenance"])) == 1, "by this step"
 
 
+@pytest.mark.thorough
 def test_frames_that_see_a_city_get_its_finest_files(scene, add_terrain, tmp_path, small_tiles, monkeypatch):
     monkeypatch.setattr(finer_plan, "FEWEST", 1 << 20)
     monkeypatch.setattr(refining, "FACTOR", 4)

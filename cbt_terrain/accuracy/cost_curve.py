@@ -79,21 +79,21 @@ class CostCurve:
     def error_for_ms(self, ms: float) -> float:
         """Return the finest error whose update takes at most `ms`, rounded up to four digits.
 
-        It is between a quarter of the finest measured error and 16 times the coarsest, and this largest one also if its
-        update takes longer. ms: infinity is allowed. Raises TerrainError unless it is above 0.
+        It is between a quarter of the finest measured error and 16 times the coarsest; the latter is returned even if
+        its update takes longer. Raises TerrainError unless `ms` is above 0; infinity is allowed.
         """
         if not ms > 0:
             raise TerrainError(f"The budget is {ms} milliseconds", expected="more than 0")
         finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
-        fits = [i for i, cost in enumerate(self.ms) if cost <= ms]  # measured points within the budget
-        i = min(fits[-1], len(self.ms) - 2) if fits else 0  # first point of the line that is followed
-        slope = self._slope(self.ms, i)
+        affordable = [i for i, cost in enumerate(self.ms) if cost <= ms]  # measured points within the budget
+        segment = min(affordable[-1], len(self.ms) - 2) if affordable else 0  # starts at the point of this index
+        slope = self._slope(self.ms, segment)
         if slope == 0 or ms == math.inf:  # a level end goes on: finer is free, or nothing coarser is cheaper
-            return finest if fits else coarsest
-        exponent = math.log(ms / self.ms[i]) / slope + math.log(self.error[i])
-        if exponent <= math.log(finest):
+            return finest if affordable else coarsest
+        log_error = math.log(ms / self.ms[segment]) / slope + math.log(self.error[segment])
+        if log_error <= math.log(finest):
             return finest
-        return min(_round_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
+        return min(_round_up(math.exp(log_error)), coarsest) if log_error < math.log(coarsest) else coarsest
 
     def to_json(self) -> str:
         """Return the curve as JSON text, which is saved with the terrain's settings."""
@@ -116,11 +116,12 @@ class CostCurve:
 
         costs: those of the measured points, in the order of `error`.
         """
-        # The first segment that reaches down to the error, or the last; from its nearer measured end.
-        i = next((i for i, e in enumerate(self.error[1:-1]) if e <= error), len(self.error) - 2)
-        j = i + 1 if error <= self.error[i + 1] else i
+        # The first segment that reaches down to the error, or the last one.
+        segment = next((i for i, e in enumerate(self.error[1:-1]) if e <= error), len(self.error) - 2)
+        # From the segment's coarser end, unless the error is at its finer end or beyond that.
+        start = segment + 1 if error <= self.error[segment + 1] else segment
         try:
-            return costs[j] * (error / self.error[j]) ** self._slope(costs, i)
+            return costs[start] * (error / self.error[start]) ** self._slope(costs, segment)
         except OverflowError:
             return math.inf
 

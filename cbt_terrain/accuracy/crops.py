@@ -62,10 +62,11 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     box = SMALL * x, SMALL * y, SMALL * side, SMALL * side  # x, y, width and height in the frame, pixels
     results = []
     for error, picture in zip(errors_px, drawn, strict=True):
-        x, y, wide, high = (SAMPLES * pixels for pixels in box)
-        colours = picture.shade(x, y, wide, high, SAMPLES, lines=True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
-        pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
-        results.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
+        left, bottom, wide, high = (SAMPLES * pixels for pixels in box)
+        samples = picture.shade(left, bottom, wide, high, SAMPLES, lines=True)
+        colours = samples.reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3).mean(axis=(1, 3))
+        encoded = np.clip(colours, 0, 1) ** (1 / 2.2)  # for a display
+        results.append(Crop(error, picture.triangles, np.round(255 * encoded[::-1]).astype(np.uint8)))
     return results
 
 
@@ -74,7 +75,7 @@ def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
 
     values: float64 [rows, columns], row 0 below.
     """
-    sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))  # of all values below and to the left
     square_sums = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
     row, column = np.unravel_index(square_sums.argmax(), square_sums.shape)
     return int(column), int(row)
@@ -117,9 +118,8 @@ class _ProjectedSurface:
         low, high = ends.min(axis=1), ends.max(axis=1)
         is_in_part = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
         corners = np.ascontiguousarray(self._corners[is_in_part])
-        shown_triangle = np.full(
-            height * width, -1, np.int32
-        )  # the triangle in each pixel, index of `corners`; -1 for the sky
+        # The triangle in each pixel, index of `corners`; -1 for the sky.
+        shown_triangle = np.full(height * width, -1, np.int32)
         depth_keys = np.full(height * width, -np.inf)
         arrays = [shared(corners.reshape(-1), wp.int32), shared(vertices, wp.vec3d), width, height]
         arrays += [shared(depth_keys, wp.float64), shared(shown_triangle, wp.int32)]
@@ -151,6 +151,6 @@ def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.nda
     from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner
     along, to_point = to - from_, points - from_
     # Twice the signed areas of the triangles of the point and an edge.
-    twice = along[..., 0] * to_point[..., 1] - along[..., 1] * to_point[..., 0]
+    twice_areas = along[..., 0] * to_point[..., 1] - along[..., 1] * to_point[..., 0]
     lengths = np.sqrt((along**2).sum(axis=2))
-    return twice / twice.sum(axis=1, keepdims=True), np.abs(twice / lengths).min(axis=1)
+    return twice_areas / twice_areas.sum(axis=1, keepdims=True), np.abs(twice_areas / lengths).min(axis=1)

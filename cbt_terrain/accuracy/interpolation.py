@@ -17,14 +17,15 @@ def interpolation(field: HeightField) -> Errors:
     samples of `field` count, not its own interpolation or detail.
     """
     distances, (height, width) = [], field.samples.shape
-    for row in range(0, height, ROWS):
+    for first_row in range(0, height, ROWS):
         # The rows of the block, one before it and two after it.
-        nearest, mirrored = _with_mirrored(row - 1, min(row + ROWS + 2, height + 1), height)
+        nearest, mirrored = _with_mirrored(first_row - 1, min(first_row + ROWS + 2, height + 1), height)
         h = 2 * field.heights(nearest).astype(np.float64) - field.heights(mirrored)
+        # The same with a column more on both sides, columns first.
         nearest, mirrored = _with_mirrored(-1, width + 1, width)
-        wide = (2 * h[:, nearest] - h[:, mirrored]).T
-        linear, cubic = _linear(wide).T, _cubic(wide).T
-        count = min(ROWS, height - row)
+        columns = (2 * h[:, nearest] - h[:, mirrored]).T
+        linear, cubic = _linear(columns).T, _cubic(columns).T
+        count = min(ROWS, height - first_row)
         # The middles of sides along rows, those of sides along columns, and the centres of cells.
         distances += [linear[1:][:count] - cubic[1:][:count], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]
     return errors_of(np.concatenate([d.astype(np.float32).reshape(-1) for d in distances]))
@@ -33,8 +34,8 @@ def interpolation(field: HeightField) -> Errors:
 def _with_mirrored(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return for numbers `first` .. `end` - 1 the nearest of `count` samples, and the sample mirrored at that one.
 
-    Twice the height of the first minus that of the other goes on straight beyond the border, and is the height of the
-    sample inside.
+    Twice the height of the nearest minus that of the mirrored one continues the heights straight beyond the border;
+    inside, both are the sample itself.
     """
     numbers = np.arange(first, end)
     nearest = np.clip(numbers, 0, count - 1)

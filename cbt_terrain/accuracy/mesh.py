@@ -56,13 +56,13 @@ def errors_of(values: np.ndarray) -> Errors:
     if not values.size:
         return NONE
     np.abs(values, out=values)
-    first = -(-values.size * 95 // 100) - 1  # index of p95 in ascending order
-    values.partition(first)
-    highest = np.sort(values[first:])
-    last = -(-values.size * 999 // 1000) - 1 - first  # index of p999 among the highest
+    p95_index = -(-values.size * 95 // 100) - 1  # in ascending order
+    values.partition(p95_index)
+    highest = np.sort(values[p95_index:])
+    p999_index = -(-values.size * 999 // 1000) - 1 - p95_index  # among the highest
     mean = float(np.sum(values, dtype=np.float64)) / values.size
     squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks_of(values))
-    quantiles = float(highest[-1]), float(highest[0]), float(highest[last])
+    quantiles = float(highest[-1]), float(highest[0]), float(highest[p999_index])
     return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
 
 

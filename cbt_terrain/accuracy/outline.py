@@ -100,11 +100,11 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
     """
     crossings = []
     for places, step in zip(flips, np.eye(2), strict=True):
-        is_first_covered, along, size = covers(places), np.zeros((len(places), 1)), 0.5
+        is_first_covered, along, half = covers(places), np.zeros((len(places), 1)), 0.5
         for _ in range(HALVINGS):
-            along[covers(places + (along + size) * step) == is_first_covered] += size
-            size /= 2
-        crossings.append(places + (along + size) * step)
+            along[covers(places + (along + half) * step) == is_first_covered] += half  # it flips in the second half
+            half /= 2
+        crossings.append(places + (along + half) * step)
     return crossings
 
 

@@ -45,17 +45,16 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:
-        more = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
-        low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
-        high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
-    (lows, base, width), (highs, _, _) = (
-        concatenate_levels(halvings(low, np.minimum), 1),
-        concatenate_levels(halvings(high, np.maximum), 1),
-    )
-    ends = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
+        margin = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
+        low = np.nextafter((low - margin).astype(np.float32), np.float32(-np.inf))
+        high = np.nextafter((high + margin).astype(np.float32), np.float32(np.inf))
+    # `base`, `width`: first block and number of columns of each level; the same in both pyramids.
+    lows, base, width = concatenate_levels(halvings(low, np.minimum), 1)
+    highs, _, _ = concatenate_levels(halvings(high, np.maximum), 1)
+    z_range = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
     b = ray_kernels.HeightBlocks()
-    b.levels, b.low_z, b.high_z = len(base) - 1, *ends
-    b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
+    b.levels, b.low_z, b.high_z = len(base) - 1, *z_range
+    b.tolerance = max(1e-9 * (z_range[1] - z_range[0]), 1e-12 * max(abs(z) for z in z_range))
     b.base, b.width = shared(base, wp.int64), shared(width, wp.int32)
     b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
     return b
@@ -67,14 +66,14 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     placement: float64 [4, 4], terrain to world. Raises TerrainError if the camera or the terrain cannot be inverted.
     """
     g = ground.packed
-    to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
-    to_terrain[:2, 3] = g.west, g.south
-    matrix = product(product(view.world_to_camera, placement), to_terrain)
+    from_cells = np.diag([g.step_x, g.step_y, 1.0, 1.0])
+    from_cells[:2, 3] = g.west, g.south
+    to_view = product(product(view.world_to_camera, placement), from_cells)
     try:
-        back = inverse(matrix)
+        from_view = inverse(to_view)
     except np.linalg.LinAlgError:
-        back = np.full((4, 4), np.inf)
-    if not np.isfinite(matrix).all() or not np.isfinite(back).all():
+        from_view = np.full((4, 4), np.inf)
+    if not np.isfinite(to_view).all() or not np.isfinite(from_view).all():
         raise TerrainError(
             "The camera or the terrain cannot be inverted",
             expected="finite scales other than 0",
@@ -86,17 +85,17 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     size = np.array([g.samples.columns - 1, g.samples.rows - 1, relief])
     e = screen_kernels.Eye()
     e.kind = KINDS.index(view.kind)
-    e.right, e.up, e.back = matrix[:3]
+    e.right, e.up, e.back = to_view[:3]
     e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
     e.start, e.end = start, view.clip[1] if culls else np.inf
     # The same depth as in view/local_view.py.
-    e.near = max(start / 2, 1e-9 * length(lengths(matrix[:3, :3]) * size), 1e-150)
-    e.eye, e.toward = back[:3, 3], back[:3, 2]
+    e.near = max(start / 2, 1e-9 * length(lengths(to_view[:3, :3]) * size), 1e-150)
+    e.eye, e.toward = from_view[:3, 3], from_view[:3, 2]
     e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))
-    origin = np.c_[back[:3, 3], np.zeros((3, 2))]
+    origin = np.c_[from_view[:3, 3], np.zeros((3, 2))]
     e.origin = origin
     if view.kind == PANORAMIC:
-        e.pixels_per_radian, e.axes = 1.0 / view.radians_per_pixel, back[:3, :3]
+        e.pixels_per_radian, e.axes = 1.0 / view.radians_per_pixel, from_view[:3, :3]
         return e
     assert view.projection is not None  # only a panorama has none
     p = view.projection
@@ -107,8 +106,8 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     shift = sign * p[0, column] / p[0, 0], sign * p[1, column] / p[1, 1]
     # A point (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
     to_camera = np.array([[shift[0], 1 / p[0, 0], 0], [shift[1], 0, 1 / p[1, 1]]])
-    rows = product(back[:3, :2], to_camera)
-    ahead = np.c_[-back[:3, 2], np.zeros((3, 2))]
+    rows = product(from_view[:3, :2], to_camera)
+    ahead = np.c_[-from_view[:3, 2], np.zeros((3, 2))]
     if view.kind == ORTHOGRAPHIC:
         e.origin, e.direction = origin + rows, ahead
     else:
@@ -186,15 +185,15 @@ class Sight:
             self._state = state
         return self._state
 
-    def errors(self, before: np.ndarray, after: np.ndarray, there: Sequence[np.ndarray]) -> tuple[Errors, Errors]:
+    def errors(self, before: np.ndarray, after: np.ndarray, at_visible: Sequence[np.ndarray]) -> tuple[Errors, Errors]:
         """Return the errors in pixels between two heights: of visible points and of hidden ones.
 
         The largest of the visible ones is that of all points. The rest of their distribution is that of the points seen
         in the pixels, so it is by area on the screen: samples are dense far away. That of the hidden ones, all of which
         are samples, is by area on the ground.
 
-        before, after: float32 [height, width], metres above the reference at every sample. there: float64 [n] twice,
-        the same at the visible points.
+        before, after: float32 [height, width], metres above the reference at every sample. at_visible: both again, at
+        `visible_points`, float64 [n] each.
         """
         visible, hidden, states = [], [], self.states()
         (height, width), bits = before.shape, self.ground.bits + POINT_BITS
@@ -205,7 +204,7 @@ class Sight:
             pixels = self._pixels_between(points, *(a.reshape(-1)[indices].astype(np.float64) for a in (before, after)))
             visible.append(pixels[states[indices] == int(screen_kernels.VISIBLE)])
             hidden.append(pixels[states[indices] == int(screen_kernels.HIDDEN)])
-        seen, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(visible))
+        seen, samples = errors_of(self.point_errors(*at_visible)), errors_of(np.concatenate(visible))
         of_visible = seen if seen.count else samples
         of_visible = replace(of_visible, count=seen.count + samples.count, max=max(seen.max, samples.max))
         return of_visible, errors_of(np.concatenate(hidden))

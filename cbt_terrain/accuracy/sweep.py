@@ -98,7 +98,7 @@ def _measure_setting(
     frames: Sequence[TimedFrame],
     base: Criterion,
     threads: int | None,
-    sight: LookUp,
+    find_sight: LookUp,
     write: Callable[[Surface], float] | None,
     effects: AttributePlan,
     on_part: Progress,
@@ -106,7 +106,7 @@ def _measure_setting(
     """Return the row of one setting: refine, measure and time every frame of the path.
 
     A setting in metres ignores the camera, so one frame without views is enough. base: criterion with the guard band
-    and culling. sight: finds the visible ground in a view. write: puts a surface where it is used and returns the
+    and culling. find_sight: finds the visible ground in a view. write: puts a surface where it is used and returns the
     milliseconds, None to leave that out. effects: plan of the attributes of each mesh. on_part: gets the finished
     fraction of the row.
     """
@@ -133,7 +133,7 @@ def _measure_setting(
                     view,
                     *frame.placement_and_heights,
                     threads=threads,
-                    sight=sight(heights, view, frame) if view else None,
+                    sight=find_sight(heights, view, frame) if view else None,
                     on_progress=partial(_report_part, on_part, len(measured), num_views),
                 )
             )
@@ -151,7 +151,7 @@ def _measure_setting(
         times = [run["cpu"] for run in timed]
         spreads.append((min(times), max(times)))
         if frame.after is not None and before is not None:
-            changes += _transitions(terrain, criterion, before, frame.after, threads, sight)
+            changes += _transitions(terrain, criterion, before, frame.after, threads, find_sight)
     popped, shaded = (worst([change[i] for change in changes]) for i in range(2))
     triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
     ms = median_by_step(runs)
@@ -229,20 +229,20 @@ def _transitions(
     before: Surface,
     frame: TimedFrame,
     threads: int | None,
-    sight: LookUp,
+    find_sight: LookUp,
 ) -> list[list[Errors]]:
     """Return popping (pixels) and changes of shading (255ths) from one frame to the next: a list of both for each view.
 
-    before: surface of the first frame; the terrain is updated to `frame`, the next one. sight: function that makes
-    the Sight of a view, cached by the caller.
+    before: surface of the first frame; the terrain is updated to `frame`, the next one. find_sight: makes the Sight
+    of a view, cached by the caller.
     """
     after = terrain.update(criterion, frame.views, *frame.placement_and_heights).surface
     errors_by_view = []
     for view in frame.views:
-        seen = sight(terrain.field, view, frame)
+        sight = find_sight(terrain.field, view, frame)
         inputs = terrain.field, before, after, view, *frame.placement_and_heights
         errors_by_view.append(
-            [measured(*inputs, threads=threads, sight=seen) for measured in (popping, shading_change)]
+            [measured(*inputs, threads=threads, sight=sight) for measured in (popping, shading_change)]
         )
     return errors_by_view
 

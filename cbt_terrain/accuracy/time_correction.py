@@ -29,8 +29,8 @@ class TimeCorrection:
     def record(self, curve: CostCurve, error: float, ms: float) -> None:
         """Note that an update at an error took `ms` milliseconds, to correct the curve's times.
 
-        With MIN_UPDATES or more, up to MAX_UPDATES, `factor` becomes the median of their times over the curve's if it
-        differs from that by more than TOLERANCE; then these updates are forgotten.
+        Once there are MIN_UPDATES, of which the last MAX_UPDATES count, `factor` becomes the median of their times over
+        the curve's if that differs from it by more than TOLERANCE; then these updates are forgotten.
         """
         self._ratios.append(ms / curve.at(error)[1])
         median = statistics.median(self._ratios)

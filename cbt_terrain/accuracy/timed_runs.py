@@ -97,9 +97,9 @@ def timed_runs(
         if write is not None:
             updates[-1]["ingest"] = write(surface)
         updates[-1]["cpu"] = cpu_ms() - start_cpu
-    each = _updates_a_run(updates)
+    per_run = _updates_a_run(updates)
     warm = updates[1:]  # the first found memory that was cold
-    return [_combine_steps(warm[first : first + each], statistics.fmean) for first in range(0, len(warm), each)]
+    return [_combine_steps(warm[first : first + per_run], statistics.fmean) for first in range(0, len(warm), per_run)]
 
 
 def _updates_a_run(updates: list[dict[str, float]]) -> int:

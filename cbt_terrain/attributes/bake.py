@@ -96,7 +96,7 @@ def bake(
     ]
     try:
         with open_folder(folder, make=True, may_be_link=True):
-            pass
+            pass  # the folder now exists
         partial_files.remove_abandoned(folder)
         before = read_index(folder)
         listed = image_files(before or {"maps": {}})  # images of the earlier maps
@@ -164,7 +164,7 @@ def _image(ground: _MapGround, request: AttributeRequest, tile: int, side: int, 
     """
     coding = coding_of(ATTRIBUTES[request.name], form)
     steps, finer = plan([request]).steps, ground.finer_level(tile, side)
-    finer_levels = (finer,) if finer else ()  # the raster's scale does not count
+    finer_levels = (finer,) if finer else ()  # only in keys of images that show finer tiles
     content = (
         VERSION,
         [(step.name, ATTRIBUTES[step.name].version, sorted(step.parameters)) for step in steps],

@@ -105,8 +105,8 @@ def _premultiplied(pixels: np.ndarray, tilts: bool) -> np.ndarray:
         np.clip(np.nan_to_num(finite, copy=False), -LARGEST, LARGEST, out=finite)
     alpha = np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
-        rgb = finite[..., :3] * np.float32(2.0) - np.float32(1.0)
-        finite[..., :2] = -rgb[..., :2] / np.maximum(rgb[..., 2:], np.float32(0.05))
+        normals = finite[..., :3] * np.float32(2.0) - np.float32(1.0)
+        finite[..., :2] = -normals[..., :2] / np.maximum(normals[..., 2:], np.float32(0.05))
         finite[..., 2] = 0.0
     finite *= alpha  # all four values: numpy takes twice as long for three of four
     finite[..., 3:] = alpha

@@ -131,14 +131,14 @@ def _evaluate_steps(
     positions = values.move_to(request.surface.positions)
     places, fresh = {}, {}  # by family: all points with their levels; indices of those to compute, None for all
     for family in sorted({step.family for step in steps}):
-        levels, before = values.swap_arrays(family)
+        levels, last_levels = values.swap_arrays(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
             limit_levels(heights, positions, levels, values.threads)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
         places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
-        fresh[family] = values.find_fresh(levels, before)
+        fresh[family] = values.find_fresh(levels, last_levels)
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new_points()
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
@@ -170,9 +170,9 @@ def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dic
     values: dict[str, np.ndarray] = {}
     while steps:
         make = ATTRIBUTES[steps[0].name].make
-        now = [step for step in steps if ATTRIBUTES[step.name].make is make and _attributes_read(step) <= {*values}]
-        values |= _compute_group(now, places, values)
-        steps = [step for step in steps if step not in now]
+        group = [step for step in steps if ATTRIBUTES[step.name].make is make and _attributes_read(step) <= {*values}]
+        values |= _compute_group(group, places, values)
+        steps = [step for step in steps if step not in group]
     return values
 
 
@@ -215,7 +215,7 @@ def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: in
     of their computation.
     """
     effects = [ATTRIBUTES[step.name] for step in steps]
-    # Two copies of points and of the levels of both families.
+    # Always held: two copies of the points and of the levels of both families, and the values of this surface.
     bytes_left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     dropped = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):

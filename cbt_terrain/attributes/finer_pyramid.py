@@ -77,7 +77,7 @@ def _table(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footpri
 
 
 def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.FinerPlaces:
-    """Return the tiles with finer heights for kernels. Beyond the raster's border they go on.
+    """Return the tiles with finer heights for kernels. Those at the raster's border continue beyond it.
 
     bits: a raster cell has 2^bits finer cells a side. differs: where tiles have finer heights, bool [rows, columns].
     """
@@ -90,7 +90,7 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
             beside |= ~padded[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
     places = footprint.FinerPlaces()
     places.bits, places.columns = bits, columns
-    places.beside = flat(np.where(differs, beside, np.int32(-1)), wp.int32)
+    places.beside = flat(np.where(differs, beside, np.int32(-1)), wp.int32)  # -1: a tile without finer heights
     places.cells_x, places.cells_y = lattice.cells_x << bits, lattice.cells_y << bits
     places.west, places.south, _, _ = lattice.rectangle()
     places.per_x, places.per_y = (1 << bits) / lattice.step_x, (1 << bits) / lattice.step_y
@@ -110,7 +110,7 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
         with launch.timed("prefilter"):
             launch.together([partial(_fill_levels, raster, tiles, positions, levels, slice(*ends)) for ends in ranges])
 
-    # derive_large caches them in the store only if the raster itself is large.
+    # Levels of few samples are cached in the store only if the raster itself is large (`derive_large`).
     is_large = size >= derived_arrays.MIN_CACHED
     derive = derived_arrays.derive if is_large else derived_arrays.derive_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
@@ -154,12 +154,12 @@ def _split_levels(values: np.ndarray, sides: list[int], count: int) -> list[np.n
 
 
 def _fill_levels(
-    raster: HeightRaster, tiles: FinerTiles, positions: np.ndarray, levels: list[np.ndarray], some: slice
+    raster: HeightRaster, tiles: FinerTiles, positions: np.ndarray, levels: list[np.ndarray], tile_range: slice
 ) -> None:
-    """Fill the coarser levels of the tiles `some`, a range. positions: row and column of each, int64 [tiles, 2]."""
+    """Fill the coarser levels of a range of tiles. positions: row and column of each tile, int64 [tiles, 2]."""
     around = 1 << tiles.bits  # finer cells that the coarsest level reads beyond a tile
     last = raster.lattice.cells_y << tiles.bits, raster.lattice.cells_x << tiles.bits
-    for number in range(some.start, some.stop):
+    for number in range(tile_range.start, tile_range.stop):
         stopping.check()
         first = SIDE * positions[number]
         low = np.maximum(first - around, 0)
@@ -167,11 +167,12 @@ def _fill_levels(
         heights = _window(raster, tiles, low, high)
         for level, out in enumerate(levels, start=1):
             heights = _halve(heights)
-            # From the sample before the tile's first to the one after its last, extrapolated beyond the border.
-            rows, columns = (np.arange(-1, len(out[number]) - 1) + (first[k] - low[k] >> level) for k in (0, 1))
+            # From the sample before the tile's first to the one after its last, extrapolated beyond the border. Indices
+            # of `extended` are larger by 1 than those of `heights`.
             extended = np.pad(heights, 1, mode="reflect", reflect_type="odd")
             rows, columns = (
-                np.clip(indices + 1, 0, size - 1) for indices, size in zip((rows, columns), extended.shape, strict=True)
+                np.clip(np.arange(len(out[number])) + (first[k] - low[k] >> level), 0, extended.shape[k] - 1)
+                for k in (0, 1)
             )
             out[number] = extended[np.ix_(rows, columns)]
 
@@ -185,7 +186,7 @@ def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.n
             y1, x1 = min(SIDE * (row + 1), high[0]), min(SIDE * (column + 1), high[1])
             number = tiles.numbers[row, column]
             if number >= 0:
-                y, x = 1 + y0 - SIDE * row, 1 + x0 - SIDE * column
+                y, x = 1 + y0 - SIDE * row, 1 + x0 - SIDE * column  # a tile has a sample more on each side
                 part = tiles.heights[number, y : y + y1 - y0 + 1, x : x + x1 - x0 + 1]
             else:
                 part = raster_heights(raster, tiles.bits, np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))

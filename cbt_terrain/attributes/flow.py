@@ -89,7 +89,7 @@ def example(evaluate: Evaluate) -> None:
     x = np.arange(17, dtype=np.float32)
     flow = evaluate("flow", np.tile(-abs(x - 8.0), (9, 1)), step=10.0).reshape(5, 13)
     samples = abs(x[2:-2] - 8.0) + 0.5
-    samples[6] = 1.0
+    samples[6] = 1.0  # the ridge
     # Near the other two borders less enters over the diagonals.
     assert abs(flow[2, 5:8] - 100.0 * samples[5:8]).max() < 1e-2
 

@@ -52,7 +52,7 @@ def displaced(
     vertical_offset: float,
     threads: int,
 ) -> HeightField:
-    """Return the field with a displacement below its samples, which the surface then includes.
+    """Return the field with a displacement, which the surface then includes.
 
     ground: Detail, layers of it, or LayeredDetail whose layers are weighted by splat layers, computed here with
     this vertical scale and offset; None for no displacement. Raises TerrainError for splat layers or attributes that
@@ -103,23 +103,23 @@ def _compute_masks(
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
     versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
     digest = hashlib.blake2b(repr((versions, layers, numbers, vertical)).encode(), digest_size=8).hexdigest()
-    masks, maxima = f"masks_{digest}", f"mask_maxima_{digest}"
+    mask_array, maxima_array = f"masks_{digest}", f"mask_maxima_{digest}"  # their names
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
         """Compute the masks row by row, and their maxima."""
         requests = [AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in names]
         for rows, values in on_samples(field, requests, *vertical, threads):
-            for mask, number in zip(arrays[masks], numbers, strict=True):
+            for mask, number in zip(arrays[mask_array], numbers, strict=True):
                 weights = values[NAMES[number // 4]][..., number % 4]
                 mask[rows] = np.rint(weights * np.float32(ALL))
-        for values, max_cells in zip(arrays[masks], arrays[maxima], strict=True):
+        for values, max_cells in zip(arrays[mask_array], arrays[maxima_array], strict=True):
             fill_max_cells(values, max_cells)
 
     shapes = {
-        masks: ((len(numbers), lattice.height, lattice.width), np.uint8),
-        maxima: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
+        mask_array: ((len(numbers), lattice.height, lattice.width), np.uint8),
+        maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
     }
     derived = derive_large(field.raster, shapes, fill)
     for name in shapes:
         remove_old(field, f"{name.removesuffix(digest)}*.npy", name, MAX_CACHED)
-    return list(map(LayerMask, derived[masks], derived[maxima]))
+    return list(map(LayerMask, derived[mask_array], derived[maxima_array]))

@@ -32,7 +32,7 @@ def azimuths() -> np.ndarray:
     quarter = np.stack([east, north], axis=-1)
     circle = [quarter]
     for _ in range(3):
-        circle.append(np.stack([-circle[-1][:, 1], circle[-1][:, 0]], axis=-1))
+        circle.append(np.stack([-circle[-1][:, 1], circle[-1][:, 0]], axis=-1))  # a quarter turn further
     order = [int(f"{k:04b}"[::-1], 2) for k in range(AZIMUTHS)]
     return np.concatenate(circle)[order]
 

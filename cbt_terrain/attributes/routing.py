@@ -173,5 +173,5 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
     launch_search(emit=1, key=key, edge=edge)
     launch.sort_pairs(key, edge, count, step="routing")
-    up = np.arange(pits + 2, dtype=np.int32)
-    launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(up, wp.int32)], step="routing")
+    parents = np.arange(pits + 2, dtype=np.int32)  # of each basin in the sets of linked basins: at first itself
+    launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(parents, wp.int32)], step="routing")

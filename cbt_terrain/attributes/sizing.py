@@ -55,12 +55,12 @@ def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, 
     finest = np.full(len(boxes), np.inf)
     seen = np.zeros(len(boxes), bool)
     for view in views:
-        finest = np.minimum(finest, _pixels(boxes, view, placement))
+        finest = np.minimum(finest, _footprints(boxes, view, placement))
         seen |= _in_frame(boxes, view, placement)
     return np.where(seen, finest, np.inf) if only_seen else finest
 
 
-def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
+def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
     """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres.
 
     boxes: lowest and highest corners in the terrain's space, float64 [tiles, 2, 3] metres. placement: matrix from there

@@ -167,7 +167,7 @@ def sweep(
     s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
     along, across = (north, east) if upright else (east, north)
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
-    s.phase = s.slope * first[0 if upright else 1] % 1.0
+    s.phase = s.slope * first[0 if upright else 1] % 1.0  # part of a sample by which the larger raster's lines shift
     reach = s.slope * (s.major - 1)  # samples that a line moves along the minor axis across the raster
     s.first = int(np.floor(min(-reach, 0.0) - s.phase))
     # One line beyond the last sample, since a sample is on a line or between it and the next.

@@ -99,8 +99,12 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
         struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         structs.append(struct)
         for rule in layer.rules:
-            source = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
-            source = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else source
+            if rule.of in READ_FROM:
+                source = rows[READ_FROM[rule.of]]
+            elif rule.of == splat_rules.LAYER:
+                source = rule.other
+            else:  # first pixel of an image; noise has no source
+                source = sum(int(image.size) for image in images)
             rules.append(_rule(rule, source, lowest, highest))
             if rule.of == splat_rules.IMAGE and rule.image is not None:
                 images.append(rule.image.values.reshape(-1))
@@ -109,11 +113,11 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
     return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
 
 
-def _rule(rule: Rule, at: int, lowest: float, highest: float) -> "kernels.SplatRule":
+def _rule(rule: Rule, source: int, lowest: float, highest: float) -> "kernels.SplatRule":
     """Convert a rule for the kernel, with limits in the unit of the values that it reads.
 
-    at: row of the attribute, first pixel of the image, or index of the other layer. lowest, highest: heights in metres
-    at which relief is 0 and 1. Flow is compared by its logarithm.
+    source: row of the attribute, first pixel of the image, or index of the other layer. lowest, highest: heights in
+    metres at which relief is 0 and 1. Flow is compared by its logarithm.
     """
     from ...kernels.effects import splat as kernels
 
@@ -133,7 +137,7 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> "kernels.SplatR
         splat_rules.IMAGE: kernels.IMAGE,
     }
     packed = kernels.SplatRule()
-    packed.kind, packed.at = kinds.get(rule.of, kernels.VALUE), at
+    packed.kind, packed.at = kinds.get(rule.of, kernels.VALUE), source
     packed.low, packed.high, packed.edge = *limits, edge
     packed.per_edge = 1.0 / max(edge, MIN_EDGE)
     packed.sine, packed.cosine = math.sin(rule.direction), math.cos(rule.direction)

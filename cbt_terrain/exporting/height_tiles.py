@@ -173,6 +173,7 @@ class _Samples:
 
         A request to stop raises between them.
         """
+        # Whole blocks of lines of an EXR file.
         lines = min(max(LINES * MAX_COLUMNS // self.axes[0].size // BLOCK, 1) * BLOCK, LINES)
         for row in range(first, end, lines):
             stopping.check()
@@ -319,7 +320,7 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
                 tiles.append((k, slice(first, first + across.size), file, partial, shape))
         for rows in samples.row_blocks(down.first(y), down.first(y) + down.size):
             heights, inside, values = samples.block(rows, columns)
-            if not samples.layers[0].form.is_integer:
+            if not samples.layers[0].form.is_integer:  # no range was needed to encode: find that for the JSON file
                 samples.layers[0].widen(heights)
             coded = [layer.encode(array) for layer, array in zip(samples.layers, [heights, *values], strict=True)]
             if inside is not None and samples.layers[0].form.keeps_missing:

@@ -113,23 +113,23 @@ def export_tileset(
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
     """Return the levels from the root to the finest; the error doubles from level to level.
 
-    `triangles`: about as many in a tile; the number of levels follows from it.
+    `triangles`: about as many in a tile; the doublings of levels follows from it.
     """
     from ..terrain import Terrain
 
     terrain, finest_first = Terrain(field), []
-    depth = number = 0
-    while number <= depth:
+    depth = doublings = 0
+    while doublings <= depth:
         stopping.check()
-        update = terrain.update(Criterion(error_px=0.0, error_m=error_m * 2.0**number))
-        if number == 0:
+        update = terrain.update(Criterion(error_px=0.0, error_m=error_m * 2.0**doublings))
+        if doublings == 0:
             depth = _depth((field.lattice.cells_x, field.lattice.cells_y), update.triangles / triangles)
         s = update.surface
         assert update.bound_m is not None  # the criterion has an error in metres
         mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
-        finest_first.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - number)))
-        number += 1
-        on_progress(1.0 - 0.25**number)  # each coarser level has a quarter of the triangles
+        finest_first.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - doublings)))
+        doublings += 1
+        on_progress(1.0 - 0.25**doublings)  # each coarser level has a quarter of the triangles
     return finest_first[::-1]
 
 

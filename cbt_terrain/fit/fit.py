@@ -84,7 +84,7 @@ def fit(
         best = None
         if plain.relaxed > 1.0:
             best = _fit_within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
-        elif plain.limited != "max_depth":
+        elif plain.limited != "max_depth":  # else the deepest leaves are too coarse, which a fit cannot split either
             best = fitter.run(error_m)
         if best is not None:
             # More triangles than interpolation needs, or as many for a larger bound.
@@ -128,10 +128,10 @@ def bake(
 
     `open_store` gives the height field.
 
-    `fitted`: vertices leave the surface within that error, so that fewer triangles do (a `Fitted`, without meshlets);
-    `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles` the finest error
-    that fits. Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError if a number cannot
-    be used, and for a fit as `fit`.
+    `fitted`: vertices leave the surface within that error, so that fewer triangles suffice (the result is a `Fitted`,
+    without meshlets); `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles`
+    the finest error that fits. Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError
+    if a number cannot be used, and for a fit as `fit`.
     """
     heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
     if fitted:
@@ -161,7 +161,8 @@ def _fit_within(
     """
     if not plain_m > error_m:
         return None
-    # Steps that are too fine, and fine enough for `plain_m`. A fit gains MAX_GAIN at most, and step 0 is the request.
+    # Steps up to `low` are too fine: a fit gains MAX_GAIN at most, and step 0 is the request. Steps from `high` on are
+    # no better than interpolation, or a finer one than theirs was found.
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     best = None

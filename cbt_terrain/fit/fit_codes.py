@@ -19,7 +19,10 @@ START = 1.7
 
 
 def raised_codes(finer: FinerTiles | None, halvings: int) -> raising.RaisedCodes:
-    """Return the codes that splits raise. finer: tiles of the raster. halvings: of a cell's side, at most."""
+    """Return the codes of splits, so that there are codes for up to `halvings` of a cell's side.
+
+    finer: tiles of the raster, or None.
+    """
     raised = raising.RaisedCodes()
     if finer is None:
         assert halvings <= raising.MAX_HALVINGS
@@ -45,10 +48,10 @@ def make_codes(
     per_octave, steps = raised.per_octave, np.arange(255)
     base = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)
     values = np.concatenate([[0.0], np.ldexp(base * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
-    between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
+    code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
     diamond_codes = np.empty_like(field.error)
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
-        new = np.searchsorted(between, group_errors / START)
+        new = np.searchsorted(code_ends, group_errors / START)
         codes.translate(field.error[part], np.maximum(new, plain.has_finer), diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:

@@ -226,11 +226,11 @@ class Fitter:
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
-        of_level = np.zeros(int(surface.level.max()) + 1)
-        np.maximum.at(of_level, surface.level, worst)
-        steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
+        worst_of_level = np.zeros(int(surface.level.max()) + 1)
+        np.maximum.at(worst_of_level, surface.level, worst)
+        steeper = 2.0 * worst_of_level / 2.0 ** (lattice.levels - np.arange(len(worst_of_level)) // 2)  # metres a cell
         far = float(worst.max())
-        divided = 2.0 ** max(0, len(of_level) // 2 - lattice.levels)
+        divided = 2.0 ** max(0, len(worst_of_level) // 2 - lattice.levels)
         precision = self._plane_rounding_error(float(steeper.max()), divided) + self._computing_error(far)
         terms_m = far, precision, self.source
         total = add_up(terms_m)
@@ -264,10 +264,11 @@ class Fitter:
         lattice = self.field.lattice
         # In raster cells that are split only the corners of the cells are moved.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
-        finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
+        # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error.
+        divided = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         if self.finer is not None:
-            finer = max(finer, 2.0 ** (self.finer.bits + 1))
-        return self._plane_rounding_error(2.0 * error_m * finer, finer)
+            divided = max(divided, 2.0 ** (self.finer.bits + 1))
+        return self._plane_rounding_error(2.0 * error_m * divided, divided)
 
     def _plane_rounding_error(self, steeper: float, divided: float) -> float:
         """Return the metres of error that rounding plane coordinates to float32 adds.

@@ -100,9 +100,11 @@ class Sweeps:
             self.m.round = rounds
             self.fitter.tell_progress()
             beyond = self._sweep()
-            counts = self.refine(LOCAL if beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS else 0.0)
+            is_local = beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS
+            counts = self.refine(LOCAL if is_local else 0.0)
             later = counts["later"]
-            if counts["splits"] - later + counts["pins"] <= later:  # the next walk is due
+            num_changes = counts["splits"] - later + counts["pins"]  # in this mesh
+            if num_changes <= later:  # the next walk is due
                 break
 
     def _sweep(self) -> int:

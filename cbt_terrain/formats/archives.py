@@ -112,8 +112,8 @@ class UnpackedFiles:
         """Return a text in which the folders of unpacked files are replaced by the paths of their archives."""
         if self._folder is None:
             return text
-        inner = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
-        return inner.sub(lambda match: str(self._archives[int(match[1])]), text)
+        folder_pattern = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
+        return folder_pattern.sub(lambda match: str(self._archives[int(match[1])]), text)
 
     def _remove_oldest(self) -> None:
         """Remove files until at most MAX_UNPACKED_BYTES remain, but not the latest one.

@@ -60,6 +60,7 @@ def channels_by_name(channels: list[ExrChannel], name: str) -> list[ExrChannel]:
             groups: dict[tuple, list[ExrChannel]] = {}
             for channel in channels:
                 if sought in (fold(channel.part_name), fold(channel.layer)):
+                    # A part is one group, whatever layers it has.
                     layer = channel.layer if sought != fold(channel.part_name) else None
                     groups.setdefault((channel.part, layer), []).append(channel)
             candidates = list(groups.values())
@@ -92,9 +93,8 @@ def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, in
         rank = 5
     else:
         rank = {"z": 1, "y": 2, "v": 2, "r": 3, "red": 3}.get(component, 4)
-    order = COMPONENTS.index(component) + 1 if component in COMPONENTS else 0  # green and blue come after all others
-    return (
-        rank,
-        len(COMPONENTS) + 1 if component in ("g", "b", "green", "blue", "u") else order,
-        channels.index(channel),
-    )
+    if component in ("g", "b", "green", "blue", "u"):
+        order = len(COMPONENTS) + 1
+    else:
+        order = COMPONENTS.index(component) + 1 if component in COMPONENTS else 0
+    return rank, order, channels.index(channel)

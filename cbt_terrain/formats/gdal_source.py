@@ -155,7 +155,7 @@ def raster_of(
     placed = raster if view is None else _resampled(path, raster, view, band)
     georeference = _georeference(grid, placed.width, placed.height, settings)
     is_sized = georeference is not None
-    if georeference is None and driver == "GTiff":
+    if georeference is None and driver == "GTiff":  # the orientation gives directions, but no size
         georeference = orientation_georeference(orientation_of(path))
     if georeference is None and mosaic is not None:
         notes += orientation_notes(mosaic.sources)

@@ -32,7 +32,7 @@ class CachedSubtrees:
         self.limit = self.criterion.limit  # which later refinements may change
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
-        """Return the largest relative change of lengths that pixel footprints consist of or are compared with.
+        """Return the largest relative change of squared lengths in pixel footprints, or compared with them.
 
         Lengths in `Motion` do not count. Infinity if anything but the camera has changed: then no subtree is reused.
         """
@@ -64,6 +64,7 @@ def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> Non
     """
     motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
+    # The way of the eye, metres of camera space.
     motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))
     motion.slant_x, motion.slant_y, motion.max_gain2 = before.slant_x, before.slant_y, before.max_gain2
     motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))

@@ -118,7 +118,7 @@ class FrameHistory:
         """Make the next frame the last one; the one before it becomes the memory of the next.
 
         key: the arguments of the update that computed it, None for a frame that is never found again; result: that
-        update. keeps_vertices: it has the same mesh as the last frame and takes over its vertices.
+        update. keeps_vertices: the next frame has the mesh of the last one and takes over its vertices.
         """
         if keeps_vertices:
             self.next.vertices = self.last.vertices
@@ -173,6 +173,7 @@ class FrameHistory:
         self.last.result = None
         if not reuses:
             self._replace_vertices()
+        # What callers still read is neither written nor changed: those arrays get other memory.
         written, last = [self.scratch, self.next.arrays], [self.last.arrays]
         if not reuses or vertices is None or not vertices.swapped:
             self._loans.reclaim(written, copied=[], read=last)

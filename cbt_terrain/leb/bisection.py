@@ -77,11 +77,12 @@ def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
     Return which nodes were merged, bool [n]: a node is left as it is if any of the four halves is no leaf.
     """
     ids = np.ascontiguousarray(ids, np.uint64)
-    pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)  # 0 beyond the lattice
+    pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)  # the second is 0 beyond the lattice
     halves = pairs[:, :, None] * np.uint64(2) + np.array([0, 1], np.uint64)
-    whole = ((pairs == 0) | tree.is_leaf(np.maximum(halves, 1).ravel()).reshape(halves.shape).all(axis=2)).all(axis=1)
-    tree.merge(np.setdiff1d(pairs[whole], [0]))
-    return whole
+    are_leaves = tree.is_leaf(np.maximum(halves, 1).ravel()).reshape(halves.shape).all(axis=2)
+    is_merged = ((pairs == 0) | are_leaves).all(axis=1)
+    tree.merge(np.setdiff1d(pairs[is_merged], [0]))
+    return is_merged
 
 
 def _launch(kernel: wp.Kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:

@@ -16,10 +16,11 @@ AT_ONCE = 1 << 14  # points whose data fits the processor's cache during the des
 
 
 def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
-    """Return the numbers of the triangles at points: int64 [n] in curve order, 4**meshlet a leaf; -1 beyond the raster.
+    """Return the numbers of the triangles at points: int64 [n] in curve order; -1 beyond the raster.
 
     places: float64 [n, 2], x and y in metres in the terrain's space; a NaN is beyond the raster. A point on an edge is
-    in one of its two triangles. Without meshlets the numbers are those of the tree's leaves. O(depth) a point.
+    in one of its two triangles. meshlet: each leaf has 4**meshlet triangles, which are numbered; 0 to number leaves.
+    O(depth) a point.
     """
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()
@@ -53,8 +54,8 @@ def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
     # The halves' coordinates are the same two, in the other order: `order` is -1 where a and b have changed places.
     order = np.ones(len(x), np.int64)
     for _ in range(depth - 1):
-        ahead = a - b
-        second = ahead * order < 0
-        a, b, order = np.abs(ahead), unit - a - b, 1 - 2 * second
+        difference = a - b
+        second = difference * order < 0
+        a, b, order = np.abs(difference), unit - a - b, 1 - 2 * second
         path = 2 * path + second
     return path

@@ -124,9 +124,9 @@ def build(field: HeightField, arrays: dict[str, np.ndarray], threads: int | None
 
 
 def _numbers(field: HeightField, threads: int) -> list[float]:
-    """Return range base and step, lowest and highest height (metres), and largest slopes along x and y, rounded up.
+    """Return range base and step, and bounds of heights (lowest, highest, metres) and of slopes (along x, along y).
 
-    Heights and slopes, along x and along y, are bounds from control values; the slopes are rounded up.
+    The bounds come from control heights; those of slopes are rounded up.
     """
     lattice = field.lattice
     rows = lattice.cells_y

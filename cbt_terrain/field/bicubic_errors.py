@@ -72,6 +72,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
     lattice = field.lattice
     bases, parts = lattice.layout()[0], codes.parts(lattice, len(out))
     first = int(bases[min(FIRST_WHOLE, lattice.groups)])
+    # As in a window, but of the depths that no tile computes: from entry `first` of the error hierarchy on.
     errors, off = (np.zeros(max(lattice.cell_base - first, 1), np.float32) for _ in range(2))
     largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
 
@@ -146,6 +147,7 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
         launch_step(patches.patch_errors, north - south, inputs, threads, 20.0 * (east - west))
         curvatures = flat(window.curvatures, wp.float32)
         hierarchy.saturate_cells(cells, 0.5, curvatures, "bicubic hierarchy", threads)
+        # Cells outside the window are more than `around` - ALIGNED steps away from those that count.
         if _smallest(field.lattice, window, tile) >= np.float32(np.ldexp(bound, ALIGNED - around)):
             break
     inputs = [cells, curvatures, flat(window.errors, wp.float32)]
@@ -214,15 +216,15 @@ def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out
 
     table: float32 [parts, 256] metres, in the order of `codes.parts`.
     """
-    after = [flat(table, wp.float32)]
+    packed_table = flat(table, wp.float32)
     for bisections in range(min(TILE_DEPTHS, len(window.depths))):
         depth = lattice.cell_depth - bisections
-        whole, more = stored_at(lattice, depth), [*after, lattice.group(depth), flat(out, wp.uint8)]
+        whole, more = stored_at(lattice, depth), [packed_table, lattice.group(depth), flat(out, wp.uint8)]
         _rows(kernels.encode_rows, lattice, window, tile, bisections, whole, [window.errors], more, threads)
-    curvatures = stored_at(lattice, lattice.cell_depth)
-    curvatures.base = lattice.node_count
-    more = [*after, lattice.groups + 1, flat(out, wp.uint8)]
-    _rows(kernels.encode_rows, lattice, window, tile, 0, curvatures, [window.curvatures], more, threads)
+    whole = stored_at(lattice, lattice.cell_depth)
+    whole.base = lattice.node_count  # curvatures follow the errors
+    more = [packed_table, lattice.groups + 1, flat(out, wp.uint8)]
+    _rows(kernels.encode_rows, lattice, window, tile, 0, whole, [window.curvatures], more, threads)
 
 
 def _rows(

@@ -100,7 +100,7 @@ def build(
         np.isfinite(samples, out=valid.view(bool))
         if not holes_leave_ground(valid.view(bool)):
             raise no_ground(name)
-        measured = samples.copy()
+        measured = samples.copy()  # with NaN for missing samples
     if missing:
         cleaning.fill_missing(samples, threads)
     on_progress(0.2)

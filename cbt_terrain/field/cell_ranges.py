@@ -38,6 +38,7 @@ def rectangle_ranges(
         limits = np.array(sides) / 2.0**bits
         first = np.clip(np.floor(limits[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
         last = np.clip(np.ceil(limits[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
+        # `reduceat` also reduces from each end to the next first cell: every other result is used.
         pairs = np.stack([first, last], axis=1).ravel()
         padded = np.concatenate([ranges, np.take(ranges, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)

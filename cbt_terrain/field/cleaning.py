@@ -101,16 +101,16 @@ def _nearest(
     """
     height, width = missing.shape
     nearest, column = np.empty((2, height, width), np.int32)
-    rows, mask = flat(nearest, wp.int32), flat(missing.view(np.uint8), wp.uint8)
+    nearest_array, mask = flat(nearest, wp.int32), flat(missing.view(np.uint8), wp.uint8)
     outer = [flat(np.ascontiguousarray(line), wp.int32) for line in (below, above)]
-    inputs = [mask, width, height, first, *outer, COLUMN_BLOCK, rows]
+    inputs = [mask, width, height, first, *outer, COLUMN_BLOCK, nearest_array]
     cost, blocks = 0.5 * COLUMN_BLOCK * height, -(-width // COLUMN_BLOCK)
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
     jobs = []
     for begin, end in launch.ranges(height, threads):
         apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
         start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
-        jobs.append([mask, width, first, begin, end, rows, apex, start, flat(column, wp.int32)])
+        jobs.append([mask, width, first, begin, end, nearest_array, apex, start, flat(column, wp.int32)])
     launch.slices(fill_kernels.nearest_columns, jobs, step="fill no-data")
     return nearest, column
 

@@ -53,7 +53,7 @@ def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], 
 
 def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
     """Return arrays by name in memory, zeroed and then filled by `fill`. shapes: (shape, dtype) of each."""
-    arrays = {name: np.zeros(*of) for name, of in shapes.items()}
+    arrays = {name: np.zeros(*spec) for name, spec in shapes.items()}
     fill(arrays)
     return arrays
 
@@ -67,7 +67,7 @@ def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:
     if folder is None:
         return None
     try:
-        return {name: store_arrays.map_array(folder / f"{name}.npy", *of) for name, of in shapes.items()}
+        return {name: store_arrays.map_array(folder / f"{name}.npy", *spec) for name, spec in shapes.items()}
     except (OSError, TerrainError):
         return None
 
@@ -86,7 +86,7 @@ def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays]
     try:
         with ExitStack() as files:
             parts = {name: files.enter_context(partial_files.written_beside(folder / f"{name}.npy")) for name in shapes}
-            arrays = {name: store_arrays.allocate_array(parts[name], *of) for name, of in shapes.items()}
+            arrays = {name: store_arrays.allocate_array(parts[name], *spec) for name, spec in shapes.items()}
             written = True
             fill(arrays)
             for name, array in arrays.items():

@@ -79,11 +79,12 @@ class Detail:
 
         finest: metres of the shortest edges of meshes.
         """
-        return [
-            DetailTerm(a, s, length, (Split(0.0, CURVATURE * a / (length * length), s, a), Split(2 * a, 0.0, 0.0, 0.0)))
-            for a, length in self.waves(finest)
-            for s in (SLOPE * a / length,)
-        ]
+        terms = []
+        for amplitude, length in self.waves(finest):
+            curvature, slope = CURVATURE * amplitude / (length * length), SLOPE * amplitude / length
+            splits = Split(0.0, curvature, slope, amplitude), Split(2 * amplitude, 0.0, 0.0, 0.0)
+            terms.append(DetailTerm(amplitude, slope, length, splits))
+        return terms
 
     def packed(self, finest: float) -> "kernels.PackedDetail":
         """Return the octaves that `waves` lists as kernels read them.

@@ -129,10 +129,9 @@ def tables(
     limit = 2 * highest(parts)
     bounds = [(limit, limit)]
     for depth in range(1, 64):
-        drawn, leaf = (radius_at(steps, levels, d) for d in (depth + 2 * meshlet, depth))
-        smooth = depth + 2 * meshlet >= smooth_from, depth >= smooth_from
-        bounds.append(
-            (max_distance(parts, drawn) if smooth[0] else limit, max_climb(parts, leaf) if smooth[1] else limit)
-        )
+        drawn_depth = depth + 2 * meshlet
+        drawn_radius, leaf_radius = (radius_at(steps, levels, d) for d in (drawn_depth, depth))
+        distance = max_distance(parts, drawn_radius) if drawn_depth >= smooth_from else limit
+        bounds.append((distance, max_climb(parts, leaf_radius) if depth >= smooth_from else limit))
     above = np.minimum.accumulate(np.array(bounds), axis=0) * OUTWARD
     return np.nextafter(above.astype(np.float32), np.float32(np.inf))

@@ -101,7 +101,7 @@ Ground = Detail | Tiled | DisplacementLayers
 
 
 def layers_below(ground: Ground | None) -> tuple[DisplacementLayer, ...]:
-    """Return the displacement below the samples as layers, those without a mask first.
+    """Return a displacement as layers, those without a mask first.
 
     ground: a Detail, a Tiled, layers of them, or None.
     """
@@ -196,11 +196,11 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
     from ...kernels.field import detail as kernels
 
     layers, heights, masks, c = [], [], [], kernels.PackedLayers()
-    pixels = bytes_ = 0
+    num_pixels = num_mask_bytes = 0
     for layer in layers_below(ground):
         if isinstance(layer.detail, Tiled):
             d, net = layer.detail.packed(finest)
-            d.pixel, pixels = pixels, pixels + net.size
+            d.pixel, num_pixels = num_pixels, num_pixels + net.size
             heights.append(net.reshape(-1))
         else:
             d = layer.detail.packed(finest)
@@ -212,7 +212,7 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
                     f"A mask of displacement has the shape {layer.mask.values.shape}",
                     expected=f"{expected}, the shape of the height map",
                 )
-            d.mask, bytes_ = bytes_, bytes_ + layer.mask.values.size
+            d.mask, num_mask_bytes = num_mask_bytes, num_mask_bytes + layer.mask.values.size
             masks.append(layer.mask.values)
         layers.append(d)
     c.count, c.layer = len(layers), wp.array(layers, dtype=kernels.PackedDetail, device="cpu")

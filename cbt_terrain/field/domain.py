@@ -28,14 +28,14 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
     # Corners of triangles are integers: a unit is a cell halved `unit_bits - levels` times.
-    bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
-    domain.unit_bits = min(bits, lattice.unit_bits)
+    wanted_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
+    domain.unit_bits = min(wanted_bits, lattice.unit_bits)
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()
     sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])
-    bits = domain.unit_bits - lattice.levels
-    domain.east, domain.north = (NO_BORDER if cells == span else cells << bits for cells, span in sides)
+    cell_bits = domain.unit_bits - lattice.levels  # log2 of a cell's units
+    domain.east, domain.north = (NO_BORDER if cells == span else cells << cell_bits for cells, span in sides)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)

@@ -108,8 +108,9 @@ def _mixed_heights(
     if (weights == 1.0).all():
         return heights
     bilinear, bicubic = raster_heights(smooth, bits, x, y), bicubic_heights(smooth, bits, x, y)
-    above = np.where(heights == bilinear.astype(np.float32), 0.0, heights - bilinear)
-    mixed = (above + (bicubic * (1.0 - weights) + bilinear * weights)).astype(np.float32)
+    # The rounding of the raster's surface to float32 is no difference.
+    difference = np.where(heights == bilinear.astype(np.float32), 0.0, heights - bilinear)
+    mixed = (difference + (bicubic * (1.0 - weights) + bilinear * weights)).astype(np.float32)
     return np.where(weights == 1.0, heights, mixed)
 
 

@@ -200,9 +200,60 @@ def _measured(
     """Return the tiles with the errors and limits of their change. ends: lowest and highest height, metres."""
     lattice, ratio = plain.lattice, 1.0 / (1 << bits)
     steps = lattice.step_x * ratio, lattice.step_y * ratio
-    limits = np.zeros((*numbers.shape, 2), np.float32)
     corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
+    limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, steps, records)
+    limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits_of_tiles, np.maximum)])
+    exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
+    table = codes.tables([exponent])[0]
+    errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
+    ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
+    scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
+    outputs = (
+        (MEASURED, errors, str(exponent), partial(fill_errors, steps=steps, table=table)),
+        (RANGED, ranges, str(scale), partial(fill_ranges, steps=steps, scale=scale)),
+    )
     for corner in corners:
+        on_progress((corner[1] + 1) / len(numbers))
+        missing_by_output: list[list[MeasuredFinerTile]] = [[] for _ in outputs]
+        for (kind, array, coding, _fill), tiles in zip(outputs, missing_by_output, strict=True):
+            for tile in tiles_of(corner, numbers):
+                row, column, number = tile
+                if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[number]):
+                    tiles.append(tile)
+        missing = sorted(set().union(*missing_by_output))
+        if not missing:
+            continue
+        rectangle = rectangle_around(plain, bits, numbers, heights, missing)
+        for (kind, array, coding, fill), tiles in zip(outputs, missing_by_output, strict=True):
+            fill(rectangle, tiles, array, threads)
+            for row, column, number in tiles:
+                given, sums = f"{inputs[row, column]} {coding}", digest_of([array[number]])
+                records.note(kind, (column, row), array=array[number], inputs=given, sums=sums)
+    content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
+    for array in (numbers, *heights):
+        content.update(np.ascontiguousarray(array).data)
+    tables = []
+    for name, array in (("finer_numbers", numbers), ("finer_limits", limits)):
+        tables.append(allocate(name, array.shape, array.dtype))
+        tables[-1][...] = array
+    return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
+
+
+def _measure_limits(
+    plain: HeightField,
+    bits: int,
+    numbers: np.ndarray,
+    heights: np.ndarray,
+    inputs: dict[tuple[int, int], str],
+    steps: tuple[float, float],
+    records: FinerRecords,
+) -> np.ndarray:
+    """Return the limits of the change in each tile, float32 [rows, columns, 2], from records or measured and noted.
+
+    inputs: of `inputs_of_tiles`. steps: metres of a finer cell.
+    """
+    limits = np.zeros((*numbers.shape, 2), np.float32)
+    for corner in corners_of_squares(numbers):
         missing = []
         for tile in tiles_of(corner, numbers):
             row, column, _number = tile
@@ -218,41 +269,7 @@ def _measured(
             row, column, _number = tile
             limits[row, column] = pair = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
             records.note(LIMITED, (column, row), inputs=inputs[row, column], limits=[float(value) for value in pair])
-    limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
-    exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
-    table = codes.tables([exponent])[0]
-    errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
-    ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
-    scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
-    outputs = (
-        (MEASURED, errors, str(exponent), partial(fill_errors, steps=steps, table=table)),
-        (RANGED, ranges, str(scale), partial(fill_ranges, steps=steps, scale=scale)),
-    )
-    for corner in corners:
-        on_progress((corner[1] + 1) / len(numbers))
-        tiles_of_output: list[list[MeasuredFinerTile]] = [[] for _ in outputs]
-        for (kind, array, coding, _fill), tiles in zip(outputs, tiles_of_output, strict=True):
-            for tile in tiles_of(corner, numbers):
-                row, column, number = tile
-                if not is_measured(records, kind, (column, row), f"{inputs[row, column]} {coding}", array[number]):
-                    tiles.append(tile)
-        missing = sorted(set().union(*tiles_of_output))
-        if not missing:
-            continue
-        rectangle = rectangle_around(plain, bits, numbers, heights, missing)
-        for (kind, array, coding, fill), tiles in zip(outputs, tiles_of_output, strict=True):
-            fill(rectangle, tiles, array, threads)
-            for row, column, number in tiles:
-                given, sums = f"{inputs[row, column]} {coding}", digest_of([array[number]])
-                records.note(kind, (column, row), array=array[number], inputs=given, sums=sums)
-    content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
-    for array in (numbers, *heights):
-        content.update(np.ascontiguousarray(array).data)
-    tables = []
-    for name, array in (("finer_numbers", numbers), ("finer_limits", limits)):
-        tables.append(allocate(name, array.shape, array.dtype))
-        tables[-1][...] = array
-    return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
+    return limits
 
 
 def tiles_of(corner: Tile, numbers: np.ndarray) -> Iterator[MeasuredFinerTile]:

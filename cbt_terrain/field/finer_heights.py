@@ -92,20 +92,21 @@ def border_margin(bits: int) -> int:
 
 
 def border_weights(tile: Tile, known: set[Tile], margin: int, last: tuple[int, int], around: int = 0) -> np.ndarray:
-    """Return the weights of the finer heights at the samples of a tile, 0 .. 1: float64 [SIDE + 1, SIDE + 1].
+    """Return the weights of the finer heights at the samples of a tile, 0 .. 1: float64 [rows, columns].
 
     They are 0 where a tile without finer heights begins, and 1 from `margin` samples on. The raster's border does not
     count. known: the tiles with finer heights, (column, row) each. last: finer cells of the raster along x and y.
     around: 1 to include the samples next to the tile, on each side.
     """
     at = np.arange(-around, SIDE + 1 + around)
+    # Along one axis, from the column (or row) of tiles before, of the tile itself and after it: in margins.
     distances = {-1: np.maximum(at, 0), 0: np.maximum(np.maximum(-at, at - SIDE), 0), 1: np.maximum(SIDE - at, 0)}
     distances = {step: distance / margin for step, distance in distances.items()}
     weights = np.ones((len(at), len(at)))
     for across, up in product((-1, 0, 1), (-1, 0, 1)):
         column, row = tile[0] + across, tile[1] + up
-        inside = column >= 0 and row >= 0 and column * SIDE < last[0] and row * SIDE < last[1]
-        if inside and (column, row) not in known:
+        is_in_raster = column >= 0 and row >= 0 and column * SIDE < last[0] and row * SIDE < last[1]
+        if is_in_raster and (column, row) not in known:
             np.minimum(weights, np.maximum(distances[up][:, None], distances[across]), out=weights)
     return weights
 
@@ -137,19 +138,21 @@ def fill_heights(
         box = _box_of(tile, last)
         return heights[numbers[tile[1], tile[0]], 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
 
-    reused: set[Tile] = set()
+    reused: set[Tile] = set()  # tiles of windows that have their heights already
     digests, known_tiles = [], set(known)
     for number, tiles in enumerate(windows):
         yield LOOKED * number / len(windows)
         digests.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
         if _is_filled(tiles, digests[-1], numbers, heights, inner_heights, records):
             reused.update(tiles)
+    # The raster's heights in all tiles, which finer ones replace afterwards; reused ones are put back.
     for row, column in np.argwhere(numbers >= 0).tolist():
         inner = inner_heights((column, row)).copy() if (column, row) in reused else None
         x, y = (SIDE * n - 1 + np.arange(STRIDE) for n in (column, row))
         heights[numbers[row, column]] = raster_heights(plain, bits, x, y)
         if inner is not None:
             inner_heights((column, row))[:] = inner
+    # The finer heights of each known tile, also in those samples that its neighbours share.
     for number, tiles in enumerate(windows):
         yield LOOKED + (1.0 - LOOKED) * number / len(windows)
         for tile in tiles:

@@ -79,15 +79,16 @@ def fill_ranges(
 ) -> None:
     """Fill the ranges of heights of some tiles of a rectangle. steps: as of `fill_errors`. scale: metres of codes."""
     small = rectangle.lattice(steps)
-    found = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(rectangle.low, small, *scale, found, threads)
+    low_ranges = np.zeros((small.range_count, 2), np.uint16)
+    hierarchy.build_ranges(rectangle.low, small, *scale, low_ranges, threads)
     if rectangle.high is not rectangle.low:
-        above = np.zeros_like(found)
-        hierarchy.build_ranges(rectangle.high, small, *scale, above, threads)
-        found[:, 1] = above[:, 1]
-    images = list(_images(small.range_layout(), found, False))
+        high_ranges = np.zeros_like(low_ranges)
+        hierarchy.build_ranges(rectangle.high, small, *scale, high_ranges, threads)
+        low_ranges[:, 1] = high_ranges[:, 1]  # now the ranges of the surface between both
+    images = list(_images(small.range_layout(), low_ranges, False))
     for tile in tiles:
         area = rectangle.samples_of(tile)
+        # Ranges are those of a lattice of every other sample.
         ranges[tile.number] = np.concatenate([_pages(image, area, shift + 1) for image, shift in images])
 
 
@@ -106,9 +107,9 @@ def _images(
     """
     base, pages = layout
     for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):
-        wide, rest = int(pages[group]), values.shape[1:]
-        image = values[base[group] : base[group + 1]].reshape(-1, wide, 8, 8, 4, 4, *rest)
-        rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * wide, *rest)
+        pages_in_row, rest = int(pages[group]), values.shape[1:]
+        image = values[base[group] : base[group + 1]].reshape(-1, pages_in_row, 8, 8, 4, 4, *rest)
+        rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages_in_row, *rest)
         yield rows, 2 * group if group < GROUPS else 0
 
 
@@ -120,7 +121,7 @@ def _pages(image: np.ndarray, area: tuple[slice, slice], shift: int) -> np.ndarr
     y, x = (slice(side_range.start >> shift, side_range.stop - 1 >> shift) for side_range in area)
     part, rest = image[y, x], image.shape[2:]
     side = max(len(part), PAGE)
-    full = np.zeros((side, side, *rest), image.dtype)
+    full = np.zeros((side, side, *rest), image.dtype)  # a coarse group has less than a page
     full[: len(part), : len(part)] = part
     full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)
     return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)

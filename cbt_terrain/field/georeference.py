@@ -211,19 +211,19 @@ def from_transform(
             "these are degrees, give the extent in metres."
         )
     along, down = length((a * metres_x, d * metres_y)), length((b * metres_x, e * metres_y))
-    place = partial(Georeference, middle=(x, y), crs=crs, size_warnings=tuple(size_warnings))
-    if a == e == 0.0:
-        place = partial(place, across=(abs(b), 0.0), up=(0.0, abs(d)))
-        return place(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True)
+    georeference = partial(Georeference, middle=(x, y), crs=crs, size_warnings=tuple(size_warnings))
+    if a == e == 0.0:  # rows run along y
+        georeference = partial(georeference, across=(abs(b), 0.0), up=(0.0, abs(d)))
+        return georeference(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True)
     if b == d == 0.0:
-        place = partial(place, across=(abs(a), 0.0), up=(0.0, abs(e)))
-        return place(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0)
+        georeference = partial(georeference, across=(abs(a), 0.0), up=(0.0, abs(e)))
+        return georeference(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0)
     # A counterclockwise turn from rows to columns means that the first row is south.
     rotation = math.degrees(math.atan2(d * metres_y, a * metres_x))
     warning = _rotation_warning(rotation, crs, bool(degrees))
     is_south = a * e > b * d
-    place = partial(place, across=(a, d), up=(b, e) if is_south else (-b, -e))
-    return place(along, down, first_row_south=is_south, rotation_deg=rotation, warnings=(warning,))
+    georeference = partial(georeference, across=(a, d), up=(b, e) if is_south else (-b, -e))
+    return georeference(along, down, first_row_south=is_south, rotation_deg=rotation, warnings=(warning,))
 
 
 def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:

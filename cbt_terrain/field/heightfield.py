@@ -207,7 +207,7 @@ class HeightField:
 
     @cached_property
     def packed_detail(self) -> "PackedLayers | None":
-        """Return the displacement below the samples as kernels read it; None without one."""
+        """Return the displacement as kernels read it; None without one."""
         return pack_layers(self.detail, self.finest_edge, self.lattice) if self.detail else None
 
     @property
@@ -284,8 +284,8 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     with caching:
         surface = surfaces.pop(wanted, None)
         if surface is None:
-            more = highest(bound_terms(detail, plain.finest_edge, plain.lattice))
-            low, high = plain.min_height - more, plain.max_height + more
+            reach = highest(bound_terms(detail, plain.finest_edge, plain.lattice))
+            low, high = plain.min_height - reach, plain.max_height + reach
             surface = replace(plain, surface=wanted, min_height=low, max_height=high)
             surfaces.setdefault(plain.surface, plain)
         surfaces[wanted] = surface

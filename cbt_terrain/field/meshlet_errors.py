@@ -52,7 +52,7 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
     Each pass gives a diamond the largest error of its children, which keeps parents above children. Curvatures of a
     bicubic surface may follow the errors (bicubic.py). table: float32 [groups, 256] metres.
     """
-    bicubic, cells = len(errors) > lattice.node_count, lattice.groups
+    has_curvatures = len(errors) > lattice.node_count
     out = flat(errors, wp.uint8)
     for step in range(2 * meshlet):
         for depth in range(1, lattice.cell_depth):  # from coarse to fine: a child is read before it changes
@@ -64,8 +64,8 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
         # every other pass moves cells by two bisections. Curvatures halve with each bisection.
         if step % 2 == 0:
             _raise_cells(lattice, errors, table, threads)
-        elif bicubic:
-            for group, part in list(enumerate(codes.parts(lattice, len(errors))))[cells:]:
+        elif has_curvatures:
+            for group, part in list(enumerate(codes.parts(lattice, len(errors))))[lattice.groups :]:
                 codes.translate(errors[part], codes.translation(table[group], table[group], 0.5), errors[part])
 
 
@@ -77,19 +77,19 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
     table: errors of the codes, metres, by group.
     """
     source, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
-    parts, row = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE
-    rows, band = errors[parts[source]].reshape(-1, row), max(1, BAND // row)
-    before = np.empty((0, row), np.uint8)  # the old codes of the row of pages south of a band
+    parts, row_size = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE
+    rows, band = errors[parts[source]].reshape(-1, row_size), max(1, BAND // row_size)
+    before = np.empty((0, row_size), np.uint8)  # the old codes of the row of pages south of a band
     for first in range(0, len(rows), band):
-        old = np.concatenate([before, rows[first : first + band + 1]])
+        old_codes = np.concatenate([before, rows[first : first + band + 1]])
         old_cells = stored_at(lattice, lattice.cell_depth)
-        old_cells.base = -(first - len(before)) * row
-        before = old[len(before) :][band - 1 : band]
+        old_cells.base = -(first - len(before)) * row_size  # entry of `old_codes` for the image's first row
+        before = old_codes[len(before) :][band - 1 : band]
         for group in range(lattice.groups, source + 1):
             cells = stored_at(lattice, lattice.cell_depth)
             cells.base = parts[group].start
             translated = codes.translation(table[source], table[group], factor)
-            inputs = [old_cells, flat(old, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
+            inputs = [old_cells, flat(old_codes, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
             from_row, end = first * PAGE, min((first + band) * PAGE, cells.rows)
             launch.spread(
                 kernels.raise_cells,

@@ -125,10 +125,10 @@ def find_moved(path: str, new: Path) -> str:
     name of a store, so of several that exist the last one is meant.
     """
     parts = path.replace("\\", "/").split("/")
-    pairs = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
-    if not pairs or {"", ".", ".."} & set(parts[pairs[-1] :]):
+    entry_indices = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
+    if not entry_indices or {"", ".", ".."} & set(parts[entry_indices[-1] :]):
         return ""
-    name, rest = parts[pairs[-1]], parts[pairs[-1] + 1 :]
+    name, rest = parts[entry_indices[-1]], parts[entry_indices[-1] + 1 :]
     ending, moved = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
     for store in names_of(name.removesuffix(ending)):
         if not (new / store).exists():

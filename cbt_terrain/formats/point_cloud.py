@@ -121,11 +121,10 @@ def _header(path: Path) -> tuple[object, float]:
                 continue
         if type(record).__name__ == "GeoKeyDirectoryVlr":
             keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
-    codes = [keys.get(name, 0) for name in (PROJECTED_KEY, VERTICAL_KEY)]
-    codes[0] = codes[0] or keys.get(GEOGRAPHIC_KEY, 0)
-    usable = [code for code in codes if 0 < code < USER_DEFINED]
+    horizontal, vertical = keys.get(PROJECTED_KEY, 0) or keys.get(GEOGRAPHIC_KEY, 0), keys.get(VERTICAL_KEY, 0)
+    usable = [code for code in (horizontal, vertical) if 0 < code < USER_DEFINED]
     try:
-        crs = CRS.from_user_input("EPSG:" + "+".join(map(str, usable))) if codes[0] in usable else None
+        crs = CRS.from_user_input("EPSG:" + "+".join(map(str, usable))) if horizontal in usable else None
     except CRSError:
         crs = None
     return crs, abs(float(header.scales[2]))

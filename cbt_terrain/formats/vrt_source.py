@@ -224,7 +224,7 @@ class _Reader:
             self.ignored -= 1
             return
         text = "".join(self.pieces).strip()
-        if name in ALLOWED and name not in TEXTS and name != "SourceFilename":
+        if name in ALLOWED and name not in TEXTS and name != "SourceFilename":  # it holds elements alone
             if text:
                 self._refuse(f"the text {shown(text, 40)!r} in <{name}>")
         elif name != "SourceFilename":

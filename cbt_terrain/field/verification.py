@@ -43,14 +43,14 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     if finer is not None:
         derived[f"{finer_tiles.PYRAMID}.npy"] = (finer.pyramid_size(field.lattice),), np.float32
         shapes_of_tiles = finer_tiles.bicubic_shapes(field.lattice, finer.bits, len(finer.heights))
-        derived |= {f"{name}.npy": like for name, like in shapes_of_tiles.items()}
+        derived |= {f"{name}.npy": shape_and_dtype for name, shape_and_dtype in shapes_of_tiles.items()}
     shapes = samples_by_level(field.lattice)
     for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
         derived[file.name] = _shape_of(file, shapes), np.float32
     masks = {"masks": field.samples.shape, "mask_maxima": (int(mask_levels(field.lattice)[-1]),)}
     for prefix, shape in masks.items():
         for file in sorted(file for file in folder.glob(f"{prefix}_*.npy") if is_array_file(file)):
-            count = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))
+            count = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))  # masks of the set
             derived[file.name] = (count, *shape), np.uint8
     for name, (shape, dtype) in derived.items():
         if os.path.lexists(folder / name):

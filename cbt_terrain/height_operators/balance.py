@@ -50,12 +50,13 @@ def balance_mass(
         gain = gain - fraction * available
         deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
     deposited, eroded_before = deposited[unpadded], eroded
+    # Remove what is left of a gain by more erosion, and of a loss by less.
     if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
         for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
             available = np.pad(available, padding)
             fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, gathered))
-            more = np.float32(sign) * _interpolate(fraction, available.shape, gathered) * available
-            eroded = eroded + more[unpadded]
+            added = np.float32(sign) * _interpolate(fraction, available.shape, gathered) * available
+            eroded = eroded + added[unpadded]
     # Of a whole raster, deposits far away make up for the rest: nothing was near enough, or the coarser level's sum was
     # not exactly 0.
     if all(ground.rims):

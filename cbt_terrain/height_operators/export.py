@@ -40,9 +40,9 @@ def export_raster(
 ) -> list[Path]:
     """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
-    names: which to write, HEIGHTS and names of layers; None for all. step: metres between samples, 0 for those of
-    the raster. on_progress(fraction) is called repeatedly;
-    an exception from it stops the export, and the file that it writes is not left; complete files stay.
+    names: which to write, HEIGHTS and names of layers; None for all. step: metres between samples, 0 for those of the
+    raster. on_progress(fraction) is called repeatedly; an exception from it stops the export, and removes the file that
+    is being written; complete files stay.
     """
     file = check_export(file)
     field = open_store(store)
@@ -198,6 +198,7 @@ def _convert_to_tiffs(paths: Iterable[Path], shapes: Iterable[RasterShape]) -> N
     shapes: size and georeference of each. Raises TerrainError.
     """
     raws = [{"path": str(path.absolute()), "shape": asdict(shape)} for path, shape in zip(paths, shapes, strict=True)]
+    # The "store" is only named in errors.
     ask(MODULE, {"store": raws[0]["path"], "raws": raws}, "the rows of GeoTIFF files")
 
 
@@ -316,5 +317,5 @@ def _georeference(field: HeightField, store: str, axes: tuple[GridAxis, GridAxis
             step_x, step_y = step_x / metres_x, step_y / metres_y
     west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y  # of the raster's pixels
     across, down = (axis.num * cell / axis.den for axis, cell in zip(axes, (step_x, step_y), strict=True))
-    west, north = west + (step_x - across) / 2, north - (step_y - down) / 2
+    west, north = west + (step_x - across) / 2, north - (step_y - down) / 2  # the first pixel keeps its centre
     return Affine(across, 0.0, west, 0.0, -down, north), crs

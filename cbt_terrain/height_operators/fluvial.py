@@ -267,7 +267,7 @@ def _segments(lake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     samples = np.flatnonzero(lake).astype(np.int32)
     last = np.diff(samples, append=np.int32(2**31 - 1)) > GAP + 1
-    first = np.roll(last, 1)
+    first = np.roll(last, 1)  # the sample after a last one, and the very first
     return samples[first], samples[last]
 
 

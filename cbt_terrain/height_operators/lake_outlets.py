@@ -31,9 +31,11 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     if not wet.any():
         return
     surface = floor + coarser.state[LAKE][coarse]
+    # Directions of receivers (`neighbour`), and drainage areas in samples of this level.
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
     flow = coarser.layers["flow"][coarse] / np.float32(ground.step_x * ground.step_y)
     path_level, max_ground = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
+    # y, x: coarse row and column at the end of each path so far.
     heights, y, x = bed.heights.reshape(bed.shape), *_find_outlets(surface, wet, to, flow)
 
     def lower_path(half: int, after: Positions) -> None:
@@ -60,7 +62,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         lower_path(half=1, after=below)
         breach_dams(below)
         y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)  # a path ends where there is no receiver
-    is_cut = np.zeros(bed.shape, bool)
+    is_cut = np.zeros(bed.shape, bool)  # samples where a tile is cut out of the level
     for side, border in zip(sides(bed.shape), ground.rims, strict=True):
         is_cut[side] |= not border
     unchanged = is_cut | bed.fixed.reshape(bed.shape)

@@ -121,9 +121,8 @@ class LevelRun:
         for tile in tiles:
             coarse_weight[level.window(tile, BAND, BAND)] -= level.weights(tile)
         names = {layer.name for number in self.numbers for layer in self.shaping.entries[number].declaration.layers}
-        land.layers |= {
-            name: land.layers[name] * coarse_weight for name in names
-        }  # copies, since changes may share the arrays
+        # Copies, since changes may share the arrays.
+        land.layers |= {name: land.layers[name] * coarse_weight for name in names}
         for total in (land.total, *(array for change in changes for array in change)):
             total *= coarse_weight
         for tile in tiles:

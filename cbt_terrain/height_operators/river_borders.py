@@ -140,6 +140,7 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
         np.add.at(load, fine, sign * coarse.load[origins])
 
     y, x = _receivers(coarse)
+    # Water enters from a sample outside to its receiver inside; from a lake only to a larger drainage area.
     enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
     enters &= ~coarse.wet | (coarse.flow[y, x] > coarse.flow)
     add_inflow(enters, y, x)
@@ -148,7 +149,8 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     grows = coarse.flow[y, x] > coarse.flow
     y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
     entry = _entries(coarse, y, x)
-    comes_in, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])  # back: where a sample's receiver enters
+    # Whether each sample's water is in the tile, now or later, and where that of its receiver enters.
+    comes_in, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])
     add_inflow(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
     ring = _ring(coarse, ground, comes_in)
     # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.

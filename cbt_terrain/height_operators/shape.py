@@ -171,10 +171,10 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
 
     state: of that level, None if no level was computed. early: whether shaping was finished before the finest level.
     """
-    levels, shape_ = shaping.plan.levels, (shaping.heights.lattice.height, shaping.heights.lattice.width)
+    levels, raster_shape = shaping.plan.levels, (shaping.heights.lattice.height, shaping.heights.lattice.width)
     depths, counts = shaping.depths, [level.tile_count for level in levels]
     if state is None:
-        zeros = np.zeros(shape_, np.float32)
+        zeros = np.zeros(raster_shape, np.float32)
         return Shaped(zeros, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
     left_max, left_mean_square = _left_out(shaping, state)
     # After an early finish the change is added without spikes at cliffs. A coarse level that was requested as the

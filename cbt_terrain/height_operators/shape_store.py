@@ -94,10 +94,12 @@ def run_shape(
             on_progress=lambda fraction, message: on_progress(SHAPING * fraction, message),
             finish=finish,
         )
-        end = SHAPING + (1.0 - SHAPING) * raster_part(heights)
-        field = _build(heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (end - SHAPING) * f, BUILDING))
+        built = SHAPING + (1.0 - SHAPING) * raster_part(heights)  # progress when only finer tiles are left
+        field = _build(
+            heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (built - SHAPING) * f, BUILDING)
+        )
         field = with_shaped_tiles(
-            field, heights, threads, draft.allocate, lambda f: on_progress(end + (1.0 - end) * f, FINER), cache
+            field, heights, threads, draft.allocate, lambda f: on_progress(built + (1.0 - built) * f, FINER), cache
         )
         layers = _write_layers(heights, shaped, draft)
         field = field.with_raster(

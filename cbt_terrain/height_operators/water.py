@@ -43,6 +43,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     area = drainage.areas(filled)
     drainage.level_lakes(filled, area)
     ground.progress(0.8)
+    # normal: depth of a uniform flow, as hydraulics calls it.
     normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
     rain = _rain(ground, values)
     rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)

@@ -118,7 +118,8 @@ def water_surface(
     lines, line_numbers = _number_items(sides, 4 * heights.size)
     start, towards = np.divmod(lines, 4)
     width = heights.shape[1]
-    ends = np.stack([start, start + np.array([1, width, width + 1, width - 1])[towards]], axis=-1)
+    strides = np.array([1, width, width + 1, width - 1])  # from a sample to the next, EAST to NORTH_WEST
+    ends = np.stack([start, start + strides[towards]], axis=-1)
     surface = Surface(positions, numbers[corners], line_numbers[sides], numbers[ends], attributes)
     depths = signed_depth.ravel()[used]
     surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)
@@ -149,9 +150,10 @@ def _extend_to_shore(
     # The shallow border of a lake belongs to it, so that its shore is where the ground comes out of the water.
     wet = wet | (is_shore & (depth > 0.0) & (ground < level) & (abs(surface - level) < SAME))
     is_shore, level, mean_depth = _shore(surface, depth, wet)
-    # A wider border ends between samples. A river that is higher than its banks ends half-way.
-    flat = surface >= level - min_depth
-    below = np.where(level < ground, ground - level, np.where(flat, level - ground, mean_depth))
+    # The depth that is taken off at the shore: down to the water's level; on ground below that, a shallow border ends
+    # between samples, and a river that is higher than its banks half-way.
+    is_shallow = surface >= level - min_depth
+    below = np.where(level < ground, ground - level, np.where(is_shallow, level - ground, mean_depth))
     signed = np.where(wet, depth, np.where(is_shore, -below, 0.0))
     return signed, np.where(wet, surface, ground + signed), wet
 

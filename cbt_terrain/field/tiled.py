@@ -83,12 +83,12 @@ class Tiled:
         finest: metres of the shortest edges of meshes.
         """
         net, texel = self._net(finest)
-        a, per_metre = self.amplitude, 1.0 / texel  # a net's bounds are for pixels a metre apart
+        # Factors of heights and of slopes: a net has pixels a metre apart.
+        a, per = self.amplitude, 1.0 / texel
         splits = tuple(
-            Split(a * s.far, a * s.curvature * per_metre * per_metre, a * s.steep * per_metre, a * s.highest)
-            for s in net.splits
+            Split(a * s.far, a * s.curvature * per * per, a * s.steep * per, a * s.highest) for s in net.splits
         )
-        return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per_metre, 2 * texel, splits)]
+        return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per, 2 * texel, splits)]
 
     def packed(self, finest: float) -> "tuple[kernels.PackedDetail, np.ndarray]":
         """Return the detail as kernels read it, and its control heights for the amplitude 1, float32 [rows, columns].

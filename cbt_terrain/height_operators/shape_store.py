@@ -95,9 +95,12 @@ def run_shape(
             finish=finish,
         )
         built = SHAPING + (1.0 - SHAPING) * raster_part(heights)  # progress when only finer tiles are left
-        field = _build(
-            heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (built - SHAPING) * f, BUILDING)
-        )
+
+        def on_build(fraction: float) -> None:
+            """Report the progress of measuring the raster's errors."""
+            on_progress(SHAPING + (built - SHAPING) * fraction, BUILDING)
+
+        field = _build(heights, shaped, draft, threads, on_build)
         field = with_shaped_tiles(
             field, heights, threads, draft.allocate, lambda f: on_progress(built + (1.0 - built) * f, FINER), cache
         )

@@ -160,7 +160,8 @@ class _MapGround:
 def _image(ground: _MapGround, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:
     """Return the image of an attribute for a tile of `side` x `side` texels, with its content key.
 
-    The key changes with everything that the pixels depend on: parameters, versions, heights, tiling and coding.
+    The key changes with everything that the pixels depend on: parameters, versions, heights, tiling and coding. form:
+    PNG or EXR.
     """
     coding = coding_of(ATTRIBUTES[request.name], form)
     steps, finer = plan([request]).steps, ground.finer_level(tile, side)

@@ -47,6 +47,7 @@ def _halve(image: np.ndarray) -> np.ndarray:
     means = np.empty(((rows + 1) // 2, (columns + 1) // 2, channels), np.float32)
 
     def fill(first: int, end: int) -> None:
+        """Compute the rows `first` to `end` (exclusive) of the means."""
         part = image[2 * first : 2 * end]
         if len(part) % 2 or columns % 2:
             part = np.pad(part, ((0, len(part) % 2), (0, columns % 2), (0, 0)), "edge")

@@ -127,7 +127,10 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
 
 
 def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count: int) -> Pyramid:
-    """Return the levels of `count` tiles as a pyramid; only the fields that `jet_of` and `tile_jet` read are set."""
+    """Return the levels of `count` tiles as a pyramid; only the fields that `jet_of` and `tile_jet` read are set.
+
+    coarser: levels above the tiles' own heights, float32, one after another.
+    """
     sides, levels = pyramid_sides(tiles.bits), Pyramid()
     levels.samples = codes.pack_samples(tiles.heights.reshape(-1, STRIDE), None)
     levels.coarser = flat(coarser, wp.float32)

@@ -98,19 +98,10 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
         raise_to(_largest(lattice, window))
         _encode(lattice, window, tile, codes.tables(exponents), out, threads)
         if len(window.depths) > TILE_DEPTHS:
+            whole = _layout_from(lattice, TILE_DEPTHS, first)
             for values, target in ((window.errors, errors), (window.off, off)):
-                whole = _layout_from(lattice, TILE_DEPTHS, first)
-                _rows(
-                    kernels.keep_rows,
-                    lattice,
-                    window,
-                    tile,
-                    TILE_DEPTHS,
-                    whole,
-                    [values],
-                    [flat(target, wp.float32)],
-                    threads,
-                )
+                more = [flat(target, wp.float32)]
+                _rows(kernels.keep_rows, lattice, window, tile, TILE_DEPTHS, whole, [values], more, threads)
         del window  # before the next one takes its memory
     for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
         below, above = _layout_from(lattice, bisections - 1, first), _layout_from(lattice, bisections, first)
@@ -245,12 +236,13 @@ def _rows(
     reads. more: its other arguments, the written array last.
     """
     side, part = bisections // 2, window.depths[bisections]
-    ends = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
-    first = [(low - begin) >> side for (low, _), (begin, _) in zip(tile, window.box, strict=True)]
-    counts = [
-        (count + part.sides if high == cells else (high - begin) >> side) - start
-        for (_, high), (begin, _), (cells, count), start in zip(tile, window.box, ends, first, strict=True)
-    ]
+    axes = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
+    first, counts = [], []
+    for (low, high), (window_start, _), (cells, count) in zip(tile, window.box, axes, strict=True):
+        is_last_tile = high == cells
+        end = count + part.sides if is_last_tile else (high - window_start) >> side
+        first.append((low - window_start) >> side)
+        counts.append(end - first[-1])
     inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections)]
     inputs += [*(flat(array, wp.float32) for array in values), *more]
     launch_step(kernel, counts[1], inputs, threads, 2.0 * counts[0])

@@ -89,10 +89,10 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 
 
 def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
-    """Return the exponents, raised so that no coarser group has a smaller one, and that errors of cells reach further.
+    """Return the exponents, raised so that no coarser group has a smaller one, and cells at least the curvatures' - 1.
 
-    The latter are at least half of the curvatures, if there are any: an exponent smaller by 1. exponents: each group's
-    own, in the order of `parts`.
+    Errors of cells are at least half of their curvatures, if there are any. exponents: each group's own, in the order
+    of `parts`.
     """
     exponents, cells = list(exponents), lattice.groups
     finer = exponents[cells + 1] - 1 if len(exponents) > cells + 1 else MIN_EXPONENT

@@ -131,7 +131,7 @@ def bicubic_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray,
 
 
 def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the four samples on which a height depends along an axis, and their weights: int64 and float64 [4, at].
+    """Return the four samples on which a height depends along an axis, and their weights: int64 and float64 [4, n].
 
     at: finer columns or rows. cells: raster cells along the axis. Beyond the border h(-1) = 2 h(0) - h(1).
     """

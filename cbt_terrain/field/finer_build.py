@@ -122,7 +122,10 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
 
 
 def corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
-    """Yield the first tile of each square of BLOCK x BLOCK tiles, in a margin of one tile, that meets any tile."""
+    """Yield the first tile of each square of BLOCK x BLOCK tiles, in a margin of one tile, that meets any tile.
+
+    numbers: `FinerTiles.numbers`.
+    """
     rows, columns = numbers.shape
     first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
     for row, column in product(range(first_row, rows, BLOCK), range(first_column, columns, BLOCK)):

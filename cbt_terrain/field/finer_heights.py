@@ -60,7 +60,8 @@ class FinerRecords:
 def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the heights of the raster's bilinear surface at finer columns x and rows y, both rising, float64 [y, x].
 
-    Outside of the raster they are those at its border. bits: a raster cell has 2^bits finer cells a side.
+    Outside of the raster they are those at its border. plain: the raster. bits: a cell of it has 2^bits finer cells a
+    side.
     """
     lattice, sides = plain.lattice, []
     for positions, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
@@ -75,7 +76,10 @@ def raster_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray, 
 
 
 def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
-    """Return the raster's samples around the first to the last finer column and row, float32 metres."""
+    """Return the raster's samples around a rectangle of finer samples, float32 [rows, columns] metres.
+
+    x, y: first and last finer column, and row. bits: a raster cell has 2^bits finer cells a side.
+    """
     lattice, ranges = plain.lattice, []
     for ends, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
         first, last = (min(min(max(end, 0), cells << bits) >> bits, cells - 1) for end in ends)
@@ -189,7 +193,10 @@ def _is_filled(
     inner_heights: Callable[[Tile], np.ndarray],
     records: FinerRecords,
 ) -> bool:
-    """Return whether a window has its heights, of this computation or copied from an earlier store."""
+    """Return whether a window has its heights, of this computation or copied from an earlier store.
+
+    tiles: its known ones. inputs: of `_inputs_of_window`. The others are those of `fill_heights`.
+    """
     place = window_of(tiles[0])[::-1]
     for record, arrays in records.find(FILLED, place, inputs):
         if record["inputs"] != inputs:
@@ -230,7 +237,7 @@ def digest_of(arrays: Iterable[np.ndarray], *texts: str) -> str:
 
 
 def _lay(box_heights: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
-    """Write the heights of a box that are not NaN into the samples of a tile."""
+    """Write the heights of a box that are not NaN into the samples of a tile. column, row: the tile's place."""
     x, y = SIDE * column - 1, SIDE * row - 1
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
     y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)

@@ -108,6 +108,7 @@ def _images(
     base, pages = layout
     for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):
         pages_in_row, rest = int(pages[group]), values.shape[1:]
+        # Pages of 8 x 8 tiles of 4 x 4 vertices (lattice.py).
         image = values[base[group] : base[group + 1]].reshape(-1, pages_in_row, 8, 8, 4, 4, *rest)
         rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages_in_row, *rest)
         yield rows, 2 * group if group < GROUPS else 0

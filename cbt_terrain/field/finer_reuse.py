@@ -15,7 +15,10 @@ NAMES = {MEASURED: "errors", RANGED: "ranges"}  # of arrays, by the kind of thei
 def inputs_of_tiles(
     plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray
 ) -> dict[tuple[int, int], str]:
-    """Return by row and column of each tile a digest of all that determines its change: its square's part around it."""
+    """Return by row and column of each tile a digest of all that determines its change.
+
+    These are the heights of the tile and its neighbours, the raster's samples below them, and the raster's ends nearby.
+    """
     lattice, digests = plain.lattice, {}
     for row, column in np.argwhere(numbers >= 0).tolist():
         nodes = raster_nodes(plain, bits, *((SIDE * index, SIDE * (index + 1)) for index in (column, row)))
@@ -30,7 +33,10 @@ def inputs_of_tiles(
 
 
 def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float] | None:
-    """Return the limits of a tile's change that an earlier attempt or store has; None without any."""
+    """Return the limits of a tile's change that an earlier attempt or store has; None without any.
+
+    inputs: of `inputs_of_tiles`.
+    """
     for record, arrays in records.find(LIMITED, tile, inputs):
         if record["inputs"] == inputs:
             records.use(LIMITED, tile, record, arrays is not None)
@@ -41,7 +47,7 @@ def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float]
 def is_measured(records: FinerRecords, kind: str, tile: Tile, inputs: str, array: np.ndarray) -> bool:
     """Return whether a tile has its errors or ranges (`array`), of this computation or copied from an earlier store.
 
-    kind: MEASURED or RANGED.
+    kind: MEASURED or RANGED. inputs: digest of all that determines them.
     """
     for record, arrays in records.find(kind, tile, inputs):
         if record["inputs"] != inputs:

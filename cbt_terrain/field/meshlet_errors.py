@@ -76,19 +76,19 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
     five instead. Rows of pages are changed band by band, from a copy of their old codes. errors: codes of all diamonds.
     table: errors of the codes, metres, by group.
     """
-    source, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
+    read_group, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
     parts, row_size = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE
-    rows, band = errors[parts[source]].reshape(-1, row_size), max(1, BAND // row_size)
+    rows, band = errors[parts[read_group]].reshape(-1, row_size), max(1, BAND // row_size)
     before = np.empty((0, row_size), np.uint8)  # the old codes of the row of pages south of a band
     for first in range(0, len(rows), band):
         old_codes = np.concatenate([before, rows[first : first + band + 1]])
         old_cells = stored_at(lattice, lattice.cell_depth)
         old_cells.base = -(first - len(before)) * row_size  # entry of `old_codes` for the image's first row
         before = old_codes[len(before) :][band - 1 : band]
-        for group in range(lattice.groups, source + 1):
+        for group in range(lattice.groups, read_group + 1):
             cells = stored_at(lattice, lattice.cell_depth)
             cells.base = parts[group].start
-            translated = codes.translation(table[source], table[group], factor)
+            translated = codes.translation(table[read_group], table[group], factor)
             inputs = [old_cells, flat(old_codes, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
             from_row, end = first * PAGE, min((first + band) * PAGE, cells.rows)
             launch.spread(

@@ -127,7 +127,7 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     bounds = [_bounds(net.astype(np.float64)) for net in heights]
     nets = []
     for k, values in enumerate(heights):
-        splits, far = [], 0.0
+        splits, far = [], 0.0  # with each coarser net's surface as the smooth part; far: range of the rest
         for j in range(k, len(heights)):
             side = 2.0 ** (j - k)
             curvature, steep, highest = bounds[j]

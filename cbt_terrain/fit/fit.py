@@ -162,7 +162,7 @@ def _fit_within(
     if not plain_m > error_m:
         return None
     # Steps up to `low` are too fine: a fit gains MAX_GAIN at most, and step 0 is the request. Steps from `high` on are
-    # no better than interpolation, or a finer one than theirs was found.
+    # no better than interpolation, or than `best`.
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     best = None

@@ -137,10 +137,10 @@ class Fitter:
                 if not beyond.any():
                     return self._bounded_mesh(surface, buffers, error_m, rounds)
             sweeps.link(surface)
-            # The first mesh is not measured: the sweeps do that.
+            # The first mesh is not measured: the sweeps do that, also for many triangles that are beyond.
             if rounds > 1 and beyond.sum() > FEW * sweeps.triangles:
                 sweeps.mark_unmeasured(beyond)
-            elif rounds > 1:
+            elif rounds > 1:  # a few: split or pin them now; if neither is possible, this mesh is the best
                 counts = sweeps.refine(0.0)
                 if not counts["splits"] and not counts["pins"]:
                     return self._bounded_mesh(surface, buffers, error_m, rounds, counts["deepest"] > 0)
@@ -219,10 +219,10 @@ class Fitter:
     ) -> FittedMesh:
         """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
-        rounds: number of meshes that the fit walked. deepest: a triangle is too coarse at the deepest level.
-        Rounding a plane coordinate moves a facet sideways, and no facet is steeper than the surface but for
-        twice the distance of its corners over the shortest way between them. The bound is rounded up unless it
-        then exceeded one that holds already.
+        buffers: have the measured distances ("fit_worst"). rounds: number of meshes that the fit walked. deepest: a
+        triangle is too coarse at the deepest level. Rounding a plane coordinate moves a facet sideways, and no facet is
+        steeper than the surface but for twice the distance of its corners over the shortest way between them. The bound
+        is rounded up unless it then exceeded one that holds already.
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]

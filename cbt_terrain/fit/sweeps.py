@@ -30,7 +30,10 @@ class Sweeps:
     """
 
     def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers) -> None:
-        """Allocate the counters that sweeps return; `bind` fills the mesh."""
+        """Allocate the counters that sweeps return; `bind` fills the mesh `m`, in arrays of `buffers`.
+
+        fitter: the Fitter of the mesh, for its threads, depth and progress.
+        """
         self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}

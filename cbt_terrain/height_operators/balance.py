@@ -44,7 +44,7 @@ def balance_mass(
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
     unpadded = tuple(slice(start, None) for start, _ in padding)
     deposited, gain, gathered = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
-    for halvings in HALVINGS:
+    for halvings in HALVINGS:  # take gains from the deposits nearby, and give them losses; the rest from farther away
         available, gain = _gather(deposited, halvings), _gather(gain, halvings - gathered)
         fraction, gathered = _fraction(gain, available), halvings
         gain = gain - fraction * available

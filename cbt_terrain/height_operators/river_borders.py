@@ -173,9 +173,9 @@ def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coa
     from ..attributes.routing import route
 
     odd = ground.first[0] % 2, ground.first[1] % 2
-    every, samples_per_m2 = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
-    floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
-    lake, fixed = coarser.state[LAKE][every], bed.fixed.reshape(bed.shape)[every]
+    coarse, samples_per_m2 = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
+    floor = np.ascontiguousarray((ground.heights + coarser.heights)[coarse])
+    lake, fixed = coarser.state[LAKE][coarse], bed.fixed.reshape(bed.shape)[coarse]
     surface, wet = floor + lake, lake > 0.0
     steps = 2 * ground.step_x, 2 * ground.step_y
     ways = (route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor))
@@ -183,7 +183,7 @@ def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coa
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
     flow, load = (
-        (array[every] * samples_per_m2).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD])
+        (array[coarse] * samples_per_m2).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD])
     )
     by_surface, by_floor = ways
     to = np.where(wet, by_floor, by_surface).astype(int)

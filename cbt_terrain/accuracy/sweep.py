@@ -115,8 +115,9 @@ def _measure_setting(
     if not in_pixels:
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     num_views = sum(int(max(1, len(frame.views))) for frame in frames)
-    bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []  # one item for each frame
-    measured: list[Measurement] = []
+    bounds, limited, sizes, runs, spreads = [], set(), [], [], []  # one item for each frame
+    measured: list[Measurement] = []  # one for each view of a frame, as `changes` if another frame follows
+    changes: list[list[Errors]] = []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m

@@ -42,7 +42,7 @@ class DecalPicture:
 
 
 def _halve(image: np.ndarray) -> np.ndarray:
-    """Return the means of 2 x 2 pixels of float32 [rows, columns, channels], whose last row and column count again."""
+    """Return the means of 2 x 2 pixels of float32 [rows, columns, channels]; an odd last row or column counts twice."""
     rows, columns, channels = image.shape
     means = np.empty(((rows + 1) // 2, (columns + 1) // 2, channels), np.float32)
 
@@ -167,6 +167,7 @@ class Decal:
         """
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
         y = places.positions[:, 1].astype(np.float64) - self.corner[1]
+        # Fractions of the way along the picture's lower and left edge.
         u = (x * self.up[1] - y * self.up[0]) / self._area
         v = (y * self.along[0] - x * self.along[1]) / self._area
         which = np.flatnonzero((u >= 0) & (u <= 1) & (v >= 0) & (v <= 1))
@@ -180,9 +181,9 @@ class Decal:
         values = np.zeros((len(which), 4), np.float32)
         for number, mip in enumerate(mips):
             weight = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
-            some = np.flatnonzero(weight)
-            pixel = u[some] * (columns / 2**number) - 0.5, v[some] * (rows / 2**number) - 0.5
-            values[some] += weight[some, None] * _interpolate(mip, *pixel)
+            between = np.flatnonzero(weight)  # points whose scale is near this mipmap's
+            pixel = u[between] * (columns / 2**number) - 0.5, v[between] * (rows / 2**number) - 0.5
+            values[between] += weight[between, None] * _interpolate(mip, *pixel)
         return which, values * np.float32(self.opacity)
 
 

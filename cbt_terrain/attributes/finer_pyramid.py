@@ -60,6 +60,7 @@ def is_finer(raster: HeightRaster, box: Box) -> bool:
         (west, box[::2], lattice.step_x, differs.shape[1]),
     ):
         metres = step * (SIDE >> raster.finer.bits)  # of a tile
+        # Numbers of tiles; -1 before the first, `count` after the last.
         low, high = (int(np.clip(math.floor((end - first) / metres), -1, count)) for end in ends)
         ranges.append(slice(max(low, 0), high + 1))
     return bool(differs[ranges[0], ranges[1]].any())
@@ -185,6 +186,7 @@ def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.n
     heights = np.empty(high - low + 1, np.float32)
     for row in range(low[0] // SIDE, -(-high[0] // SIDE)):
         for column in range(low[1] // SIDE, -(-high[1] // SIDE)):
+            # First and last samples of the tile that are in the window.
             y0, x0 = max(SIDE * row, low[0]), max(SIDE * column, low[1])
             y1, x1 = min(SIDE * (row + 1), high[0]), min(SIDE * (column + 1), high[1])
             number = tiles.numbers[row, column]

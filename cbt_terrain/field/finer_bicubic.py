@@ -60,7 +60,7 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     lattice, bits, numbers, threads = smooth.lattice, finer.bits, finer.numbers, launch.default_threads()
     heights, errors, ranges = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges"))
     steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
-    off = _max_distance(smooth, finer)
+    off = _max_distance(smooth, finer)  # of the surface from the bilinear one between the tiles' heights
     low, high = _fill_heights(smooth, finer, heights)
     bounds = outward(np.array([low, high], np.float32), off)
     low, high = float(bounds[0].min()), float(bounds[1].max())
@@ -133,7 +133,8 @@ def bicubic_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray,
 def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the four samples on which a height depends along an axis, and their weights: int64 and float64 [4, n].
 
-    at: finer columns or rows. cells: raster cells along the axis. Beyond the border h(-1) = 2 h(0) - h(1).
+    The weights are those of cubic convolution (Keys 1981). at: finer columns or rows. cells: raster cells along the
+    axis. Beyond the border h(-1) = 2 h(0) - h(1).
     """
     inside = np.clip(at, 0, cells << bits)
     cell = np.minimum(inside >> bits, cells - 1)
@@ -142,10 +143,10 @@ def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndar
     weights = np.array(
         [-0.5 * t * r * r, 1 - 0.5 * t * t * (5 - 3 * t), 0.5 * t * (1 + t * (4 - 3 * t)), -0.5 * t * t * r]
     )
-    for beyond, line, near, far in ((cell == 0, 0, 1, 2), (cell == cells - 1, 3, 2, 1)):
-        weights[near] += np.where(beyond, 2.0 * weights[line], 0.0)
-        weights[far] -= np.where(beyond, weights[line], 0.0)
-        weights[line] = np.where(beyond, 0.0, weights[line])
+    for beyond, outer, near, far in ((cell == 0, 0, 1, 2), (cell == cells - 1, 3, 2, 1)):
+        weights[near] += np.where(beyond, 2.0 * weights[outer], 0.0)
+        weights[far] -= np.where(beyond, weights[outer], 0.0)
+        weights[outer] = np.where(beyond, 0.0, weights[outer])
     return np.clip(cell + np.arange(-1, 3)[:, None], 0, cells), weights
 
 

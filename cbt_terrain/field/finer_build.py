@@ -171,11 +171,12 @@ def rectangle_around(
         coarse = surface(plain, bits, x + np.arange(SIDE + 1), y + np.arange(SIDE + 1))
         # The rounding of the raster's surface to float32 is no change.
         difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
-        i, j = x - SIDE * column, y - SIDE * row
+        i, j = x - SIDE * column, y - SIDE * row  # the tile's first sample in the rectangle
         area = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
         change[area], low[area] = difference, finer
         if off:
             low[area], high[area] = outward(finer, off)
+    # Repeat the values of the raster's border beyond it.
     for axis, count, first, end in ((1, columns, SIDE * column, last[0]), (0, rows, SIDE * row, last[1])):
         clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
         change, low, high = (np.take(values, clamped, axis) for values in (change, low, high))
@@ -200,7 +201,11 @@ def _measured(
     on_progress: Callable[[float], None],
     records: FinerRecords,
 ) -> FinerTiles:
-    """Return the tiles with the errors and limits of their change. ends: lowest and highest height, metres."""
+    """Return the tiles with the errors and limits of their change, measured where `records` has none.
+
+    numbers, heights: of all tiles (`FinerTiles`). ends: lowest and highest height, metres. Other arguments are those of
+    `with_finer_tiles`.
+    """
     lattice, ratio = plain.lattice, 1.0 / (1 << bits)
     steps = lattice.step_x * ratio, lattice.step_y * ratio
     corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
@@ -235,11 +240,11 @@ def _measured(
     content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
     for array in (numbers, *heights):
         content.update(np.ascontiguousarray(array).data)
-    tables = []
+    stored = []  # the numbers and the limits
     for name, array in (("finer_numbers", numbers), ("finer_limits", limits)):
-        tables.append(allocate(name, array.shape, array.dtype))
-        tables[-1][...] = array
-    return FinerTiles(bits, tables[0], heights, errors, ranges, *scale, exponent, tables[1], content.hexdigest())
+        stored.append(allocate(name, array.shape, array.dtype))
+        stored[-1][...] = array
+    return FinerTiles(bits, stored[0], heights, errors, ranges, *scale, exponent, stored[1], content.hexdigest())
 
 
 def _measure_limits(

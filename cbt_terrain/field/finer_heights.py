@@ -254,7 +254,7 @@ def extend_beyond(tile: np.ndarray, column: int, row: int, last: tuple[int, int]
     heights of the border. last: finer cells of the raster along x and y.
     """
     for lines, first, end in ((tile.T, SIDE * column - 1, last[0]), (tile, SIDE * row - 1, last[1])):
-        if first < 0:
+        if first < 0:  # the tile's first line is before the raster's
             lines[0] = 2.0 * lines[1] - lines[2]
         border = end - first  # index of the raster's last line in the tile
         if 1 <= border < STRIDE - 1:

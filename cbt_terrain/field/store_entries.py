@@ -181,6 +181,7 @@ def check_entries(content: dict) -> None:
         raise ValueError(f"its 'min_height' {low} is above its 'max_height' {high}")
     lattice = fit(**content["lattice"])
     extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
+    # The largest possible error; on the border of a hole it is a length in the plane.
     limit = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
     if len(exponents) != lattice.groups + 1 or max(exponents) > limit:
         raise ValueError(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {limit} at most")

@@ -46,8 +46,8 @@ def make_codes(
     one, metres before scaling.
     """
     per_octave, steps = raised.per_octave, np.arange(255)
-    base = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)
-    values = np.concatenate([[0.0], np.ldexp(base * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
+    first = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)  # of code 1, so that `split` is twice the error
+    values = np.concatenate([[0.0], np.ldexp(first * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
     code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
     diamond_codes = np.empty_like(field.error)
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):

@@ -35,33 +35,35 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
     flow = coarser.layers["flow"][coarse] / np.float32(ground.step_x * ground.step_y)
     path_level, max_ground = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
-    # y, x: coarse row and column at the end of each path so far.
-    heights, y, x = bed.heights.reshape(bed.shape), *_find_outlets(surface, wet, to, flow)
+    heights = bed.heights.reshape(bed.shape)
 
-    def lower_path(half: int, after: Positions) -> None:
-        """Lower the path at the samples y, x (half = 0) or halfway to the next ones (1) to the surface at `after`.
+    def middle(here: Positions, after: Positions) -> Positions:
+        """Return this level's samples halfway between coarse samples, which are neighbours or the same."""
+        j, i = (n + m + s.start for n, m, s in zip(here, after, coarse, strict=True))
+        return j, i
+
+    def lower_path(here: Positions, after: Positions) -> None:
+        """Lower the path halfway between coarse samples to the surface at `after`; `here`: those upstream.
 
         Under lakes it is lowered only where the floor is above that surface.
         """
-        way, is_wet = to[y, x].astype(np.int64), wet[y, x] | wet[after]
-        offsets = way // 3 - 1, way % 3 - 1
-        j, i = (2 * n + s.start + half * step for n, s, step in zip((y, x), coarse, offsets, strict=True))
-        level = surface[after]
-        lowered = ~is_wet | (heights[j, i] > level)
+        (j, i), level = middle(here, after), surface[after]
+        lowered = ~(wet[here] | wet[after]) | (heights[j, i] > level)
         np.minimum.at(path_level, (j[lowered], i[lowered]), level[lowered])
 
-    def breach_dams(after: Positions) -> None:
-        """Limit the ground halfway from the samples y, x to the next ones, `after`, to the higher of both ends."""
-        ends = [tuple(2 * n + s.start for n, s in zip(end, coarse, strict=True)) for end in ((y, x), after)]
-        halfway = tuple((a + b) // 2 for a, b in zip(*ends, strict=True))
-        np.minimum.at(max_ground, halfway, np.maximum(*(heights[end] for end in ends)))
+    def breach_dams(here: Positions, after: Positions) -> None:
+        """Limit the ground halfway between coarse samples to the higher of both ends."""
+        higher_end = np.maximum(heights[middle(here, here)], heights[middle(after, after)])
+        np.minimum.at(max_ground, middle(here, after), higher_end)
 
+    ends = _find_outlets(surface, wet, to, flow)  # of the paths so far, coarse rows and columns
     for _ in range(LENGTH):
-        lower_path(half=0, after=(y, x))
-        below = neighbour(y, x, to[y, x])
-        lower_path(half=1, after=below)
-        breach_dams(below)
-        y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)  # a path ends where there is no receiver
+        lower_path(ends, ends)
+        below = neighbour(*ends, to[ends])
+        lower_path(ends, below)
+        breach_dams(ends, below)
+        y, x = np.unique(np.stack(below)[:, to[ends] != 4], axis=1)  # a path ends where there is no receiver
+        ends = y, x
     is_cut = np.zeros(bed.shape, bool)  # samples where a tile is cut out of the level
     for side, border in zip(sides(bed.shape), ground.rims, strict=True):
         is_cut[side] |= not border

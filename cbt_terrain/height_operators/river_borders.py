@@ -225,8 +225,8 @@ def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple
 def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column of each sample's receiver.
 
-    On the floor of a lake the path to its pit is reversed towards the outlet, which may be outside. Where the drainage
-    area does not grow downstream, the receiver is the neighbour inside with the largest one.
+    On the floor of a lake the path to its pit is reversed towards the outlet, which may be outside. A lake's sample
+    outside whose drainage area does not grow downstream gets the neighbour inside with the largest one instead.
     """
     y, x = np.indices(coarse.to.shape)
     y, x = neighbour(y, x, coarse.to)

@@ -259,7 +259,7 @@ def example(evaluate: Evaluate) -> None:
     heights[4, 4] = 8.0
     values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
     change = evaluate("rivers", heights, step=20.0, **values)
-    wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0
+    wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0  # F over a side, in each of 10 steps
     remaining, highest = 8.0 + change.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
     assert 8.0 / (1.0 + wave) ** 10 - 1e-5 < remaining < highest + 1e-5
     assert abs(change.layers["wear"][4, 4] - (8.0 - remaining)) < 1e-5 and change.layers["flow"][4, 4] == 400.0

@@ -127,10 +127,40 @@ def _evaluate_steps(
     everything but the surface that each step's values depend on; values of the last surface are reused if that is
     unchanged. max_bytes: limit of values and caches together.
     """
-    steps, last, scale = request.plan.steps, values.source, (request.vertical_scale, request.vertical_offset)
-    positions = values.move_to(request.surface.positions)
-    places, fresh = {}, {}  # by family: all points with their levels; indices of those to compute, None for all
-    for family in sorted({step.family for step in steps}):
+    steps, last = request.plan.steps, values.source
+    places, fresh = _place_points(heights, request, values)
+    if not all(ATTRIBUTES[step.name].scaled for step in steps):
+        fresh[ANY_LEVEL] = values.new_points()
+    nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
+    dropped = _choose_dropped(nonzero, len(request.surface.positions), max_bytes)
+    values.forget(dropped)
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - dropped
+    # By name, the points to compute; None, all points, where nothing is reused.
+    to_compute = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
+    to_compute |= dict.fromkeys(to_compute.keys() - reused)
+    results = values.reuse({name: ATTRIBUTES[name].width for name, points in to_compute.items() if points is not None})
+    for step in set(steps) - set(nonzero):
+        results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
+    for group in _group_steps(nonzero, reused):
+        start = time.perf_counter()
+        computed = _complete_group(group, places[group[0].family], to_compute[group[0].name], results, values, dropped)
+        ms = (time.perf_counter() - start) * 1e3 / len(group)
+        ran |= {step.name: Ran(ms, results[step.name].nbytes, computed) for step in group}
+    values.forget_others({*to_compute, *places})
+    return results
+
+
+def _place_points(
+    heights: HeightField, request: EffectRequest, values: EffectValues
+) -> tuple[dict[str, SamplePoints], dict[str, np.ndarray | None]]:
+    """Return the surface's points with their levels by family, and the indices of those that are new to each family.
+
+    Points are new if the last surface lacks them or has them at another level; None for all. `values` moves to this
+    surface.
+    """
+    scale, positions = (request.vertical_scale, request.vertical_offset), values.move_to(request.surface.positions)
+    places, fresh = {}, {}
+    for family in sorted({step.family for step in request.plan.steps}):
         levels, last_levels = values.swap_arrays(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
@@ -139,25 +169,7 @@ def _evaluate_steps(
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
         places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
         fresh[family] = values.find_fresh(levels, last_levels)
-    if not all(ATTRIBUTES[step.name].scaled for step in steps):
-        fresh[ANY_LEVEL] = values.new_points()
-    nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
-    dropped = _choose_dropped(nonzero, len(positions), max_bytes)
-    values.forget(dropped)
-    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - dropped
-    # By name, the points to compute; None, all points, where nothing is reused.
-    which = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
-    which |= dict.fromkeys(which.keys() - reused)
-    results = values.reuse({name: ATTRIBUTES[name].width for name, points in which.items() if points is not None})
-    for step in set(steps) - set(nonzero):
-        results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
-    for group in _group_steps(nonzero, reused):
-        start = time.perf_counter()
-        computed = _complete_group(group, places[group[0].family], which[group[0].name], results, values, dropped)
-        ms = (time.perf_counter() - start) * 1e3 / len(group)
-        ran |= {step.name: Ran(ms, results[step.name].nbytes, computed) for step in group}
-    values.forget_others({*which, *places})
-    return results
+    return places, fresh
 
 
 def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:

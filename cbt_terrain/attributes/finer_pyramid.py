@@ -200,7 +200,7 @@ def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.n
 
 
 def _halve(heights: np.ndarray) -> np.ndarray:
-    """Return the means of every other sample with the weights [1 2 1] x [1 2 1] / 16, float32 [rows, columns].
+    """Return the means around every other sample with the weights [1 2 1] x [1 2 1] / 16, float32 [rows, columns].
 
     They are those of the kernel `halve_level`; beyond the border heights are 2 last - mirrored.
     """

@@ -86,14 +86,8 @@ def fit(
             best = _fit_within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
         elif plain.limited != "max_depth":  # else the deepest leaves are too coarse, which a fit cannot split either
             best = fitter.run(error_m)
-        if best is not None:
-            # More triangles than interpolation needs, or as many for a larger bound.
-            is_worse = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
-            if max_triangles is not None and not is_worse:
-                is_worse = len(fitter.end_at_borders(best).triangles) > triangle_limit
-            if is_worse or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
-                best = None
-        if best is None:
+        max_cut = None if max_triangles is None else triangle_limit
+        if best is None or not _is_better(best, plain, fitter, error_m, max_cut):
             best = fitter.measure_interpolating(plain, error_m)
         surface = fitter.end_at_borders(best)
     on_progress(1.0)
@@ -147,6 +141,19 @@ def check_interpolation(name: str) -> None:
         raise TerrainError(
             f"A {name} surface cannot be fitted", expected="a bilinear one", fix="choose bilinear interpolation"
         )
+
+
+def _is_better(best: FittedMesh, plain: Update, fitter: Fitter, error_m: float, max_cut: int | None) -> bool:
+    """Return whether a fit is used instead of the interpolating mesh `plain`.
+
+    error_m: the requested error, metres. max_cut: limit of triangles after the cut at borders, None for no limit.
+    """
+    assert plain.bound_m is not None  # the criterion has an error in metres
+    if plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m):
+        return False  # more triangles than interpolation, or as many for a larger bound
+    if max_cut is not None and len(fitter.end_at_borders(best).triangles) > max_cut:
+        return False
+    return best.bound_m <= max(plain.bound_m, fitter.within(error_m))
 
 
 def _fit_within(

@@ -262,12 +262,13 @@ class Fitter:
         A fit moves vertices by up to `error_m`, metres, which makes facets steeper.
         """
         lattice = self.field.lattice
-        # In raster cells that are split only the corners of the cells are moved.
+        # In raster cells that are split only the corners of the cells are moved. twist: their largest error, metres.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error.
         divided = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         if self.finer is not None:
             divided = max(divided, 2.0 ** (self.finer.bits + 1))
+        # Two corners may move in opposite directions, at least a cell's side / `divided` apart.
         return self._plane_rounding_error(2.0 * error_m * divided, divided)
 
     def _plane_rounding_error(self, steeper: float, divided: float) -> float:

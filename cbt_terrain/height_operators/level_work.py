@@ -143,8 +143,8 @@ class LevelWork:
     def accumulate(self, entry: Entry, change: Arrays, mask: np.ndarray | None, land: LandWindow) -> np.ndarray:
         """Add an entry's layers to those of the land and return its masked change of heights, float32 metres.
 
-        The caller adds that change to `land.total`; both are 0 in holes. change, mask: in the window of `land`. As
-        little as possible is copied: an array of a fine level takes hundreds of megabytes.
+        The caller adds that change to `land.total`. In holes it is 0, and so are the layers. change, mask: in the
+        window of `land`. As little as possible is copied: an array of a fine level takes hundreds of megabytes.
         """
         missing = None if self.source.missing is None else self.source.missing[land.window]
         result = apply_mask(entry.declaration, unpacked(entry.declaration, change), mask)

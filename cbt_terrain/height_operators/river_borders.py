@@ -127,9 +127,29 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     if all(ground.rims):  # no side is a cut
         return
     coarse = _coarse_samples(bed, ground, coarser)
-    cell_weight, load = np.ones(bed.shape), np.zeros(bed.shape)
+    cell_weight, load, comes_in = _inflow(coarse, bed.shape)
+    ring = _ring(coarse, ground, comes_in)
+    # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.
+    for lake in _lakes(coarse, ring):
+        largest = lake[np.argmax(ring.flow[lake])]
+        j, i = (n[largest] for n in ring.at)
+        ring.flow[lake] = ring.flow[largest]
+        ring.shut[lake] = comes_in[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
+    # A stream that comes back may carry less sediment, and less water where tiles of the coarser level meet.
+    bed.cell_weight, bed.inflow = np.maximum(cell_weight, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
+    _close(bed, ground, coarse, ring)
 
-    def add_inflow(origins: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
+
+def _inflow(coarse: _Coarse, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what flows into a tile over its cuts, float64 of the tile's `shape`, and which coarse samples it is from.
+
+    The first array is the drainage area that each sample stands for, in samples: 1, and that of water that enters
+    there. The second is sediment, metres times samples a year. The last, bool, is whether the water of a coarse sample
+    is inside, or comes in further downstream.
+    """
+    cell_weight, load = np.ones(shape), np.zeros(shape)
+
+    def add(origins: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
         """Add water and sediment that come from some coarser samples to this level's samples.
 
         origins: bool, the coarser samples that they leave. y, x: coarse row and column where those of each sample
@@ -143,25 +163,16 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     # Water enters from a sample outside to its receiver inside; from a lake only to a larger drainage area.
     enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
     enters &= ~coarse.wet | (coarse.flow[y, x] > coarse.flow)
-    add_inflow(enters, y, x)
-    # The water of a river that winds along the cut and comes back is in the tile already. Drainage area grows
-    # downstream; where it does not, the path of a lake's water is unknown.
+    add(enters, y, x)
+    # Drainage area grows downstream; where it does not, the path of a lake's water is unknown and ends.
     grows = coarse.flow[y, x] > coarse.flow
     y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
     entry = _entries(coarse, y, x)
-    # Whether each sample's water is in the tile, now or later, and where that of its receiver enters.
-    comes_in, back = coarse.inside[entry], (entry[0][y, x], entry[1][y, x])
-    add_inflow(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
-    ring = _ring(coarse, ground, comes_in)
-    # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.
-    for lake in _lakes(coarse, ring):
-        largest = lake[np.argmax(ring.flow[lake])]
-        j, i = (n[largest] for n in ring.at)
-        ring.flow[lake] = ring.flow[largest]
-        ring.shut[lake] = comes_in[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
-    # A stream that comes back may carry less sediment, and less water where tiles of the coarser level meet.
-    bed.cell_weight, bed.inflow = np.maximum(cell_weight, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
-    _close(bed, ground, coarse, ring)
+    comes_in = coarse.inside[entry]
+    # The water of a river that winds along the cut, leaves and comes back is in the tile already.
+    back = entry[0][y, x], entry[1][y, x]  # where the water of each sample's receiver is in the tile
+    add(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
+    return cell_weight, load, comes_in
 
 
 def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coarse:

@@ -83,9 +83,8 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     if preview is None or preview.build_ms <= 0.0:
         return None
     # The preview's times are added: it is the coarsest level, where operators take many more steps than at finer ones.
-    slowness = (
-        preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)
-    )  # 1 on one thread of the reference machine
+    # 1 on one thread of the machine on which BUILD_NS was measured.
+    slowness = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)
     building = (lattice.width * lattice.height + _finer_samples(source)) * BUILD_NS
     return add_up(preview.ms) / 1e3 + slowness * (PLANNED_NS * plan.total + building) / 1e9
 

@@ -96,9 +96,8 @@ def measure(
     if sight is not None:
         sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
         sight.states(_part_of_progress(on_progress, 0.4, 0.7))
-        seen_differences, _ = mesh.differences_at(
-            sight.visible_points()
-        )  # the reference's differences from itself are 0
+        # The reference's differences from itself are 0.
+        seen_differences, _ = mesh.differences_at(sight.visible_points())
         screen, hidden = sight.errors(
             np.zeros_like(difference), difference, (np.zeros_like(seen_differences), seen_differences)
         )

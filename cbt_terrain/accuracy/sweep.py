@@ -189,14 +189,14 @@ def _measure_fit(
     It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
     """
     scale, offset = frame.vertical_scale, frame.vertical_offset
-    for part in range(2):
+    for run in range(2):
         fitted = fit(
             heights,
             setting.error,
             vertical_scale=scale,
             vertical_offset=offset,
             threads=threads,
-            on_progress=partial(_report_part, on_part, part, 3),
+            on_progress=partial(_report_part, on_part, run, 3),
         )
         if fitted.ms["total"] > LONG_FIT_MS:
             break

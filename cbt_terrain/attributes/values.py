@@ -154,12 +154,13 @@ def _match_runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     """
     if not len(places) or not len(last):
         return np.empty((0, 3), np.int32)
-    runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
-    arrays = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
-    ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
-    launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
-    if found[1] < len(places):  # found: number of runs, and the first point that is not yet searched
+    runs = np.empty((len(places), 3), np.int32)
+    found = np.zeros(2, np.int32)  # number of runs, and the first point that is not yet searched
+    points = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
+    outputs = [shared(runs, wp.vec3i), flat(found, wp.int32)]
+    launch.once(kernels.match_in_order, [*points, *outputs], step="kept")
+    if found[1] < len(places):
         bits = len(last).bit_length() + 1  # few points share a hash
         table = np.full(1 << bits, -1, np.int32)
-        launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
+        launch.once(kernels.match_anywhere, [*points, bits, flat(table, wp.int32), *outputs], step="kept")
     return runs[: found[0]].copy()

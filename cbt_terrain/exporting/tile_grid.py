@@ -109,5 +109,5 @@ def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     if not count:
         return TileAxis(size, max(1, math.ceil((grid.inside - overlap) / stride)), overlap, grid)
     # The tiles have count * stride + overlap samples together.
-    fitted = GridAxis(grid.samples, grid.step, grid.samples - 1, count * stride + overlap - 1)
+    fitted = GridAxis(grid.samples, grid.step, num=grid.samples - 1, den=count * stride + overlap - 1)
     return TileAxis(size, count, overlap, fitted)

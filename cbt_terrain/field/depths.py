@@ -70,5 +70,5 @@ def usual_depth(field: HeightField) -> int:
     edge = min((part.shortest for part in field.parts), default=0.0) / EDGES_A_WAVE
     if edge:
         longest = 2 * radius_at((lattice.step_x, lattice.step_y), lattice.levels, depth)
-        depth += max(0, math.ceil(2 * math.log2(longest / edge)))
+        depth += max(0, math.ceil(2 * math.log2(longest / edge)))  # two bisections halve an edge
     return min(depth, depth_limit(field))

@@ -48,7 +48,7 @@ class Sweeps:
         Fitter); vertices of `surface` that were in one of them get these.
         """
         triangles, vertices = len(surface.triangles), len(surface.positions)
-        if triangles + triangles // 8 > self.m.room:
+        if triangles + triangles // 8 > self.m.room:  # an eighth is left for splits
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
         self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0
         self.buffers.numpy("fit_corner_verts")[: 3 * triangles] = surface.corner_verts
@@ -107,7 +107,7 @@ class Sweeps:
             counts = self.refine(LOCAL if is_local else 0.0)
             later = counts["later"]
             num_changes = counts["splits"] - later + counts["pins"]  # in this mesh
-            if num_changes <= later:  # the next walk is due
+            if num_changes <= later:  # the next walk is due, or nothing was beyond the bound
                 break
 
     def _sweep(self) -> int:
@@ -131,13 +131,14 @@ class Sweeps:
         inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
         launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)
 
-    def refine(self, local: float) -> dict[str, int]:
+    def refine(self, min_share: float) -> dict[str, int]:
         """Split triangles beyond the bound, or pin them to the surface; return counts by the names below.
 
-        local: LOCAL, or 0 to split all of them.
+        They are splits, pins, splits that wait for the next walk, and triangles too coarse at the deepest level.
+        min_share: part of the largest excess around that a triangle must have: LOCAL, or 0 to split all of them.
         """
-        self.found_np[1:3] = self.triangles, self.vertices
-        inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.found]
+        self.found_np[1:3] = self.triangles, self.vertices  # before the splits; the kernel replaces them
+        inputs = [self.count, self.fitter.depth, wp.float64(min_share), self.m, self.found]
         launch.once(refine_kernels.refine, inputs, step="fit refine", recorded=self.recorded)
         self.count, self.triangles, self.vertices = self.found_np[:3].tolist()
         return dict(zip(("splits", "pins", "later", "deepest"), self.found_np[3:].tolist(), strict=True))

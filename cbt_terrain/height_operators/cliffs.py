@@ -16,8 +16,7 @@ def limit_at_cliffs(
 
     A sample that was above or below these before the operator may stay so by as much. All float32 [rows, columns] m.
     heights: start of the finer level. before, after: heights at its samples without and with the coarser change; of
-    `after` only the coarser level's samples are read.
-    first: row and column of sample [0, 0] in the whole level.
+    `after` only the coarser level's samples are read. first: row and column of sample [0, 0] in the whole level.
     """
     for sign in (np.float32(1.0), np.float32(-1.0)):
         limit = _max_around(sign * after, first) + np.float32(drop)

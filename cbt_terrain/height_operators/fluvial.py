@@ -108,13 +108,13 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
     values: parameters of rivers.py. Return the sediment that reached each sample (at outlets: that has left), float64
     [n], metres times samples; None without deposition.
     """
-    ground, drainage = bed.heights, bed.drain(_noise_of_step(bed, number))
+    before, drainage = bed.heights, bed.drain(_noise_of_step(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
     bed.heights = raised.copy()
     river, filled = _incise(bed, drainage, years, values)
     load = None if filled is None else _deposit(bed, drainage, river, raised, filled, years)
     uplift = np.float32(years) * bed.uplift[bed.border]
-    bed.heights[bed.border] = raised[bed.border] = ground[bed.border] + uplift  # was raised to outlet_level
+    bed.heights[bed.border] = raised[bed.border] = before[bed.border] + uplift  # was raised to outlet_level
     if values["creep"] > 0.0:
         _creep(bed, years, values["creep"], drainage.base, filled)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))

@@ -67,14 +67,14 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     from ...kernels.effects import flow as kernels
 
     field, out = places.field, np.empty(len(places), np.float32)
-    areas = scaled_pyramid(
+    log_areas = scaled_pyramid(
         logarithms(field, places.vertical_scale, places.threads),
         vertical_scale=1.0,
         vertical_offset=0.0,
         threads=places.threads,
     )
-    areas.west, areas.south, _, _ = field.lattice.rectangle()
-    inputs = [areas, float(routed_level(field)), shared(places.positions, wp.vec3f), flat(places.level, wp.float32)]
+    log_areas.west, log_areas.south, _, _ = field.lattice.rectangle()
+    inputs = [log_areas, float(routed_level(field)), shared(places.positions, wp.vec3f), flat(places.level, wp.float32)]
     launch.spread(
         kernels.flow_at, len(places), [*inputs, flat(out, wp.float32)], step="flow", threads=places.threads, cost=3
     )

@@ -126,6 +126,7 @@ def covers_nothing(rule: Rule) -> bool:
         return False
     if rule.of != FLOW:
         return rule.low - rule.high >= rule.edge
+    # An edge of flow is in powers of ten.
     return rule.high <= 0.0 or math.log10(rule.low) - math.log10(rule.high) >= rule.edge
 
 

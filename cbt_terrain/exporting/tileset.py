@@ -113,7 +113,7 @@ def export_tileset(
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
     """Return the levels from the root to the finest; the error doubles from level to level.
 
-    `triangles`: about as many in a tile; the doublings of levels follows from it.
+    `triangles`: about as many in a tile; the number of levels follows from it.
     """
     from ..terrain import Terrain
 

@@ -136,11 +136,11 @@ def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet
     + masks, 64, 2] metres, a `tables` of detail_bounds.py for each. The first one holds the climbs of all layers
     together, at masks of 255; the climbs in the others are not used.
     """
-    steps, cell = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
+    steps, half_cell_depth = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)
     bounds = [tables(first, steps, lattice.levels, meshlet)]
     for parts in others:
-        table = tables(parts, steps, lattice.levels, meshlet, smooth_from=cell)
+        table = tables(parts, steps, lattice.levels, meshlet, smooth_from=half_cell_depth)
         bounds[0][:, 1] += table[:, 1]
         table[:, 0] *= np.float32(1.0 / ALL) * ROUNDING
         bounds.append(table)

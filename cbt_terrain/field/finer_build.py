@@ -64,7 +64,7 @@ def with_finer_tiles(
     """
     _check(plain, bits)
     shape = tile_shape(plain.lattice, bits)
-    known = sorted(set(known), key=lambda tile: (*window_of(tile), tile[1], tile[0]))
+    known = sorted(set(known), key=lambda tile: (*window_of(tile), tile[1], tile[0]))  # `fill_heights` groups them
     for column, row in known:
         if not (0 <= column < shape[1] and 0 <= row < shape[0]):
             what = f"There is no finer tile {column, row}"
@@ -116,7 +116,7 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
     """Return the lowest and the highest height of all tiles, metres; (infinity, -infinity) without tiles."""
     low, high = np.inf, -np.inf
     for tile in heights:
-        inner = tile[1 : SIDE + 2, 1 : SIDE + 2]
+        inner = tile[1 : SIDE + 2, 1 : SIDE + 2]  # without the margin
         low, high = min(low, float(inner.min())), max(high, float(inner.max()))
     return low, high
 

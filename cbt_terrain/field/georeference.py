@@ -120,11 +120,11 @@ def degree_lengths(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> t
     """
     semi_major, inverse_flattening = ellipsoid
     flattening = 1.0 / inverse_flattening if inverse_flattening else 0.0
-    squared = flattening * (2.0 - flattening)
+    eccentricity2 = flattening * (2.0 - flattening)
     sine = math.sin(math.radians(latitude))
-    factor = 1.0 - squared * sine * sine
+    factor = 1.0 - eccentricity2 * sine * sine
     prime_vertical = semi_major / math.sqrt(factor)
-    meridian = semi_major * (1.0 - squared) / factor**1.5
+    meridian = semi_major * (1.0 - eccentricity2) / factor**1.5
     return math.radians(prime_vertical * math.cos(math.radians(latitude))), math.radians(meridian)
 
 

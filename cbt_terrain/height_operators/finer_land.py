@@ -108,7 +108,7 @@ class CachedRecords(FinerRecords):
         self._cache = cache
 
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
-        """Yield the record of a tile that the cache has."""
+        """Yield the record of a tile that the cache has, and a function that returns its array, None for limits."""
         if kind in self.SHAPES:
             found = self._cache.find(kind, _key(kind, inputs), *self.SHAPES[kind])
             if found is not None and kind == LIMITED:

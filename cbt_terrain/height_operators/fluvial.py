@@ -150,6 +150,7 @@ def vary_rock(bed: Bed, variety: float) -> None:
     """Multiply the erodibility by noise, so that rivers are not alike. variety: standard deviation of its logarithm."""
     grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
     position = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
+    # The factor is about exp(2 t), where t is 0.5 * variety times the noise.
     inputs = [grid, *position, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
     rows, columns = bed.shape
     launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)

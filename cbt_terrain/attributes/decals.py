@@ -107,7 +107,7 @@ def _premultiplied(pixels: np.ndarray, tilts: bool) -> np.ndarray:
     alpha = np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
         normals = finite[..., :3] * np.float32(2.0) - np.float32(1.0)
-        finite[..., :2] = -normals[..., :2] / np.maximum(normals[..., 2:], np.float32(0.05))
+        finite[..., :2] = -normals[..., :2] / np.maximum(normals[..., 2:], np.float32(0.05))  # slopes of 20 at most
         finite[..., 2] = 0.0
     finite *= alpha  # all four values: numpy takes twice as long for three of four
     finite[..., 3:] = alpha

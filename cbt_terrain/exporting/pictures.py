@@ -44,7 +44,10 @@ def child_main() -> None:
 
 
 def _answer(request: dict, *_: object) -> dict:
-    """Write the requested pictures as GeoTIFFs in the child process. Raises TerrainError."""
+    """Write the requested pictures as GeoTIFFs in the child process. Raises TerrainError.
+
+    A request has the `crs` and `pictures`: the file of each, the GeoTIFF to write and six numbers of its transform.
+    """
     from rasterio.errors import RasterioError
 
     child.end_with_parent()

@@ -127,7 +127,8 @@ class Sweeps:
 
     def _measure_pushes(self) -> None:
         """Measure the listed triangles, and how far each would push its vertices to err less."""
-        pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
+        work_ns = self.count * self.fitter.ns_each(self.triangles)
+        pieces = min(self.fitter.threads, int(work_ns / 3e5)) or 1  # 0.3 ms each, or more
         inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
         launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)
 

@@ -129,7 +129,7 @@ def open_vrt(path: Path) -> OpenedVrt:
         form = FORMATS[source.suffix.lower()]
         if form.driver == "VRT":
             continue
-        allow_aux_file(source)  # the mosaic gets nothing of it
+        allow_aux_file(source)  # its warnings do not matter: the mosaic gets nothing of that file
         try:
             with open_file(source, form) as opened:
                 roundings |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}

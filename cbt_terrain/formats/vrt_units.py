@@ -110,8 +110,9 @@ def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
         scale.offset if lacks_scale else 0.0,
     )
     elements = ["<UnitType>"] * lacks_unit + ["<Scale>", "<Offset>"] * lacks_scale
-    text = f"<UnitType>{shown(scale.unit)}</UnitType>" if not lacks_scale else " and ".join(elements)
-    start = f"The files of the mosaic give their heights {missing.text}, and the VRT does not: write {text} into it, or"
+    # A unit alone is short enough to show what to write; `missing.text` has the numbers of the others.
+    xml = f"<UnitType>{shown(scale.unit)}</UnitType>" if not lacks_scale else " and ".join(elements)
+    start = f"The files of the mosaic give their heights {missing.text}, and the VRT does not: write {xml} into it, or"
     if scale.metres is None:
         return f"{start} give the metres in one of its values (--height-scale)."
     factor = (scale.metres if lacks_unit else 1.0) * missing.scale

@@ -92,7 +92,7 @@ class LevelRun:
             before, after = (unpacked(entry.declaration, arrays) for arrays in (start, change))
             if entry.declaration.doubts(before, after, level.step_x * level.step_y):
                 self.shaping.plan.doubt(self.numbers[0])
-        delta = change[0] if start is None else change[0] - start[0]
+        delta = change[0] if start is None else change[0] - start[0]  # of heights, the first array
         for tile in range(level.tile_count):
             sums.add(level, tile, delta, mask, level.whole)
         land.total += self.work.accumulate(entry, change, mask, land)

@@ -35,7 +35,7 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
-    """Load the hierarchy from the field's store, or compute it and write it there."""
+    """Return the codes for leaves drawn as 4**meshlet triangles from the field's store, or compute and write them."""
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
 
     def expand(arrays: dict[str, np.ndarray]) -> None:

@@ -51,7 +51,8 @@ def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
     second = x + y > unit  # of the square's two halves
     a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)
     path = second.astype(np.int64)
-    # The halves' coordinates are the same two, in the other order: `order` is -1 where a and b have changed places.
+    # a, b: distances of the point from both legs of its triangle, if these are `unit` long. It is in the second half
+    # where a is smaller than b, or larger if they have changed places, which `order` -1 means.
     order = np.ones(len(x), np.int64)
     for _ in range(depth - 1):
         difference = a - b

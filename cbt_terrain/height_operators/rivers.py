@@ -182,7 +182,7 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
 def _fade(ground: OperatorGround) -> np.ndarray:
     """Return a smooth factor from 0 at the border of the whole to 1 at FADE, float32 [rows, columns]."""
     spacings = ground.step_y, ground.step_x
-    whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
+    whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))  # `whole` may be (0, 0)
     sizes = ground.size or tuple((whole - 1) * spacings)
     fade_width = FADE * min(sizes)
 

@@ -57,8 +57,8 @@ class Drainage:
 
         filled: the lowest surface from which every sample drains, float32 [n] m: that of lakes, elsewhere the ground.
         """
-        count, d = len(self.to), self.packed(filled)  # the arrays to sort are twice as long, which a radix sort needs
-        key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
+        count, d = len(self.to), self.packed(filled)
+        key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)  # twice as long, for the radix sort
         item[:count] = self.order[::-1]  # receivers before donors
         np.take(filled, item[:count], out=key[:count])
         launch.sort_pairs(key, item, count, step="routing")

@@ -174,7 +174,7 @@ def _bounds(net: np.ndarray) -> tuple[float, float, float]:
     # The piece between this pixel and the next has the control heights from one pixel before to two after.
     a, b = _max_around(second[0], (-1, 2), (0, 1)), _max_around(second[1], (0, 1), (-1, 2))
     c = _max_around(mixed, (-1, 1), (-1, 1))
-    curvature = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) * (a - b) + c * c)
+    curvature = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) * (a - b) + c * c)  # eigenvalue of [[a, c], [c, b]]
     east, north = _max_around(along[0], (-1, 2), (-1, 1)), _max_around(along[1], (-1, 1), (-1, 2))
     steep = np.sqrt(east * east + north * north)
     return float(curvature.max()), float(steep.max()), float(np.abs(net).max())

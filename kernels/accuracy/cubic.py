@@ -17,11 +17,11 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
     p0 .. p3: four samples in a row, metres.
     """
     rise = p2 - p1
-    start = wp.float64(0.5) * (p2 - p0)
-    end = wp.float64(0.5) * (p3 - p1)
-    cubic = start + end - wp.float64(2.0) * rise
-    square = wp.float64(3.0) * rise - wp.float64(2.0) * start - end
-    return ((cubic * s + square) * s + start) * s + p1
+    start_slope = wp.float64(0.5) * (p2 - p0)
+    end_slope = wp.float64(0.5) * (p3 - p1)
+    cubic_term = start_slope + end_slope - wp.float64(2.0) * rise
+    square_term = wp.float64(3.0) * rise - wp.float64(2.0) * start_slope - end_slope
+    return ((cubic_term * s + square_term) * s + start_slope) * s + p1
 
 
 @wp.func
@@ -30,15 +30,15 @@ def height_along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
 
     Samples beyond the border are extrapolated linearly.
     """
-    at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
-    p1 = wp.float64(sample_at(samples, at))
-    p2 = wp.float64(sample_at(samples, at + wp.int64(1)))
+    index = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
+    p1 = wp.float64(sample_at(samples, index))
+    p2 = wp.float64(sample_at(samples, index + wp.int64(1)))
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if i > 0:
-        p0 = wp.float64(sample_at(samples, at - wp.int64(1)))
+        p0 = wp.float64(sample_at(samples, index - wp.int64(1)))
     if i < samples.columns - 2:
-        p3 = wp.float64(sample_at(samples, at + wp.int64(2)))
+        p3 = wp.float64(sample_at(samples, index + wp.int64(2)))
     return hermite(p0, p1, p2, p3, s)
 
 
@@ -69,10 +69,10 @@ def height_bounds(samples: Samples, i: wp.int32, j: wp.int32):
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
-    for b in range(wp.max(j - 1, 0), wp.min(j + 2, samples.rows - 1) + 1):
-        for a in range(wp.max(i - 1, 0), wp.min(i + 2, samples.columns - 1) + 1):
-            h = wp.float64(sample_at(samples, wp.int64(b) * wp.int64(samples.columns) + wp.int64(a)))
+    for row in range(wp.max(j - 1, 0), wp.min(j + 2, samples.rows - 1) + 1):
+        for column in range(wp.max(i - 1, 0), wp.min(i + 2, samples.columns - 1) + 1):
+            h = wp.float64(sample_at(samples, wp.int64(row) * wp.int64(samples.columns) + wp.int64(column)))
             low = wp.where(h < low, h, low)
             high = wp.where(h > high, h, high)
-    more = (high - low) * wp.float64(0.28125)
-    return low - more, high + more
+    margin = (high - low) * wp.float64(0.28125)
+    return low - margin, high + margin

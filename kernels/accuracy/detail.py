@@ -37,8 +37,8 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
         # a hash of 2^31 or more stands for a negative number
         if value >= wp.float64(1.0):
             value -= wp.float64(2.0)
-        across = wp.where(i == wp.int64(1), east, wp.float64(1.0) - east)
-        total += value * across * wp.where(j == wp.int64(1), north, wp.float64(1.0) - north)
+        weight_x = wp.where(i == wp.int64(1), east, wp.float64(1.0) - east)
+        total += value * weight_x * wp.where(j == wp.int64(1), north, wp.float64(1.0) - north)
     return total
 
 
@@ -46,7 +46,8 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 def octaves_height(layer: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return the height, metres, of all octaves of a layer's noise at (x, y) metres from the raster's middle.
 
-    Each octave rotates the domain of the one before by the angle of the triangle (3, 4, 5) and doubles its frequency.
+    Each octave rotates the domain of the one before by the angle of the triangle (3, 4, 5), doubles its frequency, and
+    has another shift and seed, so that no lattice shows.
     """
     total = wp.float64(0.0)
     u = x * layer.frequency
@@ -55,9 +56,9 @@ def octaves_height(layer: PackedDetail, x: wp.float64, y: wp.float64) -> wp.floa
         number = wp.float64(k + 1)
         seed = layer.seed + wp.uint32(k) * wp.uint32(-0x61C88647)  # 0x9E3779B9
         total += wp.pow(layer.gain, wp.float64(k)) * noise_at(u + number * SHIFT_X, v + number * SHIFT_Y, seed)
-        turned = wp.float64(2.0) * (wp.float64(0.8) * u - wp.float64(0.6) * v)
+        turned_u = wp.float64(2.0) * (wp.float64(0.8) * u - wp.float64(0.6) * v)
         v = wp.float64(2.0) * (wp.float64(0.6) * u + wp.float64(0.8) * v)
-        u = turned
+        u = turned_u
     return total * layer.amplitude
 
 

@@ -30,15 +30,15 @@ def draw_triangles(
         a = projected[corners[3 * t]]
         b = projected[corners[3 * t + 1]]
         c = projected[corners[3 * t + 2]]
-        low = wp.max(wp.int32(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])) - half)), bottom)
-        high = wp.min(wp.int32(wp.floor(wp.max(a[1], wp.max(b[1], c[1])) - half)), top)
-        left = wp.max(wp.int32(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])) - half)), 0)
-        right = wp.min(wp.int32(wp.floor(wp.max(a[0], wp.max(b[0], c[0])) - half)), width - 1)
+        first_row = wp.max(wp.int32(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])) - half)), bottom)
+        last_row = wp.min(wp.int32(wp.floor(wp.max(a[1], wp.max(b[1], c[1])) - half)), top)
+        first_column = wp.max(wp.int32(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])) - half)), 0)
+        last_column = wp.min(wp.int32(wp.floor(wp.max(a[0], wp.max(b[0], c[0])) - half)), width - 1)
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area == wp.float64(0.0):
-            high = low - 1  # seen from its edge
-        for y in range(low, high + 1):
-            for x in range(left, right + 1):
+            last_row = first_row - 1  # seen from its edge
+        for y in range(first_row, last_row + 1):
+            for x in range(first_column, last_column + 1):
                 px = wp.float64(x) + half
                 py = wp.float64(y) + half
                 # Weights of the corners a, b and c at the pixel's middle; one is negative outside the triangle.

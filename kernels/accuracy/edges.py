@@ -160,9 +160,9 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
     z = wp.float64(position[2])
     by_plane = plane_at(f, u, v) - z  # by the rounding of x and y
     by_height = z - reference_at(ground, u, v)  # by that of z
-    bits = wp.cast(wp.abs(position[2]), wp.int32)
+    float_bits = wp.cast(wp.abs(position[2]), wp.int32)
     # half of the distance to the next float32
-    half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(bits + 1, wp.float32)) - wp.abs(z))
+    half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(float_bits + 1, wp.float32)) - wp.abs(z))
     moved = wp.abs(by_plane + by_height)
     if wp.abs(by_height) > half_ulp * wp.float64(1.001):  # it was off the surface before, as in a fitted mesh
         moved = wp.abs(by_plane) + half_ulp

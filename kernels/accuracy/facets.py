@@ -94,24 +94,24 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
     z = wp.vec3d()
     for k in range(3):
         position = mesh.positions[mesh.corners[3 * t + k]]
-        across, up = to_cells(ground, position)
-        u[k] = across
-        v[k] = up
+        cells_x, cells_y = to_cells(ground, position)
+        u[k] = cells_x
+        v[k] = cells_y
         z[k] = wp.float64(position[2])
-        f.x[k] = to_lattice(across, ground.bits)
-        f.y[k] = to_lattice(up, ground.bits)
+        f.x[k] = to_lattice(cells_x, ground.bits)
+        f.y[k] = to_lattice(cells_y, ground.bits)
     f.west = wp.min(f.x[0], wp.min(f.x[1], f.x[2]))
     f.south = wp.min(f.y[0], wp.min(f.y[1], f.y[2]))
     f.east = wp.max(f.x[0], wp.max(f.x[1], f.x[2]))
     f.north = wp.max(f.y[0], wp.max(f.y[1], f.y[2]))
     f.area2 = (f.x[1] - f.x[0]) * (f.y[2] - f.y[0]) - (f.x[2] - f.x[0]) * (f.y[1] - f.y[0])
-    units = wp.float64(wp.int64(1) << wp.int64(ground.bits))
+    units_a_cell = wp.float64(wp.int64(1) << wp.int64(ground.bits))
     area2 = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
-    if area2 * units * units < wp.float64(0.25) * wp.float64(f.area2):  # rounding has folded it over
+    if area2 * units_a_cell * units_a_cell < wp.float64(0.25) * wp.float64(f.area2):  # rounding has folded it over
         for k in range(3):
-            u[k] = wp.float64(f.x[k]) / units
-            v[k] = wp.float64(f.y[k]) / units
-        area2 = wp.float64(f.area2) / (units * units)
+            u[k] = wp.float64(f.x[k]) / units_a_cell
+            v[k] = wp.float64(f.y[k]) / units_a_cell
+        area2 = wp.float64(f.area2) / (units_a_cell * units_a_cell)
     f.u = u[0]
     f.v = v[0]
     f.z = z[0]
@@ -143,7 +143,7 @@ def finer_height(finer: PackedTiles, tile: wp.int32, u: wp.float64, v: wp.float6
     """Return the height, metres before scaling, of a finer tile at (u, v) finer cells from the raster's corner."""
     x = wp.floor(u)
     y = wp.floor(v)
-    row = tile * STRIDE + 1 + (wp.int32(y) & (SIDE - 1))
+    row = tile * STRIDE + 1 + (wp.int32(y) & (SIDE - 1))  # a row and a column precede those of the tile
     south = sample_index(finer.heights, 1 + (wp.int32(x) & (SIDE - 1)), row)
     north = south + wp.int64(finer.heights.columns)
     one = wp.int64(1)

@@ -57,20 +57,20 @@ def angles(
         for j in range(box[2], box[3] + 1):
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
-                    g = on_sample(ground.samples, i, j)
+                    surface = on_sample(ground.samples, i, j)  # height and slopes, metres a cell
                     if ground.has_finer == 1:
                         finer_i = i << ground.finer[0].bits
                         finer_j = j << ground.finer[0].bits
                         tile = tile_at(ground.finer[0], finer_i, finer_j)
                         if tile >= 0:
                             zero = wp.float64(0.0)
-                            g = finer_at(ground.finer[0], tile, finer_i, finer_j, zero, zero)
-                    truth = wp.vec3d(-g[1] * per_x, -g[2] * per_y, up)
+                            surface = finer_at(ground.finer[0], tile, finer_i, finer_j, zero, zero)
+                    truth = wp.vec3d(-surface[1] * per_x, -surface[2] * per_y, up)
                     if ground.layers.count > 0:
                         x = ground.west + wp.float64(i) * ground.step_x
                         y = ground.south + wp.float64(j) * ground.step_y
-                        d = detail_at(ground.layers, x, y)
-                        truth = truth - wp.vec3d(d[1], d[2], wp.float64(0.0)) * ground.scale
+                        detail = detail_at(ground.layers, x, y)
+                        truth = truth - wp.vec3d(detail[1], detail[2], wp.float64(0.0)) * ground.scale
                     bits = wp.int64(ground.bits)
                     shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)
                     index = sample_index(ground.samples, i, j)

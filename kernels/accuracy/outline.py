@@ -70,9 +70,9 @@ def meets_mesh(
             wp.vec3f(wp.float32(origin[0]), wp.float32(origin[1]), wp.float32(origin[2])),
             wp.vec3f(wp.float32(unit[0]), wp.float32(unit[1]), wp.float32(unit[2])),
         )
-        t = wp.int32(0)
-        while wp.bvh_query_next(query, t):
-            s = through_triangle(mesh, t, origin, along)
+        triangle = wp.int32(0)
+        while wp.bvh_query_next(query, triangle):
+            s = through_triangle(mesh, triangle, origin, along)
             if s >= wp.float64(0.0) and s <= last - first:
                 is_hit = True
                 break

@@ -10,7 +10,7 @@ import warp as wp
 
 from .facets import DeliveredMesh, MeasuredFacet, Reference, covers, facet_of, plane_at, reference_at, shift_of
 
-POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: cross products fit 63 bits
+POINT_BITS = wp.constant(7)  # a point has 23 + 7 bits a side, so that its cross products with edges fit int64
 
 
 @wp.struct

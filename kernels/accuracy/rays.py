@@ -35,7 +35,7 @@ class HeightBlocks:
     tolerance: wp.float64  # metres: a surface that rises above a ray by less than this does not hide
     base: wp.array(dtype=wp.int64)
     width: wp.array(dtype=wp.int32)
-    low: wp.array(dtype=wp.float32)
+    low: wp.array(dtype=wp.float32)  # metres before vertical scaling, like `high`; scaled, either may be the lower one
     high: wp.array(dtype=wp.float32)
 
 
@@ -103,7 +103,7 @@ def in_one_cell(
     per_s = (p[1] - p[0]) * ground.scale
     per_r = (p[2] - p[0]) * ground.scale
     twist = (p[3] - p[1] - p[2] + p[0]) * ground.scale
-    # The ray's height above the surface, t metres after `first`, is a t^2 + b t + c.
+    # The ray's height above the surface at `first` + t is a t^2 + b t + c.
     a = -twist * ray.du * ray.dv
     b = ray.dz - per_s * ray.du - per_r * ray.dv - twist * (s * ray.dv + r * ray.du)
     c = ray.z + first * ray.dz - ((low + (high - low) * r) * ground.scale + ground.offset)

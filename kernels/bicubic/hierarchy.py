@@ -19,17 +19,18 @@ def cover_sides(
 ):
     """Raise the error of cell `offset + tid` to half the largest curvature of the cell and its four neighbours, metres.
 
-    So the error also bounds triangles whose longest edge is a side of the cell. errors, curvatures: by cells.
+    So the error also bounds triangles whose longest edge is a side of the cell. errors: metres. curvatures: bounds of a
+    quarter of the second derivatives, metres, from `patch_errors`. cells: layout of both.
     """
     p = diamond(cells, offset + wp.int64(wp.tid()))
-    at = entry(cells, p[0], p[1])
-    largest = curvatures[at]
+    index = entry(cells, p[0], p[1])
+    largest = curvatures[index]
     for k in range(4):
         step = 2 * (k & 1) - 1
         q = wp.vec2i(p[0] + wp.where(k < 2, step, 0), p[1] + wp.where(k < 2, 0, step))
         if holds(cells, q):
             largest = wp.max(largest, curvatures[entry(cells, q[0], q[1])])
-    errors[at] = wp.max(errors[at], largest * wp.float32(0.5))
+    errors[index] = wp.max(errors[index], largest * wp.float32(0.5))
 
 
 @wp.kernel
@@ -54,11 +55,11 @@ def add_errors(
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):
-        at = entry(coarser, p[0], p[1])
+        index = entry(coarser, p[0], p[1])
         bilinear_error = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
-        distance[at] = largest_below(distance, finer, coarser, p)
-        raised = round_up(wp.float64(bilinear_error) + wp.float64(distance[at]))
-        errors[at] = wp.max(raised, largest_below(errors, finer, coarser, p))
+        distance[index] = largest_below(distance, finer, coarser, p)
+        raised = round_up(wp.float64(bilinear_error) + wp.float64(distance[index]))
+        errors[index] = wp.max(raised, largest_below(errors, finer, coarser, p))
 
 
 @wp.kernel

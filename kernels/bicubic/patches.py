@@ -73,15 +73,15 @@ def second_derivatives(p: wp.vec4d) -> wp.vec2d:
 def samples_of_column(raster: Samples, x: int, cy: int) -> wp.vec4d:
     """Return the samples of column x in the four rows around row `cy` of cells, extrapolated beyond the border."""
     row = wp.int64(raster.columns)
-    at = wp.int64(cy) * row + wp.int64(x)
-    p1 = height_at(raster, at)
-    p2 = height_at(raster, at + row)
+    index = wp.int64(cy) * row + wp.int64(x)
+    p1 = height_at(raster, index)
+    p2 = height_at(raster, index + row)
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if cy > 0:
-        p0 = height_at(raster, at - row)
+        p0 = height_at(raster, index - row)
     if cy < raster.rows - 2:
-        p3 = height_at(raster, at + row + row)
+        p3 = height_at(raster, index + row + row)
     return wp.vec4d(p0, p1, p2, p3)
 
 
@@ -144,8 +144,8 @@ def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
 
 
 @wp.kernel
-def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
-    """Write to found[offset + tid] the limits of a row of cells, which bound the bicubic surface there.
+def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
+    """Write to limits[offset + tid] the limits of a row of cells, which bound the bicubic surface there.
 
     They are the lowest and highest control height, metres, and the steepest slopes east and north, metres a cell.
     """
@@ -169,7 +169,7 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
         a = b
         b = c
         c = d
-    found[cy] = wp.vec4d(low, high, steep_x, steep_y)
+    limits[cy] = wp.vec4d(low, high, steep_x, steep_y)
 
 
 @wp.func
@@ -202,6 +202,7 @@ def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
         if k == 3:
             xy = xy2
         for i in range(4):
+            # the larger magnitude of the eigenvalues of the matrix of xx, xy, xy and yy
             mean = half * (xx[i] + yy[i])
             apart = half * (xx[i] - yy[i])
             largest = wp.max(largest, wp.abs(mean) + wp.sqrt(apart * apart + xy[i] * xy[i]))
@@ -272,11 +273,11 @@ def patch_errors(
         curvature = round_up(curvature_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
-        at = entry(cells, x, y)
-        put(distance, at, apart)
-        exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
-        put(errors, at, wp.min(exact, curvature))
-        put(curvatures, at, curvature)
+        index = entry(cells, x, y)
+        put(distance, index, apart)
+        by_twist = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
+        put(errors, index, wp.min(by_twist, curvature))
+        put(curvatures, index, curvature)
         a = b
         b = c
         c = d
@@ -303,9 +304,9 @@ def patch_ranges(
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
         z = patch_range(a, b, c, d)
-        at = wp.int64(2) * entry(cells, cx, cy)
-        put(ranges, at, quantise_down(z[0], base, step, per_step))
-        put(ranges, at + wp.int64(1), quantise_up(z[1], base, step, per_step))
+        lower_index = wp.int64(2) * entry(cells, cx, cy)
+        put(ranges, lower_index, quantise_down(z[0], base, step, per_step))
+        put(ranges, lower_index + wp.int64(1), quantise_up(z[1], base, step, per_step))
         a = b
         b = c
         c = d

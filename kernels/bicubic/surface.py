@@ -46,16 +46,16 @@ def slopes(s: wp.float64) -> wp.vec4d:
 
 
 @wp.func
-def border_weights(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
+def border_weights(w: wp.vec4d, cell: wp.int32, count: wp.int32) -> wp.vec4d:
     """Return four sample weights `w` corrected for the first and last cell of a row, where a sample is extrapolated.
 
-    at: number of the cell in the row. count: samples of the row.
+    cell: its number in the row. count: samples of the row.
     """
     zero = wp.float64(0.0)
     two = wp.float64(2.0)
-    if at == 0:
+    if cell == 0:
         w = wp.vec4d(zero, w[1] + two * w[0], w[2] - w[0], w[3])
-    if at == count - 2:
+    if cell == count - 2:
         w = wp.vec4d(w[0], w[1] - w[3], w[2] + two * w[3], zero)
     return w
 
@@ -72,25 +72,28 @@ def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
     dy = border_weights(slopes(t), j, samples.rows)
     # Relative to a height of the cell, so a constant map stays constant to the last bit.
     base = wp.float64(sample_at(samples, sample_index(samples, i, j)))
-    found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
+    height_and_slopes = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
     for b in range(4):
         h = row_around(samples, i, j + b - 1, base)
         z = wp.dot(wx, h)
-        found += wp.vec3d(wy[b] * z, wy[b] * wp.dot(dx, h), dy[b] * z)
-    return found
+        height_and_slopes += wp.vec3d(wy[b] * z, wy[b] * wp.dot(dx, h), dy[b] * z)
+    return height_and_slopes
 
 
 @wp.func
 def row_around(samples: Samples, i: wp.int32, j: wp.int32, base: wp.float64) -> wp.vec4d:
-    """Return the samples i - 1 .. i + 2 of row j minus `base`, metres; beyond the border those at the border."""
-    at = wp.int64(wp.clamp(j, 0, samples.rows - 1)) * wp.int64(samples.columns)
+    """Return the samples i - 1 .. i + 2 of row j minus `base`, metres; beyond the border one of the border.
+
+    `border_weights` gives those beyond it no weight.
+    """
+    row = wp.int64(wp.clamp(j, 0, samples.rows - 1)) * wp.int64(samples.columns)
     west = wp.int64(wp.max(i - 1, 0))
     far = wp.int64(wp.min(i + 2, samples.columns - 1))
     return wp.vec4d(
-        wp.float64(sample_at(samples, at + west)) - base,
-        wp.float64(sample_at(samples, at + wp.int64(i))) - base,
-        wp.float64(sample_at(samples, at + wp.int64(i + 1))) - base,
-        wp.float64(sample_at(samples, at + far)) - base,
+        wp.float64(sample_at(samples, row + west)) - base,
+        wp.float64(sample_at(samples, row + wp.int64(i))) - base,
+        wp.float64(sample_at(samples, row + wp.int64(i + 1))) - base,
+        wp.float64(sample_at(samples, row + far)) - base,
     )
 
 
@@ -103,29 +106,31 @@ def off_corners(samples: Samples, bits: wp.int32, i: wp.int32, j: wp.int32, s: w
     """
     x = wp.min(i >> bits, samples.columns - 2)  # at the border the finer cell is one beyond, and s is 0
     y = wp.min(j >> bits, samples.rows - 2)
-    count = wp.float64(wp.int32(1) << bits)
-    part = wp.float64(1.0) / count  # exact: a power of two
-    west = wp.float64(i - (x << bits)) * part
-    south = wp.float64(j - (y << bits)) * part
+    cells_a_side = wp.float64(wp.int32(1) << bits)
+    finer_side = wp.float64(1.0) / cells_a_side  # exact: a power of two
+    west = wp.float64(i - (x << bits)) * finer_side
+    south = wp.float64(j - (y << bits)) * finer_side
     one = wp.float64(1.0)
     w0 = weights(west)
-    w1 = weights(west + part)
+    w1 = weights(west + finer_side)
     v0 = weights(south)
-    v1 = weights(south + part)
-    wx = border_weights(weights(west + s * part), x, samples.columns)
-    wy = border_weights(weights(south + t * part), y, samples.rows)
-    dx = border_weights(slopes(west + s * part), x, samples.columns)
-    dy = border_weights(slopes(south + t * part), y, samples.rows)
-    # The same weights of the bilinear interpolation.
+    v1 = weights(south + finer_side)
+    wx = border_weights(weights(west + s * finer_side), x, samples.columns)
+    wy = border_weights(weights(south + t * finer_side), y, samples.rows)
+    dx = border_weights(slopes(west + s * finer_side), x, samples.columns)
+    dy = border_weights(slopes(south + t * finer_side), y, samples.rows)
+    # The weights of the same samples in the bilinear interpolation between the finer cell's corners.
     bx = border_weights(w0 * (one - s) + w1 * s, x, samples.columns)
     by = border_weights(v0 * (one - t) + v1 * t, y, samples.rows)
-    ex = border_weights((w1 - w0) * count, x, samples.columns)
-    ey = border_weights((v1 - v0) * count, y, samples.rows)
+    ex = border_weights((w1 - w0) * cells_a_side, x, samples.columns)
+    ey = border_weights((v1 - v0) * cells_a_side, y, samples.rows)
     base = wp.float64(sample_at(samples, sample_index(samples, x, y)))
-    found = wp.vec3d()
+    difference = wp.vec3d()
     for b in range(4):
         h = row_around(samples, x, y + b - 1, base)
         z = wp.dot(wx, h)
         c = wp.dot(bx, h)
-        found += wp.vec3d(wy[b] * z - by[b] * c, wy[b] * wp.dot(dx, h) - by[b] * wp.dot(ex, h), dy[b] * z - ey[b] * c)
-    return found
+        difference += wp.vec3d(
+            wy[b] * z - by[b] * c, wy[b] * wp.dot(dx, h) - by[b] * wp.dot(ex, h), dy[b] * z - ey[b] * c
+        )
+    return difference

@@ -82,9 +82,8 @@ def levels_of(
 ):
     """Write the finest level of any eye for `count` points from `first` on, in steps of 1/8.
 
-    Levels are at least `min_level`, which is 0 or a little less, and at most `max_level`.
-
-    A level is log2 of the samples that a pixel covers. `levels` holds infinity before.
+    A level is log2 of the samples that a pixel covers, at least `min_level`, which is 0 or a little less, and at most
+    `max_level`. positions: metres. `levels` holds infinity before.
     """
     ...
 

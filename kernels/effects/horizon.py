@@ -93,7 +93,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
             const int cell = (int)from - (goes && behind && (int)from == from);
             return cell < cells ? cell : cells - 1;
         }
-        // The cell where the ray is at `way`: the line behind it is crossed, also if it is just there and `too`.
+        // The ray's cell after `way` metres. A line that it meets just there counts as crossed if `too`.
         int cell_at(double way, bool too) const {
             if (!goes) return start();
             int cell = (int)(from + way * per_metre);
@@ -127,7 +127,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
         if (way > near && way <= far && slope > best) best = slope;
     };
     int cell[2] = {axes[0].start(), axes[1].start()};
-    if (levels) {
+    if (levels) {  // first some crossings at growing distances, which raise the horizon early
         const int d = (dx < 0 ? -dx : dx) <= (dy < 0 ? -dy : dy);
         for (int k = 0;; k += k / 2 + 1) {
             const int line = cell[d] + axes[d].ahead + k * axes[d].on;
@@ -153,7 +153,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
                 l = l > FINEST ? l - 1 : 0;
                 continue;
             }
-            if (best >= 0.0 && highest <= best * way) break;
+            if (best >= 0.0 && highest <= best * way) break;  // no ground from here on is high enough
             cell[!d] = axes[!d].cell_at(out, d);
         } else {
             meet(d, line[d], cell[!d], out);

@@ -32,10 +32,10 @@ def next_common(
     skip = wp.vec2i(-1, -1)
     total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
-        for a in range(total + 1):
-            if skip[0] < 0 and v + a < count and last_v + total - a < last_count:
-                if count_same_vec3s(positions, v + a, last, last_v + total - a, 1) == 1:
-                    skip = wp.vec2i(a, total - a)
+        for skipped in range(total + 1):
+            if skip[0] < 0 and v + skipped < count and last_v + total - skipped < last_count:
+                if count_same_vec3s(positions, v + skipped, last, last_v + total - skipped, 1) == 1:
+                    skip = wp.vec2i(skipped, total - skipped)
         total += 1
     return skip
 

@@ -53,7 +53,7 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
     per_x = per_cell(east + 1)
     b_x = (height_at(samples, index + one + wp.int64(east)) - p[0]) * per_x
     d_x = (height_at(samples, above + one + wp.int64(east)) - p[2]) * per_x
-    # Now the rows beyond the cell, or at the border its own.
+    # `below` and from here on `above` are rows beyond the cell, or at the border its own.
     below = index - wp.int64(south) * row
     above += wp.int64(north) * row
     per_y = per_cell(south + 1)

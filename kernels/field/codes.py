@@ -122,10 +122,11 @@ def encode_errors(
     errors: wp.array(dtype=wp.float32),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Encode block `offset + tid` of `block` errors of `first` .. `end`: the first code not below the error.
+    """Write the codes of block `offset + tid`, of `block` errors, among errors first .. end - 1.
 
-    errors: metres, one group of depths (`group`). table: errors of the codes, metres, of all groups. Zeros are not
-    written: `codes` are zero, and holes of a sparse file stay.
+    A code is the first that stands for at least the error. errors: metres, one group of depths (`group`). table:
+    errors of the codes, metres, of all groups. Zeros are not written: `codes` are zero, and holes of a sparse file
+    stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):

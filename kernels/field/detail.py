@@ -59,7 +59,8 @@ class PackedLayers:
 def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
     """Return height (metres) and slopes along x and y (metres a metre) of all octaves of a layer's noise.
 
-    x, y: metres from the raster's middle. c, s: scaled cosine and sine of each octave's rotation.
+    x, y: metres from the raster's middle. c, s: cosine and sine of each octave's rotation, times its
+    frequency.
     """
     total = wp.vec3d()
     amplitude = layer.amplitude
@@ -67,13 +68,13 @@ def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
     s = wp.float64(0.0)
     for k in range(layer.octaves):
         shift = wp.float64(k + 1)
-        n = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, layer.seed)
+        noise = value_noise(c * x - s * y + shift * SHIFT_X, s * x + c * y + shift * SHIFT_Y, layer.seed)
         layer.seed = layer.seed + wp.uint32(-0x61C88647)  # 0x9E3779B9, for the next octave
-        total += amplitude * wp.vec3d(n[2], n[0] * c + n[1] * s, n[1] * c - n[0] * s)
+        total += amplitude * wp.vec3d(noise[2], noise[0] * c + noise[1] * s, noise[1] * c - noise[0] * s)
         # twice the frequency, turned by the angle of the triangle (3, 4, 5)
-        turned = wp.float64(1.6) * c - wp.float64(1.2) * s
+        turned_c = wp.float64(1.6) * c - wp.float64(1.2) * s
         s = wp.float64(1.6) * s + wp.float64(1.2) * c
-        c = turned
+        c = turned_c
         amplitude = amplitude * layer.gain
     return total
 
@@ -82,7 +83,7 @@ def noise_detail(layer: PackedDetail, x: wp.float64, y: wp.float64):
 def basis(t: wp.float64) -> wp.vec4d:
     """Return the weights of four control heights in a uniform cubic B-spline.
 
-    t: from the second to the third, 0 .. 1.
+    t: position between the second and the third, 0 .. 1.
     """
     one = wp.float64(1.0)
     r = one - t

@@ -48,10 +48,10 @@ def tile_at(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.int32:
     """Return the number of the tile that holds finer cell (i, j); -1 for none."""
     x = i >> TILE_BITS
     y = j >> TILE_BITS
-    found = wp.int32(-1)
+    tile = wp.int32(-1)
     if x >= 0 and y >= 0 and x < finer.columns and y < finer.rows:
-        found = item_at(finer.tiles, wp.int64(y) * wp.int64(finer.columns) + wp.int64(x))
-    return found
+        tile = item_at(finer.tiles, wp.int64(y) * wp.int64(finer.columns) + wp.int64(x))
+    return tile
 
 
 @wp.func
@@ -66,9 +66,9 @@ def finer_at(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32, s: wp
 
     s, t: position in the finer cell, 0 .. 1. Slopes are interpolated between samples.
     """
-    g = in_cell(finer.heights, 1 + (i & (SIDE - 1)), tile * STRIDE + 1 + (j & (SIDE - 1)), s, t)
-    a_cell = wp.float64(wp.int32(1) << finer.bits)
-    return wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+    height_and_slopes = in_cell(finer.heights, 1 + (i & (SIDE - 1)), tile * STRIDE + 1 + (j & (SIDE - 1)), s, t)
+    finer_per_cell = wp.float64(wp.int32(1) << finer.bits)
+    return wp.vec3d(height_and_slopes[0], height_and_slopes[1] * finer_per_cell, height_and_slopes[2] * finer_per_cell)
 
 
 @wp.func
@@ -84,8 +84,8 @@ def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
         y = (j & (SIDE - 1)) >> (2 * group)
         # Entries of the groups before: 256 x 256 and 64 x 64. The last 16 x 16 have a whole page.
         first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
-        at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
-        code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + at)
+        entry = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
+        code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + entry)
         error = item_at(finer.table, wp.int32(code))
     return error
 
@@ -96,34 +96,35 @@ def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
     if tile >= 0:
-        at = wp.int64(CELLS) + tile_index(i & (SIDE - 1), j & (SIDE - 1), 8)
-        error = item_at(finer.table, wp.int32(item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + at)))
+        entry = wp.int64(CELLS) + tile_index(i & (SIDE - 1), j & (SIDE - 1), 8)
+        error = item_at(finer.table, wp.int32(item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + entry)))
     return error
 
 
 @wp.func
 def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
-    """Return the index of the range of heights of the diamond with its vertex at finer sample (i, j); -1 for none.
+    """Return the index in `finer.ranges` of the lower height code of the diamond with its vertex at finer sample (i, j).
 
-    group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer cells.
+    The upper code follows. The index is -1 without a tile. group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer
+    cells.
     """
     tile = tile_at(finer, i, j)
-    found = wp.int64(-1)
+    index = wp.int64(-1)
     if tile >= 0:
         x = (i & (SIDE - 1)) >> (1 + 2 * group)
         y = (j & (SIDE - 1)) >> (1 + 2 * group)
         # Entries of the groups before: 128 x 128 and 32 x 32. The last 8 x 8 have a whole page.
         first = wp.where(group == 0, 0, wp.where(group == 1, 16384, 17408))
-        at = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 4, 1))
-        found = wp.int64(2) * (wp.int64(tile) * wp.int64(RANGES) + at)
-    return found
+        entry = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 4, 1))
+        index = wp.int64(2) * (wp.int64(tile) * wp.int64(RANGES) + entry)
+    return index
 
 
 @wp.func
 def covers(finer: PackedTiles, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32) -> wp.bool:
     """Return whether tiles hold all finer samples from (i0, j0) to (i1, j1), which are in 2 x 2 tiles at most."""
-    first = tile_at(finer, i0, j0) >= 0 and tile_at(finer, i1, j1) >= 0
-    return first and tile_at(finer, i1, j0) >= 0 and tile_at(finer, i0, j1) >= 0
+    at_ends = tile_at(finer, i0, j0) >= 0 and tile_at(finer, i1, j1) >= 0
+    return at_ends and tile_at(finer, i1, j0) >= 0 and tile_at(finer, i0, j1) >= 0
 
 
 @wp.func
@@ -147,12 +148,12 @@ def limits_over(
     first = wp.int64(0)
     for k in range(level):
         first += wp.int64(((finer.columns - 1) >> k) + 1) * wp.int64(((finer.rows - 1) >> k) + 1)
-    columns = (finer.columns - 1) >> level
-    rows = (finer.rows - 1) >> level
+    last_column = (finer.columns - 1) >> level
+    last_row = (finer.rows - 1) >> level
     shift += TILE_BITS + level
-    found = wp.vec2f()
-    for j in range(wp.max(y0 >> shift, 0), wp.min(y1 >> shift, rows) + 1):
-        for i in range(wp.max(x0 >> shift, 0), wp.min(x1 >> shift, columns) + 1):
-            item = item_at(finer.limits, first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i))
-            found = wp.vec2f(wp.max(found[0], item[0]), wp.max(found[1], item[1]))
-    return found
+    largest = wp.vec2f()
+    for j in range(wp.max(y0 >> shift, 0), wp.min(y1 >> shift, last_row) + 1):
+        for i in range(wp.max(x0 >> shift, 0), wp.min(x1 >> shift, last_column) + 1):
+            limits = item_at(finer.limits, first + wp.int64(j) * wp.int64(last_column + 1) + wp.int64(i))
+            largest = wp.vec2f(wp.max(largest[0], limits[0]), wp.max(largest[1], limits[1]))
+    return largest

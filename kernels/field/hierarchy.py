@@ -99,6 +99,7 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
     const int begin_x = right > 0 ? 0 : wp::max(0, -east), end_x = right > 0 ? east : x;
     const int begin_y = up > 0 ? 0 : wp::max(0, -north), end_y = up > 0 ? north : y;
     double largest = known;
+    // Raise `largest` by the samples of a rectangle or, if it is_half, of the half below its diagonal.
     const auto measure = [&](int first_x, int first_y, int rows, int columns, bool is_half) {
         for (int j = wp::max(first_y, begin_y); j < first_y + rows && j <= end_y; ++j) {
             const float* row = corner + j * step_y;
@@ -119,19 +120,19 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
                 const int i = block_x * size, j = block_y * size;
                 if (i > end_x || j > end_y)
                     continue;
-                bool is_near = i < begin_x || i + size > end_x || j < begin_y || j + size > end_y;
-                if (!is_near) {
-                    const long long at_x = x / size + (right > 0 ? block_x : -1 - block_x);
-                    const long long at_y = y / size + (up > 0 ? block_y : -1 - block_y);
-                    const double rest = patches.metres.data[at_y * patches.columns + at_x];
+                bool must_measure = i < begin_x || i + size > end_x || j < begin_y || j + size > end_y;
+                if (!must_measure) {
+                    const long long block_column = x / size + (right > 0 ? block_x : -1 - block_x);
+                    const long long block_row = y / size + (up > 0 ? block_y : -1 - block_y);
+                    const double off_patch = patches.metres.data[block_row * patches.columns + block_column];
                     for (int k = 0; k < 4; ++k) {
                         const int corner_x = i + (k & 1) * size, corner_y = j + (k >> 1) * size;
                         const double on_plane = plane + slope[1] * corner_y + slope[0] * corner_x;
                         const double at_corner = wp::abs(corner[corner_y * step_y + corner_x * step_x] - on_plane);
-                        is_near |= !(at_corner + rest <= largest);  // NaN, too
+                        must_measure |= !(at_corner + off_patch <= largest);  // NaN, too
                     }
                 }
-                if (is_near)
+                if (must_measure)
                     measure(i, j, size, size, block_x + block_y == blocks - 1);
             }
     // Along the longest edge.
@@ -144,6 +145,7 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
             const float* far = near + step_x - step_y;
             const double e1 = *far - (top + across * (i + 1));
             const double twist = (double)*near + *far - near[step_x] - near[-step_y];
+            // The distance is a parabola between the samples; it counts if it turns there.
             if (wp::abs(e1 - e0) < wp::abs(twist)) {
                 const double rest = twist - (e1 - e0);
                 largest = wp::max(largest, wp::abs(e0 - rest * rest / (4.0 * twist)));
@@ -227,16 +229,16 @@ def side_errors(
     """Compute the errors of diamonds at the middles of cells' sides, `half` samples from the side's ends.
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, each of two
-    right ones with their corners in the middle, or the largest of its children's errors if that is more. At the border
-    there is one triangle. Arrays and layouts: as in `centre_errors`.
+    right-angled ones with that angle at the middle, or the largest of its children's errors if that is more. At the
+    border there is one triangle. Arrays and layouts: as in `centre_errors`.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):
         return
     x = p[0] * half
     y = p[1] * half
-    flat = p[0] & 1  # 1: the side runs from west to east
-    along = wp.vec2i(flat, 1 - flat)
+    runs_east = p[0] & 1  # 1: the side runs from west to east
+    along = wp.vec2i(runs_east, 1 - runs_east)
     begin = vertex_height(raster, x - along[0] * half, y - along[1] * half)
     end = vertex_height(raster, x + along[0] * half, y + along[1] * half)
     middle = wp.float64(0.5) * (begin + end)
@@ -253,13 +255,13 @@ def side_errors(
         for k in range(4):
             right = 1 - 2 * (k & 1)  # the four right triangles with a corner in the middle
             up = 1 - (k & 2)
-            across = wp.where(flat == 1, up, right)
+            across = wp.where(runs_east == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
             if holds(coarser, apex):
                 z = vertex_height(raster, apex[0] * half, apex[1] * half)
                 rise = (z - middle) / n
-                along_side = wp.float64(wp.where(flat == 1, right, up)) * slope
-                slopes = wp.where(flat == 1, wp.vec2d(along_side, rise), wp.vec2d(rise, along_side))
+                along_side = wp.float64(wp.where(runs_east == 1, right, up)) * slope
+                slopes = wp.where(runs_east == 1, wp.vec2d(along_side, rise), wp.vec2d(rise, along_side))
                 largest = corner_error(measured, patches, x, y, right, up, half, middle, slopes, largest)
     put(errors, entry(coarser, p[0], p[1]), round_up(largest))
 

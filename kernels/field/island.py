@@ -97,9 +97,9 @@ def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
 
     x, y: position relative to that centre, in units of the whole form.
     """
-    away = wp.sqrt(x * x + y * y) + wp.float64(1e-3)
-    wander = wp.float64(1.2) * away
-    n = noise(x / away * turns + wander, y / away * turns - wander, seed)
+    distance = wp.sqrt(x * x + y * y) + wp.float64(1e-3)
+    wander = wp.float64(1.2) * distance
+    n = noise(x / distance * turns + wander, y / distance * turns - wander, seed)
     bed = wp.max(wp.float64(1.0) - wp.float64(2.6) * wp.abs(n[2]), wp.float64(0.0))
     return bed * (wp.float64(0.4) + wp.float64(0.6) * bed)
 
@@ -142,14 +142,16 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
     # The volcano: a cone that steepens towards its rim, with gullies and a crater.
     vx = wx - wp.float64(0.16)
     vy = wy - wp.float64(0.10)
-    away = wp.sqrt(vx * vx + vy * vy)
-    cone = wp.max(one - away / wp.float64(0.55), wp.float64(0.0))
+    from_volcano = wp.sqrt(vx * vx + vy * vy)
+    cone = wp.max(one - from_volcano / wp.float64(0.55), wp.float64(0.0))
     if cone > wp.float64(0.0):
         furrow = gullies(vx + wp.float64(0.03) * rough, vy, wp.float64(3.4), seed + wp.uint32(107))
-        furrow = furrow * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.05), wp.float64(0.16), away)
+        furrow = (
+            furrow * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.05), wp.float64(0.16), from_volcano)
+        )
         cone = wp.float64(1800.0) * cone * cone * (half + half * cone)
         cone = cone * (one + wp.float64(0.25) * rough) * (one - wp.float64(0.22) * furrow)
-    crater = smooth(wp.float64(0.1), wp.float64(0.03), away + wp.float64(0.01) * narrow[2])
+    crater = smooth(wp.float64(0.1), wp.float64(0.03), from_volcano + wp.float64(0.01) * narrow[2])
     height = wp.max(land, wp.float64(0.55) * land + cone) - wp.float64(800.0) * crater
 
     # The coast: a shelf that falls off outside, and a strip of beach where land meets the sea.

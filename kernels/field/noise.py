@@ -45,6 +45,7 @@ def value_noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
     south_rise = lattice_value(south, i + wp.uint32(1)) - south_west
     north_west = lattice_value(north, i)
     north_rise = lattice_value(north, i + wp.uint32(1)) - north_west
+    # Quintic fade and its slope.
     fu = u * u * u * (u * (u * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
     fv = v * v * v * (v * (v * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
     su = wp.float64(30.0) * u * u * (u * (u - wp.float64(2.0)) + one)

@@ -44,7 +44,7 @@ def window_errors(
     h = measured.floats
     width = measured.columns
     start = row * width
-    j = c.up * (south + row - c.y)
+    j = c.up * (south + row - c.y)  # rows from the corner along its leg
     max_distance = largest[row]
     if j >= 0 and j < c.legs:  # the row meets the triangle
         plane = c.plane + c.slope_y * wp.float64(c.up * j)

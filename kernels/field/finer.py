@@ -103,7 +103,7 @@ def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
-    """Return the index in `finer.ranges` of the lower height code of the diamond with its vertex at finer sample (i, j).
+    """Return the index in `finer.ranges` of the lower height code of the diamond with its vertex at finer sample i, j.
 
     The upper code follows. The index is -1 without a tile. group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer
     cells.

@@ -33,9 +33,9 @@ def place_vertices(
     v = offset + wp.tid()
     d = m.domain
     p = positions[v]
-    grid = wp.float64(wp.int32(1) << m.snap)
-    x = wp.int32(wp.rint((wp.float64(p[0]) - d.west) / (d.unit_x * grid))) << m.snap
-    y = wp.int32(wp.rint((wp.float64(p[1]) - d.south) / (d.unit_y * grid))) << m.snap
+    units_per_step = wp.float64(wp.int32(1) << m.snap)
+    x = wp.int32(wp.rint((wp.float64(p[0]) - d.west) / (d.unit_x * units_per_step))) << m.snap
+    y = wp.int32(wp.rint((wp.float64(p[1]) - d.south) / (d.unit_y * units_per_step))) << m.snap
     m.point[v] = wp.vec2i(x, y)
     m.push[2 * v] = wp.float64(0.0)
     m.push[2 * v + 1] = wp.float64(0.0)

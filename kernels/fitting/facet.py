@@ -67,12 +67,12 @@ def rows_of(facet: Facet, bits: wp.int32):
 
     A facet smaller than a cell has 0 rows. bits: a cell has 2^bits lattice units a side.
     """
-    low = wp.min(wp.min(facet.left_y, facet.right_y), 0) >> bits
-    high = wp.max(wp.max(facet.left_y, facet.right_y), 0) >> bits
-    count = high - low + 1
+    first_row = wp.min(wp.min(facet.left_y, facet.right_y), 0) >> bits
+    last_row = wp.max(wp.max(facet.left_y, facet.right_y), 0) >> bits
+    count = last_row - first_row + 1
     if wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) < (1 << bits):  # smaller than a cell
         count = 0
-    return low, count
+    return first_row, count
 
 
 @wp.func
@@ -81,18 +81,18 @@ def row_of(facet: Facet, bits: wp.int32, j: wp.int32):
 
     Rows and samples are counted from its apex. bits: a cell has 2^bits lattice units a side.
     """
-    n = wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) >> bits
-    away = wp.abs(j)
+    leg_cells = wp.max(wp.abs(facet.left_x), wp.abs(facet.left_y)) >> bits
+    rows_away = wp.abs(j)
     first = wp.int32(0)
-    count = n + 1 - away
+    count = leg_cells + 1 - rows_away
     if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column
         if facet.left_x + facet.right_x < 0:  # the facet is west of the apex
-            first = away - n
+            first = rows_away - leg_cells
     elif facet.left_x == facet.right_x:  # the longest side stands upright
-        first = wp.where(facet.left_x > 0, away, -n)
+        first = wp.where(facet.left_x > 0, rows_away, -leg_cells)
     else:  # the longest side lies along a row
-        first = -away
-        count = 2 * away + 1
+        first = -rows_away
+        count = 2 * rows_away + 1
     return first, count
 
 
@@ -246,12 +246,12 @@ def farthest(d: Domain, facet: Facet) -> wp.float64:
     i = facet.x >> bits
     j = facet.y >> bits
     largest = wp.float64(0.0)
-    low, count = rows_of(facet, bits)
+    south, count = rows_of(facet, bits)
     for k in range(count):
-        first, samples = row_of(facet, bits, low + k)
-        plane = facet.z + facet.slope_y * (wp.float64(low + k) * unit) + facet.slope_x * (wp.float64(first) * unit)
+        first, samples = row_of(facet, bits, south + k)
+        plane = facet.z + facet.slope_y * (wp.float64(south + k) * unit) + facet.slope_x * (wp.float64(first) * unit)
         slope = facet.slope_x * unit
-        largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
+        largest = wp.max(largest, row_inside(d.samples, i + first, j + south + k, samples, plane, slope))
     if facet.left_x == 0 or facet.left_y == 0:  # the legs lie along a row and a column: the longest side is diagonal
         if count == 0:  # smaller than a cell: no row of samples has measured the apex
             largest = wp.abs(height_above(d, facet, 0, 0))

@@ -29,6 +29,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const bool upright = left_x == right_x;  // the longest side lies along a column
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
+    // Per lane: the largest distance; of the points beyond `aim`, the number and the sum of distances beyond it, either
+    // also times their x and y.
     lanes largest = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
     const long long origin = (long long)apex_y * width + apex_x;
     const int right_border = width - 1 - apex_x, upper_border = height - 1 - apex_y;  // nothing counts beyond

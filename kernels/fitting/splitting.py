@@ -28,7 +28,7 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     splits = wp.int32(0)
     pins = wp.int32(0)
     postponed = wp.int32(0)
-    deepest = wp.int32(0)
+    num_too_coarse = wp.int32(0)
     _spread_excess(m, count)
     for k in range(count):
         t = m.active[k]
@@ -53,7 +53,7 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
                         postponed += 1
                 else:
                     pins += _pin_corners(m, t)
-                    deepest += wp.where(too_coarse, 1, 0)
+                    num_too_coarse += wp.where(too_coarse, 1, 0)
     listed = list_marked(m, size[0])
     for k in range(listed):
         t = m.active[k]
@@ -67,7 +67,7 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     found[3] = splits
     found[4] = pins
     found[5] = postponed
-    found[6] = deepest
+    found[6] = num_too_coarse
 
 
 @wp.func

@@ -154,14 +154,15 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
         else:
             direction_x = direction_x / length
             direction_y = direction_y / length
-            u = x + direction_x * rain.stride / rain.step_x
-            v = y + direction_y * rain.stride / rain.step_y
-            if u < min_x or v < min_y or u >= max_x or v >= max_y:  # beyond the border of these samples
+            next_x = x + direction_x * rain.stride / rain.step_x
+            next_y = y + direction_y * rain.stride / rain.step_y
+            # beyond the border of these samples
+            if next_x < min_x or next_y < min_y or next_x >= max_x or next_y >= max_y:
                 carried = load
                 load = zero
                 step = rain.steps
             else:
-                there = slopes_and_height(rain, u, v)
+                there = slopes_and_height(rain, next_x, next_y)
                 if there[2] == there[2]:  # not NaN: all four samples around it may change
                     fall = here[2] - there[2]
                     capacity = rain.capacity * water * wp.max(fall, zero) / rain.stride
@@ -177,8 +178,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                     load -= volume
                     deposit(rain, x, y, volume, ON_THE_WAY)
                     water *= one - rain.dry
-                    x = u
-                    y = v
+                    x = next_x
+                    y = next_y
                     here = slopes_and_height(rain, x, y)
                 else:
                     step = rain.steps

@@ -120,17 +120,18 @@ def slope_and_curvature(w: Window, h: wp.array(dtype=wp.float32), row: wp.int32,
 
 
 @wp.func
-def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: wp.float32) -> wp.float32:
+def ledges(noise: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: wp.float32) -> wp.float32:
     """Return the metres by which beds of rock raise or lower the ground at (x, y, z), metres.
 
-    slope: the ground's, metres a metre. Foot and head of a bed stay in place, and a hard bed is steeper in between.
-    Beds are folded and differ in hardness, and ledges end, so that they do not look like contour lines.
+    noise: its parameters. slope: the ground's, metres a metre. Foot and head of a bed stay in place, and a hard bed is
+    steeper in between. Beds are folded and differ in hardness, and ledges end, so that they do not look like contour
+    lines.
     """
-    fold = gradient_noise(x / FOLD_LENGTH, y / FOLD_LENGTH, k.seed + FOLD_SEED)
-    t = (wp.float64(z) - x * k.dip[0] - y * k.dip[1]) / wp.float64(k.bed) + wp.float64(0.8 * fold[2])
+    fold = gradient_noise(x / FOLD_LENGTH, y / FOLD_LENGTH, noise.seed + FOLD_SEED)
+    t = (wp.float64(z) - x * noise.dip[0] - y * noise.dip[1]) / wp.float64(noise.bed) + wp.float64(0.8 * fold[2])
     foot = wp.floor(t)  # number of the bed
     f = wp.float32(t - foot)  # how far up in it, 0 .. 1
-    bed_hash = scramble(wp.uint32(wp.int64(foot)) + k.seed + BED_SEED)
+    bed_hash = scramble(wp.uint32(wp.int64(foot)) + noise.seed + BED_SEED)
     # The hard bed's cliff is at the fraction `middle` of its height.
     middle = 0.2 + 0.6 * wp.float32(bed_hash & wp.uint32(0xFFFF)) / 65535.0
     hard = wp.float32(bed_hash >> wp.uint32(16)) / 32767.5 - 1.0
@@ -140,31 +141,31 @@ def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: w
     above = (1.0 - f) / (1.0 - middle)
     stepped = wp.where(f < middle, middle * below * below * below, 1.0 - (1.0 - middle) * above * above * above)
     extent = gradient_noise(x / LEDGE_LENGTH, y / LEDGE_LENGTH, bed_hash + LENGTH_SEED)[2]
-    strength = k.ledge * wp.min(2.0 * hard, 1.0) * wp.clamp(0.7 + 2.5 * extent, 0.0, 1.0)
-    return (stepped - f) * k.bed * strength * wp.clamp(2.0 * slope - 0.3, 0.0, 1.0)
+    strength = noise.ledge * wp.min(2.0 * hard, 1.0) * wp.clamp(0.7 + 2.5 * extent, 0.0, 1.0)
+    return (stepped - f) * noise.bed * strength * wp.clamp(2.0 * slope - 0.3, 0.0, 1.0)
 
 
 @wp.func
 def sum_octaves(
-    k: ReliefNoise, x: wp.float64, y: wp.float64, spacing: wp.float32, slope: wp.float32, curvature: wp.float32
+    noise: ReliefNoise, x: wp.float64, y: wp.float64, spacing: wp.float32, slope: wp.float32, curvature: wp.float32
 ) -> wp.float32:
     """Return the sum of all octaves of noise at (x, y) metres, in metres.
 
-    spacing: metres between samples; waves fade out from three spacings to two. slope, curvature: of the ground (metres
-    a metre, 1/m). Steep detail damps finer octaves (Quilez, "more noise", 2008); on convex ground they are folded into
-    crests.
+    noise: its parameters. spacing: metres between samples; waves fade out from three spacings to two. slope,
+    curvature: of the ground (metres a metre, 1/m). Steep detail damps finer octaves (Quilez, "more noise", 2008); on
+    convex ground they are folded into crests.
     """
     total = wp.float32(0.0)
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
-    convexity = 3.0 * k.wave * curvature
-    crest = k.ridge * (0.5 + 0.5 * convexity / (1.0 + wp.abs(convexity)))
-    wave = k.wave
-    amplitude = 0.5 * k.wave * (k.plain + (k.rough - k.plain) * slope)
+    convexity = 3.0 * noise.wave * curvature
+    crest = noise.ridge * (0.5 + 0.5 * convexity / (1.0 + wp.abs(convexity)))
+    wave = noise.wave
+    amplitude = 0.5 * noise.wave * (noise.plain + (noise.rough - noise.plain) * slope)
     px = x / wp.float64(wave)
     py = y / wp.float64(wave)
-    seed = k.seed
-    for _octave in range(k.octaves):
+    seed = noise.seed
+    for _octave in range(noise.octaves):
         fade = wp.clamp(wave / spacing - 2.0, 0.0, 1.0)
         if fade > 0.0:
             n = gradient_noise(px, py, seed)
@@ -174,7 +175,7 @@ def sum_octaves(
             total += fade * amplitude * value / (1.0 + DAMP * (gx * gx + gy * gy))
             gx += amplitude / wave * n[0] * (1.0 - crest + folded)
             gy += amplitude / wave * n[1] * (1.0 - crest + folded)
-            amplitude *= k.gain
+            amplitude *= noise.gain
             wave *= 0.5
             # Twice a rotation by the angle of the triangle (3, 4, 5), which hides the lattice, and a shift.
             turned = wp.float64(1.6) * px - wp.float64(1.2) * py + wp.float64(0.37109375)
@@ -189,13 +190,13 @@ def add_relief(
     offset: int,
     first: int,
     w: Window,
-    k: ReliefNoise,
+    noise: ReliefNoise,
     h: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
     """Write to `out` the metres that relief adds to the heights `h` of window w, in row first + offset + tid.
 
-    k: parameters of the noise.
+    noise: its parameters.
     """
     row = first + offset + wp.tid()
     spacing = wp.float32(wp.max(w.step_x, w.step_y))
@@ -204,7 +205,7 @@ def add_relief(
         x = wp.float64(w.column + column) * w.step_x
         form = slope_and_curvature(w, h, row, column)
         entry = row * w.width + column
-        added = sum_octaves(k, x, y, spacing, form[0], form[1])
-        if k.bed > 0.0:
-            added += ledges(k, x, y, h[entry], form[0])
+        added = sum_octaves(noise, x, y, spacing, form[0], form[1])
+        if noise.bed > 0.0:
+            added += ledges(noise, x, y, h[entry], form[0])
         out[entry] = added

@@ -218,6 +218,7 @@ def displace(
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
+        # Points v .. begin - 1 are new; those from there to stop - 1 are copied from vertex `last_first` on.
         begin, stop, last_first = find_run(points, run, run_end, v, end, point_base)
         copy_run(points, last_first, begin, stop, vertex_base)
         run += wp.int64(1)

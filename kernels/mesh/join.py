@@ -60,43 +60,43 @@ def resolve(
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
     for k in range(slices):
-        e = STATE_SIZE * k
+        first_state = STATE_SIZE * k
         leaves = wp.int32(w.counts[3 * k])
         room = base_of(w.counts, k).room
         first = 2 * room  # of the slice's imports, which have two entries for each of `room`
         # What each import stands for.
-        for i in range(w.state[e + IMPORTS]):
+        for i in range(w.state[first_state + IMPORTS]):
             level = w.imports[first + i][0] >> LEVEL_SHIFT
             kind = w.imports[first + i][0] & ((1 << LEVEL_SHIFT) - 1)
             value = w.imports[first + i][1]
             number = wp.vec2i(0, 0)
             if kind == FRONT:
-                n = w.state[e - STATE_SIZE + END_FRONT + value]
+                n = w.state[first_state - STATE_SIZE + END_FRONT + value]
                 number = wp.vec2i(n, n)
             elif kind == STACK or kind == STACK + 1:
                 entry = tops[kind - STACK] - 1 - value
                 if entry < 0:  # nothing is open
-                    w.state[e + TORN] = 1
+                    w.state[first_state + TORN] = 1
                 else:
                     entry += (kind - STACK) * size
                     number = open[entry]
-                    check_level(w, e, level, open_level[entry])
+                    check_level(w, first_state, level, open_level[entry])
             elif kind == SIDE:
                 number = w.side[value]
-                check_level(w, e, level, w.side_level[value])
+                check_level(w, first_state, level, w.side_level[value])
             elif kind == UPPER_LEFT:
                 number = wp.vec2i(0, w.corners[2 * value])
             else:  # UPPER_RIGHT
                 number = wp.vec2i(0, w.corners[2 * value + 1])
             found[first + i] = number
         # The front and the open edges at the end of this slice.
-        w.state[e + END_FRONT] = resolve_number(w.state[e + END_FRONT], first, found, 1)
-        w.state[e + END_FRONT + 1] = resolve_number(w.state[e + END_FRONT + 1], first, found, 1)
+        w.state[first_state + END_FRONT] = resolve_number(w.state[first_state + END_FRONT], first, found, 1)
+        w.state[first_state + END_FRONT + 1] = resolve_number(w.state[first_state + END_FRONT + 1], first, found, 1)
         for side in range(2):
-            top = wp.max(tops[side] - w.state[e + POPS + side], 0)
-            if w.state[e + RESTARTED] == 1:
+            top = wp.max(tops[side] - w.state[first_state + POPS + side], 0)
+            if w.state[first_state + RESTARTED] == 1:
                 top = 0
-            for i in range(w.state[e + END_TOPS + side]):
+            for i in range(w.state[first_state + END_TOPS + side]):
                 entry = stack_base(room, leaves, side) + i
                 edge = w.stack[entry]
                 open_level[side * size + top] = w.stack_level[entry]
@@ -118,7 +118,9 @@ def resolve(
                 for i in range(begin, end):
                     w.side[i] = wp.vec2i(w.side[i][0], resolve_number(w.side[i][1], first, found, 1))
             # The square began in this slice.
-            if q >= w.state[e + FIRST_BEGUN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_BEGUN]):
+            if q >= w.state[first_state + FIRST_BEGUN] and (
+                k + 1 == slices or q < w.state[first_state + STATE_SIZE + FIRST_BEGUN]
+            ):
                 w.corners[2 * q] = resolve_number(w.corners[2 * q], first, found, 1)
 
 

@@ -2,7 +2,7 @@
 """State of the slices of a welding: arrays, first numbers and the list of imports.
 
 An import is a vertex or edge that an earlier slice made. Until join.py resolves it, it has the negative number -1 - i,
-where i is its index in the slice's list. `b`: the slice's first numbers. `e`: its first entry in `state`.
+where i is its index in the slice's list. `b`: the slice's first numbers. `first_state`: its first entry in `state`.
 """
 
 import warp as wp

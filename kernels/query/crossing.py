@@ -72,10 +72,10 @@ class RaySegment:
 
 
 @wp.func
-def range_at(blocks: HeightRanges, at: wp.int64):
-    """Return the lowest and highest height (metres, displacement included) of entry `at` of the stored ranges."""
-    a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
-    b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
+def range_at(blocks: HeightRanges, entry: wp.int64):
+    """Return the lowest and highest height (metres, displacement included) of an entry of the stored ranges."""
+    a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * entry)) * blocks.step
+    b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * entry + wp.int64(1))) * blocks.step
     return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
 
 
@@ -170,8 +170,8 @@ def cell_curvature(blocks: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64
 
     The unit is metres before scaling, over squared cells.
     """
-    at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
-    return wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at))
+    entry = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
+    return wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, entry))
 
 
 @wp.func

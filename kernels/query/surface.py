@@ -43,10 +43,10 @@ def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
 @wp.func
 def is_whole_cell(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
     """Return whether cell (i, j) is in the raster and none of its four samples is missing."""
-    found = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
-    if found:
-        found = is_whole(surface.valid, surface.samples.columns, i, j)
-    return found
+    is_complete = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
+    if is_complete:
+        is_complete = is_whole(surface.valid, surface.samples.columns, i, j)
+    return is_complete
 
 
 @wp.func
@@ -56,16 +56,16 @@ def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.boo
     on_west, on_south: whether the point is on that side of the cell. A side belongs to both cells, so the border of a
     hole is ground.
     """
-    found = surface.holed == 0
-    if not found:
-        found = is_whole_cell(surface, i, j)
-        if not found and on_west:
-            found = is_whole_cell(surface, i - 1, j)
-        if not found and on_south:
-            found = is_whole_cell(surface, i, j - 1)
-        if not found and on_west and on_south:
-            found = is_whole_cell(surface, i - 1, j - 1)
-    return found
+    has_ground = surface.holed == 0
+    if not has_ground:
+        has_ground = is_whole_cell(surface, i, j)
+        if not has_ground and on_west:
+            has_ground = is_whole_cell(surface, i - 1, j)
+        if not has_ground and on_south:
+            has_ground = is_whole_cell(surface, i, j - 1)
+        if not has_ground and on_west and on_south:
+            has_ground = is_whole_cell(surface, i - 1, j - 1)
+    return has_ground
 
 
 @wp.func
@@ -82,9 +82,9 @@ def finer_tile(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.int32:
 def finer_cell(surface: QueriedSurface, i: wp.int32, s: wp.float64):
     """Return the finer cell at `s` (0 .. 1) of raster cell `i` along one axis, and the position in it, 0 .. 1."""
     bits = surface.finer[0].bits
-    at = s * wp.float64(wp.int32(1) << bits)
-    k = wp.clamp(wp.int32(wp.floor(at)), 0, (wp.int32(1) << bits) - 1)
-    return (i << bits) + k, at - wp.float64(k)
+    position = s * wp.float64(wp.int32(1) << bits)
+    k = wp.clamp(wp.int32(wp.floor(position)), 0, (wp.int32(1) << bits) - 1)
+    return (i << bits) + k, position - wp.float64(k)
 
 
 @wp.func
@@ -107,12 +107,12 @@ def add_detail(
 
     g: height (metres before scaling) and slopes (metres a cell) in cell (i, j) at (s, t), 0 .. 1.
     """
-    found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
+    detailed = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
         x = surface.west + (wp.float64(i) + s) * surface.step_x
         y = surface.south + (wp.float64(j) + t) * surface.step_y
-        found += detail_at(surface.layers, x, y)
-    return found
+        detailed += detail_at(surface.layers, x, y)
+    return detailed
 
 
 @wp.func
@@ -122,9 +122,9 @@ def in_finer_cell(surface: QueriedSurface, x: wp.int32, y: wp.int32, u: wp.float
     u, v: position in the finer cell, 0 .. 1, or a rounding beyond: the slopes are still those of this cell.
     """
     tile = tile_at(surface.finer[0], x, y)
-    a_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
+    finer_per_cell = wp.float64(wp.int32(1) << surface.finer[0].bits)
     g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
-    g = wp.vec3d(g[0], g[1] * a_cell, g[2] * a_cell)
+    g = wp.vec3d(g[0], g[1] * finer_per_cell, g[2] * finer_per_cell)
     if surface.bicubic == 1:
         g += off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
     return g

@@ -110,10 +110,10 @@ def intersect_range(
     """
     if in_tiles:
         shift = domain.unit_bits - domain.levels - domain.finer[0].bits
-        at = range_in_tile(domain.finer[0], x >> shift, y >> shift, levels_up >> 2)
-        if at >= wp.int64(0):
-            low = wp.int32(item_at(domain.finer[0].ranges, at))
-            high = wp.int32(item_at(domain.finer[0].ranges, at + wp.int64(1)))
+        entry = range_in_tile(domain.finer[0], x >> shift, y >> shift, levels_up >> 2)
+        if entry >= wp.int64(0):
+            low = wp.int32(item_at(domain.finer[0].ranges, entry))
+            high = wp.int32(item_at(domain.finer[0].ranges, entry + wp.int64(1)))
             r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))
     elif x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         index = range_entry(domain, x, y, levels_up)
@@ -139,19 +139,19 @@ def range_at(
     if levels_up >= 0:
         r = intersect_range(domain, x, y, levels_up, in_tiles, r)
     elif levels > 1:
-        u = wp.int32(1) << (domain.unit_bits - levels)
-        # The middles of sides of 4 x 4 cells are 2 u apart along both axes, where the sum of their numbers is odd.
+        cell = wp.int32(1) << (domain.unit_bits - levels)
+        # The middles of sides of 4 x 4 cells are 2 cells apart along both axes, where the sum of their numbers is odd.
         if levels_up == -1:  # the centre of a cell of 2 x 2: two of its corners
-            turned = ((((x - u) + (y - u)) / (2 * u)) & 1) == 0
-            v = wp.where(turned, -u, u)
-            r = intersect_range(domain, x - u, y - v, 0, in_tiles, r)
-            r = intersect_range(domain, x + u, y + v, 0, in_tiles, r)
-        else:  # the middle of a side of one: one of the side's ends, and the points 2 u beside the other end
-            along = wp.where((x & u) != 0, u, 0)
-            across = u - along
-            ends = wp.where((((x - along) + (y - across)) / (2 * u) & 1) == 1, 1, -1)
-            along = along * ends
-            across = across * ends
+            is_falling = ((((x - cell) + (y - cell)) / (2 * cell)) & 1) == 0
+            cell_y = wp.where(is_falling, -cell, cell)
+            r = intersect_range(domain, x - cell, y - cell_y, 0, in_tiles, r)
+            r = intersect_range(domain, x + cell, y + cell_y, 0, in_tiles, r)
+        else:  # the middle of a side of one: one of the side's ends, and the points 2 cells beside the other end
+            along = wp.where((x & cell) != 0, cell, 0)
+            across = cell - along
+            towards_stored = wp.where((((x - along) + (y - across)) / (2 * cell) & 1) == 1, 1, -1)
+            along = along * towards_stored
+            across = across * towards_stored
             r = intersect_range(domain, x - along, y - across, 0, in_tiles, r)
             r = intersect_range(domain, x + along + 2 * across, y + across + 2 * along, 0, in_tiles, r)
             r = intersect_range(domain, x + along - 2 * across, y + across - 2 * along, 0, in_tiles, r)
@@ -165,7 +165,7 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
     It is nested: true for all descendants, too.
     """
     levels = domain.levels + domain.finer[0].bits
-    found = wp.bool(False)
+    is_inside = wp.bool(False)
     if depth > 2 * (levels - STORED_BITS):
         reach = reach_of(domain.unit_bits, depth)
         shift = domain.unit_bits - levels
@@ -174,8 +174,8 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
         y1 = wp.min(y + reach, (domain.samples.rows - 1) << bits)
         i0 = wp.max(x - reach, 0) >> shift
         j0 = wp.max(y - reach, 0) >> shift
-        found = covers(domain.finer[0], i0, j0, x1 >> shift, y1 >> shift)
-    return found
+        is_inside = covers(domain.finer[0], i0, j0, x1 >> shift, y1 >> shift)
+    return is_inside
 
 
 @wp.func
@@ -220,17 +220,17 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     low, high = heights_in_tiles(domain, x, y, depth)
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
-    more = domain.max_detail * domain.error_scale
+    detail = domain.max_detail * domain.error_scale
     rise = wp.abs(z1 - z0)
     if depth > 2 * levels:
         # Inside a finer cell, which is bilinear but for a part of a bicubic patch that is nowhere steeper than 6 `off`.
-        part = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
+        parts_a_side = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
         steepest = rise + wp.float64(4.0) * domain.finer[0].off * domain.error_scale
-        rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / part), rise)
+        rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / parts_a_side), rise)
     # the climb of the displacement along an edge
     rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
-    d.low = wp.vec3d(d.low[0], d.low[1], larger(d.low[2], smaller(z0, z1) - more))
-    d.high = wp.vec3d(d.high[0], d.high[1], smaller(d.high[2], larger(z0, z1) + more))
+    d.low = wp.vec3d(d.low[0], d.low[1], larger(d.low[2], smaller(z0, z1) - detail))
+    d.high = wp.vec3d(d.high[0], d.high[1], smaller(d.high[2], larger(z0, z1) + detail))
     d.rise = smaller(d.rise, rise)
     return d
 
@@ -280,19 +280,19 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     if depth > 2 * domain.levels:
         # Inside a bilinear patch heights change in proportion to |dx| + |dy|; of a bicubic one by three times that at
         # most: its slopes are means of three times the differences of its control heights.
-        part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
+        parts_a_side = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
-        d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
+        d.rise = d.rise * smaller(climb / parts_a_side, wp.float64(1.0))
     if domain.detailed == 1 and d.border < 2:
-        beyond_raster = domain.max_detail
+        max_displacement = domain.max_detail
         climb = wp.float64(domain.detail[depth][1])
         if domain.has_finer == 1:
             change = change_limits(domain, x, y, depth)
             side = wp.float64(wp.int32(1) << (domain.unit_bits - half))  # of the cell, lattice units
             longest = side * (domain.unit_x + domain.unit_y)
-            beyond_raster += wp.float64(change[0])
+            max_displacement += wp.float64(change[0])
             climb += smaller(wp.float64(2.0) * wp.float64(change[0]), wp.float64(change[1]) * longest)
-        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), beyond_raster * domain.error_scale)
+        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), max_displacement * domain.error_scale)
         d.low = d.low - more
         d.high = d.high + more
         d.rise += climb * domain.error_scale

@@ -26,11 +26,11 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
 
     group: domain.cell_group, or domain.curvature_group of a bicubic surface.
     """
-    e = wp.float32(0.0)
+    error = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
         index = item_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
-        e = error_of(domain.table, group, domain.error, index)
-    return e
+        error = error_of(domain.table, group, domain.error, index)
+    return error
 
 
 @wp.func
@@ -64,7 +64,7 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     largest = wp.float32(0.0)
     may_be_larger = wp.bool(True)
     ring = wp.int32(0)
-    factor = wp.float32(1.0)
+    factor = wp.float32(1.0)  # 4^-ring
     while may_be_larger and ring <= RINGS + 1:
         may_be_larger = wp.bool(False)
         largest_before = largest
@@ -200,16 +200,16 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
-    columns = (domain.samples.columns - 2) >> level
-    rows = (domain.samples.rows - 2) >> level
+    last_column = (domain.samples.columns - 2) >> level
+    last_row = (domain.samples.rows - 2) >> level
     first = wp.int64(mask) * item_at(domain.mask_first, domain.mask_top + 1) + item_at(domain.mask_first, level)
     shift = bits + level
-    i1 = wp.min((x + reach - 1) >> shift, columns)
-    j1 = wp.min((y + reach - 1) >> shift, rows)
+    i1 = wp.min((x + reach - 1) >> shift, last_column)
+    j1 = wp.min((y + reach - 1) >> shift, last_row)
     max_weight = wp.int32(0)
     for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
-            entry = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
+            entry = first + wp.int64(j) * wp.int64(last_column + 1) + wp.int64(i)
             max_weight = wp.max(max_weight, wp.int32(item_at(domain.mask_max, entry)))
     return max_weight
 

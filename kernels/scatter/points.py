@@ -183,17 +183,19 @@ def choose(
         for k in range(run.count):
             candidate = run.at + k
             rank = pattern.order[run.first + k]
-            r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK  # the density of all ranks up to this one
+            rank_density = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK  # the density of all ranks up to this one
             density = GROWING * wp.float64(candidates.density[candidate])
-            if density > r:  # otherwise no view can want it, whose densities are at most 1
+            if density > rank_density:  # otherwise no view can want it, whose densities are at most 1
                 p = candidates.positions[candidate]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
                 wanted = density * density_of_views(views, p3, run.clear)
-                if wanted > r:
-                    s = wp.min((wanted - r) / ((GROWING - wp.float64(1.0)) * r), wp.float64(1.0))
+                if wanted > rank_density:
+                    grown = wp.min(
+                        (wanted - rank_density) / ((GROWING - wp.float64(1.0)) * rank_density), wp.float64(1.0)
+                    )
                     chosen.which[n] = candidate
                     chosen.rank[n] = rank
-                    chosen.scale[n] = wp.float32(s * s * (wp.float64(3.0) - wp.float64(2.0) * s))
+                    chosen.scale[n] = wp.float32(grown * grown * (wp.float64(3.0) - wp.float64(2.0) * grown))
                     n += 1
         chosen.counts[t] = n - run.out
 

@@ -63,9 +63,7 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
 
 
 def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View:
-    """Return the view of an evaluated camera object.
-
-    Raises TerrainError for a camera that makes no picture.
+    """Return the view of an evaluated camera object. Raises TerrainError for a camera that makes no picture.
 
     matrix: from the camera to the world. resolution: pixels across and up.
     """
@@ -161,9 +159,7 @@ def _clip(data) -> tuple[float, float]:
 
 
 def _world_to_camera(name: str, matrix) -> np.ndarray:
-    """Return the matrix from the world to a camera, float64 [4, 4].
-
-    Raises TerrainError if the camera's is singular.
+    """Return the matrix from the world to a camera, float64 [4, 4]. Raises TerrainError if the camera's is singular.
 
     matrix: from the camera to the world. As in a render, the camera's scale has no effect; a shear has.
     """

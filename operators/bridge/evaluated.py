@@ -69,9 +69,9 @@ def _is_enabled(modifier, mode: str) -> bool:
 
 
 def _hidden_error(obj, depsgraph, what: str, named) -> TerrainError:
-    """Return the error for a hidden object `named` that has animation, modifiers or constraints; `obj` is it or a
+    """Return the error for a hidden object that has animation, modifiers or constraints, or whose parent has.
 
-    parent. what: noun for it in the error.
+    obj: the one that has them. what, named: role and object in the error.
     """
     owner = "it" if obj == named else f"its parent {obj.name!r}"
     where = "renders" if depsgraph.mode == RENDER else "viewports"

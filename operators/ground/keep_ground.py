@@ -138,7 +138,7 @@ def _find_moves(objects: list, grounds: list, depsgraph, moved) -> dict:
     """
     pairs = [(obj, obj.evaluated_get(depsgraph)) for obj in objects]
     evaluated = {o: item for o, item in pairs if item.is_evaluated and all(map(math.isfinite, _origin_of(item)))}
-    moves = {}
+    needed = {}
     for only in {obj.adaptive_terrain_keep.terrain for obj in evaluated}:  # None: any terrain
         chosen = [obj for obj in evaluated if obj.adaptive_terrain_keep.terrain == only]
         allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
@@ -152,8 +152,8 @@ def _find_moves(objects: list, grounds: list, depsgraph, moved) -> dict:
         for obj, height, normal, turns in zip(chosen, below.heights.tolist(), normals, turning, strict=True):
             rise = _rise_of(obj, evaluated[obj], height)
             if rise or (turns and math.isfinite(height)):
-                moves[obj] = rise, normal if turns else None
-    return {obj: moves[obj] for obj in objects if obj in moves}
+                needed[obj] = rise, normal if turns else None
+    return {obj: needed[obj] for obj in objects if obj in needed}
 
 
 def _origin_of(evaluated):

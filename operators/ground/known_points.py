@@ -51,15 +51,15 @@ def find_point(grounds: Sequence[WorldGround], read: Coordinates, system: str) -
     found, nearest, failure = [], None, None
     for ground in located:
         try:
-            at = _local_position(ground, read, system)
+            local = _local_position(ground, read, system)
         except TerrainError as error:
             failure = error
             continue
-        point = _point_at(ground, at)
+        point = _point_at(ground, local)
         if point is not None:
             found.append(point)
-        elif nearest is None or _distance(ground, at) < _distance(*nearest):
-            nearest = ground, at
+        elif nearest is None or _distance(ground, local) < _distance(*nearest):
+            nearest = ground, local
     if found:
         return max(found, key=lambda point: point.position[2])
     if nearest is None:
@@ -80,7 +80,7 @@ def _local_position(ground: WorldGround, read: Coordinates, system: str) -> np.n
             f"Latitude {y:,.10g} and longitude {x:,.10g} are not on Earth",
             expected="a latitude of -90 .. 90 and a longitude of -180 .. 180",
         )
-    if crs != WGS84 and (not in_degrees or system == OF_EARTH):
+    if crs != WGS84 and (not in_degrees or system == OF_EARTH):  # otherwise they are in the terrain's own degrees
         try:
             x, y = reprojected(x, y, crs)
         except TerrainError as error:
@@ -105,29 +105,29 @@ def _is_of_earth(read: Coordinates, system: str) -> bool:
     return read.is_degrees or can_be and read.order != EAST_FIRST
 
 
-def _point_at(ground: WorldGround, at: np.ndarray) -> KnownPoint | None:
+def _point_at(ground: WorldGround, local: np.ndarray) -> KnownPoint | None:
     """Return the ground at a position of a terrain's space, float64 [2]; None outside and in holes."""
     from ...cbt_terrain.query.ground import ground_at
 
-    samples = ground_at(ground.field, at[None], **ground.heights)
+    samples = ground_at(ground.field, local[None], **ground.heights)
     if not samples.inside[0]:
         return None
     z = float(samples.heights[0])
     height = (z - ground.offset) / ground.scale if ground.scale else z
-    position = ground.to_world(np.array([[*at, z]]))[0]
-    return KnownPoint(position, coordinates_text(ground.field.raster.known_place, ground.field.crs, at), height)
+    position = ground.to_world(np.array([[*local, z]]))[0]
+    return KnownPoint(position, coordinates_text(ground.field.raster.known_place, ground.field.crs, local), height)
 
 
-def _distance(ground: WorldGround, at: np.ndarray) -> float:
+def _distance(ground: WorldGround, local: np.ndarray) -> float:
     """Return the distance in metres of a position of a terrain's space, float64 [2], from its raster, 0 inside."""
     west, south, east, north = ground.field.lattice.rectangle()
-    return float(np.hypot(max(west - at[0], at[0] - east, 0.0), max(south - at[1], at[1] - north, 0.0)))
+    return float(np.hypot(max(west - local[0], local[0] - east, 0.0), max(south - local[1], local[1] - north, 0.0)))
 
 
-def _outside(ground: WorldGround, at: np.ndarray, read: Coordinates, system: str) -> TerrainError:
-    """Return the error for coordinates where the nearest terrain has no ground. at: position in its space."""
-    where = coordinates_text(ground.field.raster.known_place, ground.field.crs, at)
-    distance = _distance(ground, at)
+def _outside(ground: WorldGround, local: np.ndarray, read: Coordinates, system: str) -> TerrainError:
+    """Return the error for coordinates where the nearest terrain has no ground. local: position in its space."""
+    where = coordinates_text(ground.field.raster.known_place, ground.field.crs, local)
+    distance = _distance(ground, local)
     if distance == 0.0:
         return TerrainError(f"The terrain has a hole at {where}", fix="choose another point")
     exchanged = read._replace(first=read.second, second=read.first)

@@ -111,19 +111,20 @@ def off_corners(samples: Samples, bits: wp.int32, i: wp.int32, j: wp.int32, s: w
     west = wp.float64(i - (x << bits)) * finer_side
     south = wp.float64(j - (y << bits)) * finer_side
     one = wp.float64(1.0)
-    w0 = weights(west)
-    w1 = weights(west + finer_side)
-    v0 = weights(south)
-    v1 = weights(south + finer_side)
+    # Weights of samples in the heights on the finer cell's four sides.
+    west_weights = weights(west)
+    east_weights = weights(west + finer_side)
+    south_weights = weights(south)
+    north_weights = weights(south + finer_side)
     wx = border_weights(weights(west + s * finer_side), x, samples.columns)
     wy = border_weights(weights(south + t * finer_side), y, samples.rows)
     dx = border_weights(slopes(west + s * finer_side), x, samples.columns)
     dy = border_weights(slopes(south + t * finer_side), y, samples.rows)
     # The weights of the same samples in the bilinear interpolation between the finer cell's corners.
-    bx = border_weights(w0 * (one - s) + w1 * s, x, samples.columns)
-    by = border_weights(v0 * (one - t) + v1 * t, y, samples.rows)
-    ex = border_weights((w1 - w0) * cells_a_side, x, samples.columns)
-    ey = border_weights((v1 - v0) * cells_a_side, y, samples.rows)
+    bx = border_weights(west_weights * (one - s) + east_weights * s, x, samples.columns)
+    by = border_weights(south_weights * (one - t) + north_weights * t, y, samples.rows)
+    ex = border_weights((east_weights - west_weights) * cells_a_side, x, samples.columns)
+    ey = border_weights((north_weights - south_weights) * cells_a_side, y, samples.rows)
     base = wp.float64(sample_at(samples, sample_index(samples, x, y)))
     difference = wp.vec3d()
     for b in range(4):

@@ -45,7 +45,8 @@ def tile_jet(
     i = wp.min(wp.int32(u), wp.min(side, (finer.cells_x - first_x) >> level) - 1)
     j = wp.min(wp.int32(v), wp.min(side, (finer.cells_y - first_y) >> level) - 1)
     place = row * finer.columns + column
-    # rows of the level's array before those of the tile
+    # Rows of the level's array before those of the tile. A tile's array begins one sample before the tile, so (i, j) is
+    # the first of the 4 x 4 samples of the cell.
     first_row = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
     q = jet_of(finer.levels, level, i, first_row + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
     per_x = finer.levels.per_x * scale

@@ -85,8 +85,9 @@ def finest_ranges(
 ):
     """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
-    A range covers all samples in the diamond's box, or the nearest to a box beyond the raster, and so the finer
-    diamonds that overlap the next cell. Code q stands for base + q step metres. finest: layout of `ranges`.
+    A range covers all samples in the diamond's box, REACH samples around the middle: the finer diamonds below it extend
+    so far. Of a box beyond the raster it covers the nearest samples. Code q stands for base + q step metres. finest:
+    layout of `ranges`.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step

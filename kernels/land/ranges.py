@@ -84,6 +84,7 @@ def canyon_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: wp.
     # A side canyon ends some way into the plateau.
     side = side * (one - smooth(wp.float64(2600.0), wp.float64(6800.0), d + wp.float64(900.0) * wide))
     reach = d * (one - side) + wp.float64(70.0) * fine[2] + wp.float64(16.0) * rough
+    # Beside the river, noise raises no wall.
     reach = wp.where(d < wp.float64(60.0), wp.min(reach, d), reach)
     plateau = wp.float64(1950.0) + wp.float64(140.0) * wide + wp.float64(5.0) * fine[2] + wp.float64(1.2) * rough
     floor = wp.float64(700.0) + wp.float64(60.0) * x / half_side
@@ -161,6 +162,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
                 high = wp.float64(450.0) + wp.float64(1650.0) * strength
                 cell_seed = scramble(wp.uint32(wp.int32(ci)) + scramble(wp.uint32(wp.int32(cj)) + seed + wp.uint32(65)))
                 volcanoes = wp.max(volcanoes, volcano(wx - vx, wy - vy, reach, high, rough, cell_seed))
+    # Depths shrink to 35 %.
     height = wp.max(height, wp.float64(0.35) * height) + volcanoes * wp.float64(0.9)
     beach = wp.float64(12.0)
     if height > -beach and height < beach:

@@ -33,6 +33,7 @@ def fast_sine(turn: wp.float32) -> wp.float32:
 @wp.func
 def fast_angle(c: wp.float32, s: wp.float32) -> wp.float32:
     """Return the angle of the vector (c, s) in turns, 0 .. 1, within 2e-4."""
+    # The arc tangent of the smaller over the larger coordinate by a polynomial, then put into its octant.
     a = wp.abs(c)
     b = wp.abs(s)
     t = wp.min(a, b) / (wp.max(a, b) + 1e-20)
@@ -110,7 +111,7 @@ def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     supply = smooth(wp.float64(-0.55), wp.float64(0.35), wide[2] + wp.float64(0.35) * medium[2])
     coherent = smooth(wp.float64(0.05), wp.float64(0.55), large[1])
     height = wp.float64(62.0) * (wp.float64(0.25) + wp.float64(0.75) * supply) * coherent
-    dune = ridge_of_sand(large[0], height, length)
+    dune = ridge_of_sand(large[0], height, length)  # its height, and 1 in its lee
 
     # Small dunes are on the gentle side of large ones and in the pans between them.
     length = wp.float64(58.0)

@@ -69,26 +69,26 @@ def resolve(
             level = w.imports[first + i][0] >> LEVEL_SHIFT
             kind = w.imports[first + i][0] & ((1 << LEVEL_SHIFT) - 1)
             value = w.imports[first + i][1]
-            number = wp.vec2i(0, 0)
+            element = wp.vec2i(0, 0)
             if kind == FRONT:
                 n = w.state[first_state - STATE_SIZE + END_FRONT + value]
-                number = wp.vec2i(n, n)
+                element = wp.vec2i(n, n)
             elif kind == STACK or kind == STACK + 1:
                 entry = tops[kind - STACK] - 1 - value
                 if entry < 0:  # nothing is open
                     w.state[first_state + TORN] = 1
                 else:
                     entry += (kind - STACK) * size
-                    number = open[entry]
+                    element = open[entry]
                     check_level(w, first_state, level, open_level[entry])
             elif kind == SIDE:
-                number = w.side[value]
+                element = w.side[value]
                 check_level(w, first_state, level, w.side_level[value])
             elif kind == UPPER_LEFT:
-                number = wp.vec2i(0, w.corners[2 * value])
+                element = wp.vec2i(0, w.corners[2 * value])
             else:  # UPPER_RIGHT
-                number = wp.vec2i(0, w.corners[2 * value + 1])
-            found[first + i] = number
+                element = wp.vec2i(0, w.corners[2 * value + 1])
+            found[first + i] = element
         # The front and the open edges at the end of this slice.
         w.state[first_state + END_FRONT] = resolve_number(w.state[first_state + END_FRONT], first, found, 1)
         w.state[first_state + END_FRONT + 1] = resolve_number(w.state[first_state + END_FRONT + 1], first, found, 1)

@@ -123,7 +123,8 @@ def expand(
         level = source.level[leaf]
         odd = level & 1
         o = 3 * leaf
-        left = o + 2 - 2 * odd  # stored left, apex, right where the depth is odd, right, apex, left where it is even
+        # Corners are left, apex, right at odd depths, right, apex, left at even ones; edge k begins at corner k.
+        left = o + 2 - 2 * odd
         right = o + 2 * odd
         v0 = source.corner_verts[left]
         v1 = source.corner_verts[o + 1]

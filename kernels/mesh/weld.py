@@ -149,7 +149,7 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     first_state = STATE_SIZE * slot
     for i in range(STATE_SIZE):
         w.state[first_state + i] = 0
-    for i in range(4):
+    for i in range(4):  # edges of the square's four sides that earlier slices have passed
         w.state[first_state + LEFT + i] = w.before[4 * slot + i]
     s = Strip()
     s.vertex = b.vertex
@@ -192,6 +192,7 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
     s.entry = entry
     s.vertex = vertex
     s.edge = edge
+    # Whether the corner is on the right border of the strip.
     mirrored = ((code & PASSAGE) == HYP_LEG) == (((code >> PARITY) & 1) == 1)
     s.front0 = wp.where(mirrored, end, corner)
     s.front1 = wp.where(mirrored, corner, end)

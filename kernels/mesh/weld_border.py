@@ -114,16 +114,16 @@ def read_side(w: Weld, b: Base, first_state: wp.int32, slot: wp.int32, role: wp.
     entry = wp.int32(0)
     is_here = wp.bool(False)
     if role == TAKE_LEFT:
-        n = w.state[first_state + LEFT]
-        w.state[first_state + LEFT] = n + 1
-        entry = w.side_base[square] - 1 - n
+        passed = w.state[first_state + LEFT]
+        w.state[first_state + LEFT] = passed + 1
+        entry = w.side_base[square] - 1 - passed
         is_here = is_in_slice(w, slot, square - 1, entry - w.side_base[square - 1], RIGHT_SIDE)
     else:
         owner = square - w.columns
-        n = w.state[first_state + BELOW]
-        w.state[first_state + BELOW] = n + 1
+        passed = w.state[first_state + BELOW]
+        w.state[first_state + BELOW] = passed + 1
         upper_side = w.columns * w.rows + owner
-        entry = w.side_base[upper_side + 1] - 1 - n
+        entry = w.side_base[upper_side + 1] - 1 - passed
         is_here = is_in_slice(w, slot, owner, entry - w.side_base[upper_side], UPPER_SIDE)
     shared_edge = wp.vec2i(0, 0)
     if is_here:

@@ -82,7 +82,10 @@ class Strip:
 
 @wp.func
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
-    """Return the first numbers (triangle, vertex, edge) of slice `slot`, from the counts of the slices before."""
+    """Return the first numbers of slice `slot`, and where its part of the lists begins (`room`).
+
+    counts: leaves, vertices and edges of each slice; those of the slices before are added up.
+    """
     b = Base()
     for s in range(slot):
         b.triangle += wp.int32(counts[3 * s])

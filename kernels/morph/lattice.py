@@ -43,10 +43,11 @@ def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
     half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
     along = wp.vec2i(half, 0)
     if (depth & 1) == 1:
-        # The diagonals of the four cells in a cell meet in its middle; that of a root square goes down.
+        # p is the middle of a cell. The diagonals of the four cells in a cell meet in its middle, so that one goes up
+        # if its column and row are both even or both odd; that of a root square goes down.
         is_upward = depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
         along = wp.vec2i(half, wp.where(is_upward, half, -half))
-    elif (p[0] & half) == 0:
+    elif (p[0] & half) == 0:  # p is the middle of a cell's western side
         along = wp.vec2i(0, half)
     return along
 

@@ -309,7 +309,7 @@ def morphed_point(
             weight, known, surface, pixel2 = evaluate_point(
                 domain, morphing, point, depth, is_vertex, vertex, last, clear_below
             )
-            is_known = weight >= wp.float64(1.0)
+            is_known = weight >= wp.float64(1.0)  # settled: it needs no ends
             morphed.point = point
             morphed.height = known.height
             morphed.z = known.height

@@ -200,7 +200,7 @@ def footprint_factors(
     # Bounds of the factor on the second of the three values.
     lowest = lower * lower / wp.sqrt(slants2[1])
     highest = upper * upper / wp.sqrt(slants2[0])
-    clamped2 = smaller(view.max_gain2, motion.max_gain2)
+    smaller_limit2 = smaller(view.max_gain2, motion.max_gain2)
     if max_gain2 <= one:  # the first in all boxes
         gain2 = one
         lowest = one
@@ -215,7 +215,7 @@ def footprint_factors(
         if min_gain2 < one:  # the first in some boxes
             lowest = smaller(lower, lowest)
             highest = larger(upper, highest)
-        if max_gain2 > clamped2:  # the last in some boxes
+        if max_gain2 > smaller_limit2:  # the last in some boxes
             gain = wp.sqrt(view.max_gain2 / motion.max_gain2)
             lowest = smaller(lower * gain, lowest)
             highest = larger(upper * gain, highest)
@@ -251,11 +251,12 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
             inwards = larger(max_over_box(planes[p] - before[p], low, high), inwards)
     min_width = fringe_at(view, min_over_box(view.depth, low, high))
     max_width = fringe_at(view, max_over_box(view.depth, low, high))
-    if view.kind == PERSPECTIVE:
+    if view.kind == PERSPECTIVE:  # the fringe's width changes, too
         change = view.depth - motion.depth
         outwards += view.fringe * larger(-min_over_box(change, low, high), zero)
         inwards += view.fringe * larger(max_over_box(change, low, high), zero)
     valid = wp.where(min_width > zero and max_width < inf, 1, 0)
+    # 1 + fade * f of the innermost and the outermost point; of the innermost one in the last frame, at least.
     finest = one + view.fade * wp.clamp(-deepest / max_width, zero, one)
     coarsest = one + view.fade * wp.clamp(-nearest / min_width, zero, one)
     before_finest = larger(finest - view.fade * outwards / min_width, one)

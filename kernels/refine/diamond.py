@@ -223,7 +223,8 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     detail = domain.max_detail * domain.error_scale
     rise = wp.abs(z1 - z0)
     if depth > 2 * levels:
-        # Inside a finer cell, which is bilinear but for a part of a bicubic patch that is nowhere steeper than 6 `off`.
+        # Inside a finer cell, which is bilinear but for a part of a bicubic patch that is nowhere steeper than 6 `off`,
+        # of which 2 are in `rise`.
         parts_a_side = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
         steepest = rise + wp.float64(4.0) * domain.finer[0].off * domain.error_scale
         rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / parts_a_side), rise)

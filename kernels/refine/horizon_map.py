@@ -192,7 +192,7 @@ def steady_min(
     position: the exact minimum over few bilinear cells, else `min_of_windows`.
     """
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    margin = wp.float64(margin_units + 2)
+    margin = wp.float64(margin_units + 2)  # no less than `min_over` gets in `fill_horizon`
     corner = (corner - wp.vec2d(margin, margin)) / cell
     size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
     longest = wp.max(size[0], size[1])
@@ -285,12 +285,12 @@ def arc_of(domain: Domain, side: wp.int32, t0: wp.float64, t1: wp.float64):
     and ends along that side.
     """
     ahead = wp.where(side < 2, wp.float64(1.0), wp.float64(-1.0))
-    per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
-    per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
+    arc_begin = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
+    arc_end = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
     if (side & 1) == 1:
-        per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
-        per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
-    return per0, per1
+        arc_begin = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
+        arc_end = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
+    return arc_begin, arc_end
 
 
 @wp.kernel
@@ -316,6 +316,7 @@ def fill_horizon(
     rings = view.rings
     reach2 = reach2_of(view)
     side = k / BINS
+    # The bin spans the directions t0 .. t1: dy / dx, or dx / dy in the north and south.
     t0 = wp.float64(bin_of(side, k - side * BINS) - side * BINS) / wp.float64(BINS / 2) - one
     t1 = t0 + one / wp.float64(BINS / 2)
     max_t = wp.max(wp.abs(t0), wp.abs(t1))
@@ -335,16 +336,16 @@ def fill_horizon(
             domain, criterion, view, reach2, relaxation, wp.float64(2.0) * start * start, rise
         )
         floor = (rise + mesh_offset) / start
-    per0, per1 = arc_of(domain, side, t0, t1)
+    arc_begin, arc_end = arc_of(domain, side, t0, t1)
     max_slope = NOTHING
     cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)
     next_radius = wp.float64(0.0)  # rings closer together than cells add nothing
     for ring in range(rings.count):
         radius = radius_of(rings.first + ring)
-        u0 = x + radius * per0[0]
-        v0 = y + radius * per0[1]
-        u1 = x + radius * per1[0]
-        v1 = y + radius * per1[1]
+        u0 = x + radius * arc_begin[0]
+        v0 = y + radius * arc_begin[1]
+        u1 = x + radius * arc_end[0]
+        v1 = y + radius * arc_end[1]
         inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
         if inside and begun < 2 and radius >= next_radius:
             next_radius = radius + cell
@@ -361,7 +362,7 @@ def fill_horizon(
                 floor = (rise + max_mesh_offset(domain, criterion, view, reach2, relaxation, across2, rise)) / radius
             rise = -view.eye[2]
             if view.ramp > wp.float64(0.0):
-                rise += steady_min(domain, blocks, margin_units, wp.vec2d(u0, v0), radius * (per1 - per0))
+                rise += steady_min(domain, blocks, margin_units, wp.vec2d(u0, v0), radius * (arc_end - arc_begin))
             else:
                 rise += min_over(domain, blocks, x0, y0, x1, y1, one)
             if rise > max_slope * radius:

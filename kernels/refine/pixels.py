@@ -216,7 +216,7 @@ def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
     rounded arithmetic.
     """
     coarser2 = view.off_screen2
-    outer = inner + fringe_at(view, depth)
+    outer = inner + fringe_at(view, depth)  # metres inside the fringe's outer border
     if outer > wp.float64(0.0):
         one = wp.float64(1.0)
         # 1 + fade * (-inner / width of the fringe), in a form that stays monotone when it is rounded.

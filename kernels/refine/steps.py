@@ -72,9 +72,9 @@ def middle_of(c: Cursor) -> wp.vec2i:
 def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
     """Move the cursor along the curve: to a child of a split triangle, else to the next triangle on the stack.
 
-    The first child comes first and the second is pushed, unless the slice begins after the first. Fields are assigned
-    one by one: Warp copies a struct that is assigned whole in a branch, even if the branch is not taken. verdict: SPLIT
-    to split the triangle.
+    The first child comes first and the second is pushed, unless the slice begins after the first. `top` becomes -1 at
+    the end of the square or the slice. Fields are assigned one by one: Warp copies a struct that is assigned whole in a
+    branch, even if the branch is not taken. verdict: SPLIT to split the triangle.
     """
     if verdict == SPLIT:
         middle = middle_of(c)

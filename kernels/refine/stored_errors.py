@@ -253,6 +253,7 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
                 error = wp.max(error, cell_change(domain.finer[0], i - 1, j))
             if (j << shift) == y:
                 error = wp.max(error, cell_change(domain.finer[0], i, j - 1))
+        # It falls to a quarter with the first bisection below the finer cell and with every second one after that.
         error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
     return error
 

@@ -47,6 +47,7 @@ class FinerPlaces:
     float* __restrict out = levels.data + first;
     const double largest = (double)(2ll << 2 * max_level);
     const float smallest = 1.0f / (float)(1 << -2 * min_level);
+    // First the squares of the samples that a pixel covers, the smallest of all eyes.
     for (int e = 0; e < (int)eyes.shape[0]; ++e) {
         const auto& eye = eyes.data[e];
         const auto& m = eye.linear.data;
@@ -66,6 +67,7 @@ class FinerPlaces:
         int bits;
         __builtin_memcpy(&bits, &squared, 4);
         const int m = bits & 0x7FFFFF;
+        // Quarters of log2 of the square, rounded: the limits are the mantissas of 2^(1/8), 2^(3/8), 2^(5/8), 2^(7/8).
         const int steps = (m >= 0x0B95C2) + (m >= 0x25FED7) + (m >= 0x45672B) + (m >= 0x6AC0C7);
         const int eighths = 4 * ((bits >> 23) - 127) + steps;
         out[k] = (eighths < 8 * max_level ? eighths : 8 * max_level) * 0.125f;

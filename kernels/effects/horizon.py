@@ -111,6 +111,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
     const wp::int64 *const first = g.first.data;
     const int *const wide = g.wide.data, levels = g.levels;
+    // Less the point's height, with a margin above rounding.
     const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;
     double best = lowest;
     auto height = [&](long long k) __attribute__((always_inline)) {
@@ -160,7 +161,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
         }
         cell[d] = line[d] - axes[d].behind;
         way = out;
-        const int up = l ? l + 1 : FINEST;
+        const int up = l ? l + 1 : FINEST;  // go on by the next larger block where the ray enters one
         if (up < levels && ((cell[0] >> up) ^ (block[0] << l >> up) | (cell[1] >> up) ^ (block[1] << l >> up))) l = up;
     }
     return best < enough ? best : enough;

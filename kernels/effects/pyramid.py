@@ -134,7 +134,7 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
     auto height = [&](wp::int64 i) __attribute__((always_inline)) {
         return coded ? (float)((numbers[i] + samples.first) * samples.scale + samples.offset) : floats[i];
     };
-    four r[4];
+    four r[4];  // 4 x 4 heights, row by row; beyond the border they are extrapolated
     if (x >= 0 && x + 3 < columns && y >= 0 && y + 3 < rows)
         for (int k = 0; k < 4; ++k) {
             const wp::int64 i = wp::int64(y + k) * columns + x;
@@ -154,11 +154,13 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
     }
     const float s = 1.0f - u, t = 1.0f - v, sixth = 1.0f / 6.0f, base = r[1][1];
     for (int k = 0; k < 4; ++k) r[k] -= base;
+    // Along each column: height z, slope g and second derivative k at v.
     const four a = r[1] - r[0], b = r[2] - r[1], c = r[3] - r[2];
     const four z = (t * t * t * r[0] + (4.0f - v * v * (6.0f - 3.0f * v)) * r[1]
                     + (4.0f - t * t * (6.0f - 3.0f * t)) * r[2] + v * v * v * r[3]) * sixth;
     const four g = 0.5f * t * t * a + (0.5f + t * v) * b + 0.5f * v * v * c;
     const four k = t * (b - a) + v * (c - b);
+    // Across the columns at u: weights w of values, and d of differences for the slope.
     const float w0 = s * s * s * sixth, w1 = (4.0f - u * u * (6.0f - 3.0f * u)) * sixth;
     const float w2 = (4.0f - s * s * (6.0f - 3.0f * s)) * sixth, w3 = u * u * u * sixth;
     const float d0 = 0.5f * s * s, d1 = 0.5f + s * u, d2 = 0.5f * u * u;

@@ -47,7 +47,7 @@ class DrainageArrays:
     const float ew = inverse_distance[0], ns = inverse_distance[1], across = inverse_distance[2];
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 1; x < width - 1; ++x) {
-        unsigned a = noise + (unsigned)x, b;
+        unsigned a = noise + (unsigned)x, b;  // hashes: eight random bytes, one for each neighbour
         a = (a ^ (a >> 16)) * 0x7FEB352Du;
         a = (a ^ (a >> 15)) * 0x846CA68Bu;
         a = a ^ (a >> 16);
@@ -107,6 +107,7 @@ def count_donors_of_row(d: DrainageArrays, y: int):
     const unsigned char* __restrict t = d.to.data;
     const unsigned char* __restrict b = d.base.data;
     while (i < n) {
+        // Pass over 64 samples without a pit.
         if (i + 64 <= n) {
             unsigned char found = 0;
             #pragma clang loop vectorize(enable)
@@ -177,6 +178,7 @@ def passes_of_row(d: DrainageArrays, y: int) -> int:
     int* __restrict e = edge.data;
     const int ahead[4] = {1, width - 1, width, width + 1};
     for (int x = 0; x < width; ++x) {
+        // Pass over 16 samples that have the label of all neighbours ahead.
         if (x >= 1 && x + 17 <= width) {
             int found = 0;
             #pragma clang loop vectorize(enable)

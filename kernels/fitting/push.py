@@ -37,7 +37,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const int south = wp::min(wp::min(left_y, right_y), 0);
     const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_border);
     for (int y = south; y <= north; ++y) {
-        const int away = wp::abs(y);
+        const int away = wp::abs(y);  // the row's first sample and their number, as in `row_of` (facet.py)
         int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
         const long long row = origin + (long long)y * width;
@@ -115,6 +115,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             y += dy;
         }
     }
+    // The weights of the left and the right corner are linear in x and y, so their sums follow from those of x and y.
     const float c_left = (c_x * (float)left_x + c_y * (float)left_y) * per_leg;
     const float c_right = (c_x * (float)right_x + c_y * (float)right_y) * per_leg;
     const float p_left = (p_x * (float)left_x + p_y * (float)left_y) * per_leg;

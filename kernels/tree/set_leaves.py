@@ -103,7 +103,7 @@ def fill_word(
         ++filled;
     }
 end:
-    if (differs) state.data[3] = 1;
+    if (differs) state.data[3] = 1;  // DIFFERS
     return k << 8 | filled;
 """)
 def fill_words(

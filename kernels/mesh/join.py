@@ -31,7 +31,7 @@ from .weld_state import (
 
 @wp.func
 def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), is_vertex: wp.int32) -> wp.int32:
-    """Return the edge or vertex that an import stands for: an element of an earlier slice, as a negative number.
+    """Return the edge or vertex of an earlier slice that an import, a negative number, stands for.
 
     Other numbers stay as they are. first: index of the slice's first import. found: (edge, vertex) of each import.
     is_vertex: 1 for the vertex, 0 for the edge.

@@ -30,13 +30,13 @@ RIGHT_SIDE, UPPER_SIDE = wp.constant(2), wp.constant(3)
 
 
 @wp.func
-def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
+def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, side: wp.int32) -> wp.bool:
     """Return whether slice `slot`, not an earlier one, made edge number `passed` of a side of square `owner`.
 
-    before: the side, RIGHT_SIDE or UPPER_SIDE.
+    side: RIGHT_SIDE or UPPER_SIDE.
     """
     first = w.squares[slot]
-    return owner > first or (owner == first and passed >= w.before[4 * slot + before])
+    return owner > first or (owner == first and passed >= w.before[4 * slot + side])
 
 
 @wp.func

@@ -338,7 +338,7 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
 def max_error_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
     """Return the largest stored error, metres after scaling, whose weighed error `metres2_of` is at most metres^2.
 
-    rest: metres that float32 rounding adds.
+    Each step of `metres2_of` is inverted. rest: metres that float32 rounding adds.
     """
     left = larger(metres - domain.source, wp.float64(0.8) * metres)
     return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)

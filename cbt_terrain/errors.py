@@ -60,15 +60,15 @@ def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
         subject: start of the error's clause: "The store a/b".
     """
     text = os.fspath(path)
-    name = "the name of a file or folder"
+    expected = "the name of a file or folder"
     if "\0" in text:
-        return TerrainError(f"{subject} holds a NUL character", expected=name)
+        return TerrainError(f"{subject} holds a NUL character", expected=expected)
     try:
-        whole = Path(text).absolute()
-        parts = [os.fsencode(part) for part in whole.parts]
-        size = len(os.fsencode(whole))
+        absolute = Path(text).absolute()
+        parts = [os.fsencode(part) for part in absolute.parts]
+        size = len(os.fsencode(absolute))
     except (UnicodeEncodeError, OSError) as reason:  # OSError: the current folder was removed
-        return TerrainError(f"{subject} cannot be a path ({reason})", expected=name)
+        return TerrainError(f"{subject} cannot be a path ({reason})", expected=expected)
     fix = "choose a shorter one"
     if size >= MAX_PATH_BYTES:
         return TerrainError(

@@ -31,7 +31,7 @@ def plain_number(value: Any, kind: Any, name: str) -> Any:
     """
     if kind not in EXPECTED:
         return _plain_parts(value, kind, name)
-    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):  # a numpy scalar
         value = value.item()
     try:
         if kind is bool and isinstance(value, Integral) and value in (0, 1):
@@ -61,7 +61,7 @@ def _plain_parts(value: Any, kind: Any, name: str) -> Any:
     parts = tuple(value) if np.iterable(value) else ()
     if len(parts) != len(kinds):
         raise TerrainError(f"{name} is {shown(repr(value))}", expected=f"{len(kinds)} numbers")
-    return tuple(plain_number(*part, name) for part in zip(parts, kinds, strict=True))
+    return tuple(plain_number(part, part_kind, name) for part, part_kind in zip(parts, kinds, strict=True))
 
 
 def keep_plain_numbers(settings: Any, owner: str) -> None:
@@ -85,15 +85,15 @@ def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
 
     name: the vectors' name in the error, as "origins of rays".
     """
-    found = rows(values, width, name)
-    finite = np.isfinite(found)
+    checked = rows(values, width, name)
+    finite = np.isfinite(checked)
     if not finite.all():
         first_wrong = int(np.argmin(finite.all(axis=1)))
-        wrong = ", ".join(f"{value:g}" for value in found[first_wrong])
+        wrong = ", ".join(f"{value:g}" for value in checked[first_wrong])
         raise TerrainError(
             f"Number {first_wrong} of the {name} is ({wrong})", expected="finite metres", fix="correct or leave it out"
         )
-    return found
+    return checked
 
 
 def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
@@ -104,11 +104,11 @@ def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
     """
     try:
         values = list(values) if isinstance(values, Iterator) else values
-        found = np.ascontiguousarray(values, np.float64)
+        array = np.ascontiguousarray(values, np.float64)
     except (TypeError, ValueError):
         raise TerrainError(f"The {name} are no numbers", expected=f"[n, {width}] metres") from None
-    if found.ndim == 1 and found.size in (0, width):
-        found = found.reshape(-1, width)
-    if found.ndim != 2 or found.shape[1] != width:
-        raise TerrainError(f"The {name} came as an array of the shape {found.shape}", expected=f"[n, {width}] metres")
-    return found
+    if array.ndim == 1 and array.size in (0, width):
+        array = array.reshape(-1, width)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise TerrainError(f"The {name} came as an array of the shape {array.shape}", expected=f"[n, {width}] metres")
+    return array

@@ -13,6 +13,7 @@ from .errors import TerrainError
 from .field.depths import depth_in_plane, depth_limit, plane_limit, usual_depth
 from .field.domain import box_of
 from .field.heightfield import HeightField
+from .history.frame import Leaves
 from .history.frame_history import FrameHistory
 from .leb.location import locate
 from .mesh.builder import SurfaceRequest, build_surface
@@ -144,10 +145,10 @@ class Terrain:
         """Refine, weld and displace for the views (their union), the terrain standing at `placement` (4 x 4, to world).
 
         `views`: a list, any other iterable, or one view. `placement`: the identity by default. Heights become `height *
-        vertical_scale + vertical_offset` metres. The arrays of the surface are read-only. They stay as they are however
-        many updates follow; `copy()` has arrays that can be written. Other threads that update the same terrain wait.
-        Raises TerrainError and leaves the last mesh as it is if a number cannot be used. An error while the mesh is
-        built, for example of a damaged field, leaves the terrain without a mesh.
+        vertical_scale + vertical_offset` metres. The arrays of the surface are read-only, and later updates do not
+        change them; `copy()` has arrays that can be written. Other threads that update the same terrain wait. Raises
+        TerrainError and leaves the last mesh as it is if a number cannot be used. An error while the mesh is built, for
+        example of a damaged field, leaves the terrain without a mesh.
         """
         placement = np.eye(4) if placement is None else np.array(placement, np.float64)
         scaling = vertical(vertical_scale, vertical_offset)
@@ -214,7 +215,7 @@ class Terrain:
         shape = _Shape(meshlet, int(depths.max()), vertical_scale, vertical_offset)
         domain = self._placed_domain(shape)
         with self.history.writing():
-            leaves, error = replay(self.field, domain, depths, cell_bits, self.history)
+            leaves, leaf_error = replay(self.field, domain, depths, cell_bits, self.history)
             changed = leaves.changed or self._has_other_shape(shape)
             try:
                 surface = self._build(SurfaceRequest(domain, meshlet, whole=self._whole), changed)
@@ -222,7 +223,8 @@ class Terrain:
                 raise TerrainError(
                     "The saved tree is corrupt", expected="leaves that form a conforming mesh", fix="save it again"
                 ) from None
-            terms_m = error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
+            # of the bound: the mesh's error, and the rounding of float32 and of the source
+            terms_m = leaf_error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
             bound = add_up(terms_m) * (1 + MARGIN)
             update = Update(
                 surface=surface,
@@ -296,8 +298,7 @@ class Terrain:
     def _update_to(self, depth: int, request: UpdateRequest, box: np.ndarray) -> Update | int:
         """Refine to leaves of at most `depth` bisections and return the update; a smaller depth if that is too deep.
 
-        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. box: the
-        terrain's bounding box, float64 [2, 3] metres.
+        box: the terrain's bounding box, float64 [2, 3] metres.
         """
         criterion, morph_until = request.criterion, request.criterion.morph_until
         scaling = request.vertical_scale, request.vertical_offset
@@ -321,25 +322,11 @@ class Terrain:
             place_rings(domain, local, criterion.hidden_factor, RAMP if morph_until > 1 else 0.0)
         packed = pack(criterion, local, spans, domain.source)
         with self.history.writing():
-            changed = self._has_other_shape(shape) or morph_until > 1  # points that morph move with the view
-            max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
-            while True:
-                refinement = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
-                leaves, relaxed = refine(self.field, refinement, self.history, self.threads)
-                # The same leaves displaced the same way are the same mesh.
-                changed |= leaves.changed  # also of an earlier turn, whose leaves the tree holds now
-                geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
-                surface = None  # or its memory would be in use
-                surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
-                # The cut at the border makes two of some triangles. The root triangles remain, whatever the limit.
-                excess = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
-                if excess <= 0 or leaves.total > max_leaves:
-                    break
-                max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
+            leaves, relaxed, surface, changed = self._build_within_limit(criterion, shape, domain, packed)
             if 1 < depth > plane_limit(self.field.lattice) - 2 * criterion.meshlet:
-                in_plane = depth_in_plane(self.field.lattice, surface.positions, surface.corner_verts, surface.level)
-                if in_plane is not None:
-                    return max(1, in_plane - 2 * criterion.meshlet)
+                exact_depth = depth_in_plane(self.field.lattice, surface.positions, surface.corner_verts, surface.level)
+                if exact_depth is not None:  # float32 cannot represent the corners of deeper triangles
+                    return max(1, exact_depth - 2 * criterion.meshlet)
             horizon = None
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
                 horizon = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
@@ -360,6 +347,31 @@ class Terrain:
             update = Update(surface=surface, leaves=leaves.total, changed=changed, **bounds)
             self.history.commit(request.key(), _Result(update, shape, horizon), keeps_vertices=not changed)
         return update
+
+    def _build_within_limit(
+        self, criterion: Criterion, shape: _Shape, domain: Domain, packed: CriterionArrays
+    ) -> tuple[Leaves, float, Surface, bool]:
+        """Refine and build the surface; again with fewer leaves while its cut at the border exceeds the triangle limit.
+
+        Return the leaves, the factor by which the limit relaxed the criterion, the surface, and whether it differs from
+        that of the last frame. packed: `criterion` and the views, as the kernels read them.
+        """
+        morph_until = shape.morph_until
+        changed = self._has_other_shape(shape) or morph_until > 1  # points that morph move with the view
+        max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
+        while True:
+            refinement = RefinementRequest(domain, packed, shape.depth, max_leaves, limited, morph_until)
+            leaves, relaxed = refine(self.field, refinement, self.history, self.threads)
+            # The same leaves displaced the same way are the same mesh.
+            changed |= leaves.changed  # also of an earlier turn, whose leaves the tree holds now
+            geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
+            surface = None  # the surface of an earlier turn would keep its memory in use
+            surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
+            # The cut makes two of some triangles. The root triangles remain, whatever the limit.
+            excess = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
+            if excess <= 0 or leaves.total > max_leaves:
+                return leaves, relaxed, surface, changed
+            max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
 
     def _placed_domain(self, shape: _Shape) -> Domain:
         """Return the height field with its vertical scale and offset and the float32 rounding bounds at this depth.

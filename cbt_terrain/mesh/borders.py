@@ -43,9 +43,9 @@ def border_sides(domain: Domain) -> list[Side]:
     rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
     # The same expression as in the displacement of points.
     return [
-        border_side(axis, start + at * unit, rounding * unit)
-        for axis, (at, start, unit) in enumerate(axes)
-        if at != NO_BORDER
+        border_side(axis, start + border * unit, rounding * unit)
+        for axis, (border, start, unit) in enumerate(axes)
+        if border != NO_BORDER
     ]
 
 

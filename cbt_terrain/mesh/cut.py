@@ -183,9 +183,9 @@ class _Work:
         # `value` lacks the new vertices of earlier sides.
         earlier, on_line = slice(len(value), first), np.zeros(first - len(value), bool)
         if first > len(value):
-            found = side.value(self.arrays["positions"][earlier])
-            on_line = np.abs(found) < side.rounding
-            self.value[earlier] = np.where(on_line, 0.0, found)
+            values = side.value(self.arrays["positions"][earlier])
+            on_line = np.abs(values) < side.rounding
+            self.value[earlier] = np.where(on_line, 0.0, values)
         if side.tolerance:
             positions = shared(self.arrays["positions"], wp.vec3f)
             launch.once(kernels.snap_to_line, [wp.float64(side.tolerance), positions, self.m], step="cut")
@@ -231,8 +231,8 @@ class _Work:
         edges[used_edges] = to[edges[used_edges]]
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
         # Of a flat triangle's edges one is a point; the others are one edge.
-        points = edges[sides[flat], 0] == edges[sides[flat], 1]
-        equal = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
+        is_point = edges[sides[flat], 0] == edges[sides[flat], 1]
+        equal = [of_one[~p] for of_one, p in zip(sides[flat], is_point, strict=True) if p.sum() == 1]
         pairs = np.array(equal, np.int64).reshape(-1, 2)
         sides[listed] = _merge_numbers(pairs, self.counts[kernels.EDGE])[sides[listed]]
         self.removed[kernels.TRIANGLE, flat] = True
@@ -242,8 +242,8 @@ class _Work:
     def close(self) -> tuple[Surface, np.ndarray]:
         """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
         launch.once(kernels.keep_used, [self.m], step="cut")
-        ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)
-        inputs = [self.m, *ends[:2], *(shared(gaps, wp.int32) for gaps in moved[:2])]
+        remaining, moves, new_numbers = zip(*(self._moves(kind) for kind in range(3)), strict=True)
+        inputs = [self.m, *remaining[:2], *(shared(numbers, wp.int32) for numbers in new_numbers[:2])]
         launch.once(kernels.renumber, inputs, step="cut")
         views = {}
         for name, (kind, per_element) in self.items.items():
@@ -252,23 +252,24 @@ class _Work:
                 swap(self.rows[name], moves[kind])
             else:
                 self.rows[name][gaps] = self.rows[name].take(source, axis=0)
-            views[name] = self.arrays[name][: per_element * ends[kind]]
+            views[name] = self.arrays[name][: per_element * remaining[kind]]
         attributes = {name: replace(a, array=views.pop(name)) for name, a in self.surface.attributes.items()}
         return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 
     def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
-        """Return how the last elements of a kind fill the gaps of removed ones: (number that remain, moves, new).
+        """Return how the last elements of a kind fill the gaps of removed ones: (remaining, moves, new numbers).
 
-        Moves: int64 [2, n], old and new numbers of the elements that move. New: int32, the new numbers of the elements
-        whose old numbers are not below the number that remain, -1 for removed ones. kind: VERTEX, EDGE or TRIANGLE.
+        remaining: number of elements that remain. moves: int64 [2, n], old and new numbers of the elements that move.
+        new numbers: int32, of the elements whose old numbers are `remaining` or more; -1 for removed ones. kind:
+        VERTEX, EDGE or TRIANGLE.
         """
         total = int(self.counts[kind])
         removed = np.flatnonzero(self.removed[kind, :total])
-        end = total - len(removed)
-        stays, gaps = np.flatnonzero(~self.removed[kind, end:total]), removed[removed < end]
-        moved = np.full(total - end, -1, np.int32)
-        moved[stays] = gaps
-        return end, np.stack([end + stays, gaps]), moved
+        remaining = total - len(removed)
+        stays, gaps = np.flatnonzero(~self.removed[kind, remaining:total]), removed[removed < remaining]
+        new_numbers = np.full(total - remaining, -1, np.int32)
+        new_numbers[stays] = gaps
+        return remaining, np.stack([remaining + stays, gaps]), new_numbers
 
 
 def _merge_numbers(pairs: np.ndarray, count: int) -> np.ndarray:
@@ -289,8 +290,8 @@ def _triangles_near(near: np.ndarray, corner_verts: np.ndarray, threads: int) ->
     """Return the triangles that have a flagged vertex, int32, ascending. near: bool [V]."""
     triangles = len(corner_verts) // 3
     pieces = threads if triangles >= launch.SLICE_ITEMS else 1
-    listed, found = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)
-    arrays = [shared(near.view(np.uint8), wp.uint8), *(shared(a, wp.int32) for a in (corner_verts, listed, found))]
+    listed, counts = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)
+    arrays = [shared(near.view(np.uint8), wp.uint8), *(shared(a, wp.int32) for a in (corner_verts, listed, counts))]
     ranges = launch.ranges(triangles, pieces)
     launch.slices(kernels.list_near, [[*piece, k, *arrays] for k, piece in enumerate(ranges)], step="cut")
-    return np.concatenate([listed[first : first + n] for (first, _), n in zip(ranges, found, strict=True)])
+    return np.concatenate([listed[first : first + n] for (first, _), n in zip(ranges, counts, strict=True)])

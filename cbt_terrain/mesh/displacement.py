@@ -39,12 +39,12 @@ def displace(
     Raises TerrainError if a damaged field gives positions that are not finite.
     """
     arrays, scratch, vertices = history.next.arrays, history.scratch, sum(int(n) for _, n in parts)
-    p = arrays.struct(displace_kernels.DisplacedPoints)
+    displaced = arrays.struct(displace_kernels.DisplacedPoints)
     if slots is None:
-        bind(p, reused=_no_runs())
+        bind(displaced, reused=_no_runs())
         slots = [0] * len(parts)
     bind(
-        p,
+        displaced,
         point=point,
         positions=arrays.get("positions", vertices, wp.vec3f),
         normals=arrays.get("normals", vertices, wp.vec3f),
@@ -53,7 +53,7 @@ def displace(
     )
     inputs, first = [], 0
     for (base, n), slot in zip(parts, slots, strict=True):
-        inputs += [[*piece, base, first, slot, domain, p] for piece in launch.ranges(n, pieces)]
+        inputs += [[*piece, base, first, slot, domain, displaced] for piece in launch.ranges(n, pieces)]
         first += n
     not_finite = scratch.numpy("not_finite")
     not_finite[0] = 0

@@ -51,9 +51,10 @@ def outline(triangles: np.ndarray) -> np.ndarray:
     """
     edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     grid = np.rint((edges - edges.min(axis=(0, 1))) / (SAME * np.ptp(edges, axis=(0, 1)).max())).astype(np.int64)
-    _, number = np.unique(grid.reshape(-1, 2), axis=0, return_inverse=True)
-    a, b = number.reshape(-1, 2).T.astype(np.int64)
-    count = number.max() + 1
+    _, point_number = np.unique(grid.reshape(-1, 2), axis=0, return_inverse=True)
+    a, b = point_number.reshape(-1, 2).T.astype(np.int64)
+    count = point_number.max() + 1
+    # an edge is inside if its reverse is there, too
     forward, first = np.unique(a * count + b, return_index=True)
     return edges[first[~np.isin(forward, b * count + a)]]
 
@@ -112,15 +113,16 @@ def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 
     triangles: float64 [m, 3, 2], counter-clockwise.
     """
+    # each triangle is tested against the points between its lowest and its highest x only
     order = np.argsort(points[:, 0], kind="stable")
     x, y = points[order].T
-    found = np.zeros(len(points), bool)
+    is_covered = np.zeros(len(points), bool)
     low = np.searchsorted(x, triangles[:, :, 0].min(axis=1))
     high = np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right")
     for (a, b, c), first, end in zip(triangles, low, high, strict=True):
         u, v = x[first:end], y[first:end]
-        on = np.ones(end - first, bool)
+        is_inside = np.ones(end - first, bool)
         for p, q in ((a, b), (b, c), (c, a)):
-            on &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
-        found[order[first:end][on]] = True
-    return found
+            is_inside &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
+        is_covered[order[first:end][is_inside]] = True
+    return is_covered

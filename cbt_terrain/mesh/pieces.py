@@ -40,15 +40,15 @@ class Pieces:
             places: float64 [n, 2], metres.
         """
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
-        found, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
+        pieces, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
         for k in range(int((end - first).max(initial=0))):
             rows = np.flatnonzero(first + k < end)
             triangles = self.order[first[rows] + k]
             piece_depth = _depth(self.surface.positions[self.surface.triangles[triangles], :2], places[rows])
             deeper = piece_depth > depth[rows]
-            found[rows[deeper]], depth[rows[deeper]] = triangles[deeper], piece_depth[deeper]
+            pieces[rows[deeper]], depth[rows[deeper]] = triangles[deeper], piece_depth[deeper]
         slack = ROUNDED * float(np.abs(self.surface.positions[:, :2]).max(initial=0.0))
-        return np.where(depth >= -slack, found, -1)
+        return np.where(depth >= -slack, pieces, -1)
 
 
 def middles(surface: Surface) -> np.ndarray:
@@ -63,6 +63,6 @@ def _depth(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
     line.
     """
     corners = corners.astype(np.float64)
-    sides, there = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners
-    across = sides[..., 0] * there[..., 1] - sides[..., 1] * there[..., 0]
+    sides, to_places = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners
+    across = sides[..., 0] * to_places[..., 1] - sides[..., 1] * to_places[..., 0]
     return (across / np.sqrt(sides[..., 0] * sides[..., 0] + sides[..., 1] * sides[..., 1])).min(axis=1)

@@ -33,12 +33,13 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     triangles, _, edges = leaves.counts.sum(axis=0).tolist()
     slices, squares = len(leaves.counts), domain.columns * domain.rows
     _check_sides(field, leaves.sides.reshape(domain.rows, domain.columns, 4))
+    # the edges on each square's right side, then on its upper one, where the squares behind them look them up
     side_base = scratch.get("side_base", 2 * squares + 1, wp.int32)
-    ends = scratch.numpy("side_base")
-    ends[0] = 0
-    np.cumsum(leaves.sides.T[2:], dtype=np.int32, out=ends[1 : 2 * squares + 1])
+    side_bases = scratch.numpy("side_base")
+    side_bases[0] = 0
+    np.cumsum(leaves.sides.T[2:], dtype=np.int32, out=side_bases[1 : 2 * squares + 1])
     # An entry in each list for every leaf, and some more: memory is committed as it is touched.
-    room, sides = triangles + weld_state.SPARE * slices, int(ends[2 * squares])
+    room, sides = triangles + weld_state.SPARE * slices, int(side_bases[2 * squares])
     w = scratch.struct(weld_state.Weld)
     w.columns, w.rows = domain.columns, domain.rows
     bind(

@@ -66,6 +66,7 @@ def box_range(
     low_z, high_z = float(row_ranges[:, 0].min()), float(row_ranges[:, 1].max())
     if low_z > high_z:
         return math.nan, math.nan
+    # ranges of a bicubic surface include the displacement
     amplitude = 0.0 if surface.bicubic else highest(field.parts) * abs(surface.scale)
     return low_z - amplitude, high_z + amplitude
 

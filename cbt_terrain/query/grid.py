@@ -87,9 +87,9 @@ def grid_axes(lattice: Lattice, step: float = 0.0) -> tuple[GridAxis, GridAxis]:
 
 def _ratio_of(cells: float) -> tuple[int, int]:
     """Return a number of cells as a ratio of two integers, of which one is 1 if it nearly is."""
-    whole = max(round(cells), 1), max(round(1.0 / cells), 1)
-    if min(whole) == 1 and abs(cells * whole[1] / whole[0] - 1.0) < SNAPPED:
-        return whole
+    num, den = max(round(cells), 1), max(round(1.0 / cells), 1)
+    if min(num, den) == 1 and abs(cells * den / num - 1.0) < SNAPPED:
+        return num, den
     ratio = Fraction(cells).limit_denominator(MAX_DENOMINATOR)
     return ratio.numerator, ratio.denominator
 
@@ -106,9 +106,9 @@ def heights_on_grid(
     from .surface import pack_surface
 
     surface, shape = pack_surface(field, 1.0, 0.0), (len(rows.cells), len(columns.cells))
-    heights, inside = np.empty(shape), np.empty(shape, bool)
+    heights, has_ground = np.empty(shape), np.empty(shape, bool)
     inputs = [surface, shared(columns.cells, wp.int32), shared(columns.parts, wp.float64)]
     inputs += [shared(rows.cells, wp.int32), shared(rows.parts, wp.float64)]
-    inputs += [shared(heights.reshape(-1), wp.float64), shared(inside.reshape(-1), wp.bool)]
+    inputs += [shared(heights.reshape(-1), wp.float64), shared(has_ground.reshape(-1), wp.bool)]
     launch.spread(kernels.grid_heights, shape[0], inputs, step="query", threads=threads, cost=COST * shape[1])
-    return heights, inside
+    return heights, has_ground

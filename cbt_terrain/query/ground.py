@@ -129,22 +129,23 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     the line at its n points. Raises TerrainError for too many points.
     """
     lattice = field.lattice
-    count = 1 << field.raster.finer.bits if field.raster.finer is not None else 1  # finer cells along a raster cell
-    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y]) / count
-    cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x * count, lattice.cells_y * count))
+    finer = field.raster.finer
+    parts = 1 << finer.bits if finer is not None else 1  # finer cells along the side of a raster cell
+    corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y]) / parts
+    cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x * parts, lattice.cells_y * parts))
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []
     for segment, (a, b) in enumerate(pairwise(line)):
         fractions_by_axis, points_by_axis = [np.array([0.0])], [a[None]]
         for axis in (0, 1):
             low, high = sorted(cells[segment : segment + 2, axis])
-            numbers = np.arange(np.ceil(low), np.floor(high) + 1)
-            if a[axis] == b[axis] or not len(numbers):
+            line_numbers = np.arange(np.ceil(low), np.floor(high) + 1)
+            if a[axis] == b[axis] or not len(line_numbers):
                 continue
-            lines = corner[axis] + numbers * steps[axis]
-            fractions = (lines - a[axis]) / (b[axis] - a[axis])
+            line_positions = corner[axis] + line_numbers * steps[axis]
+            fractions = (line_positions - a[axis]) / (b[axis] - a[axis])
             points = a + fractions[:, None] * (b - a)
-            points[:, axis] = lines  # to the last bit on the line of samples
+            points[:, axis] = line_positions  # to the last bit on the line of samples
             inner = (fractions > 0.0) & (fractions < 1.0)
             fractions_by_axis.append(fractions[inner])
             points_by_axis.append(points[inner])

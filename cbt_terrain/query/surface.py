@@ -28,7 +28,7 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have.
     """
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
-    box_of(field, vertical_scale, vertical_offset)
+    box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
     lattice, s = field.lattice, kernels.QueriedSurface()
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y

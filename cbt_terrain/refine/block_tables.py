@@ -19,7 +19,7 @@ def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[
     state: the curve's state in the triangle.
     """
     leaves: list[int] = []
-    legs: list[tuple[int, int]] = []
+    vertices: list[tuple[int, int]] = []
     unit = 1 << (bisections + 1) // 2
 
     def walk(
@@ -29,14 +29,15 @@ def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[
         if not bisections_left:
             leaves.append(state)
             if state % 2 == 0:  # its third edge is new, and so is the end of it
-                legs.append(apex if state == curve.HYP_LEG else right)
+                vertices.append(apex if state == curve.HYP_LEG else right)
             return
+        # LEFT_STATES and RIGHT_STATES hold 4 bits for each state
         middle = (left[0] + right[0]) // 2, (left[1] + right[1]) // 2
         walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, bisections_left - 1)
         walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, bisections_left - 1)
 
     walk((unit, 0), (0, 0), (0, unit), state, bisections)
-    return leaves, legs
+    return leaves, vertices
 
 
 def _array(values: list, dtype: type) -> wp.array:
@@ -49,17 +50,17 @@ def block_table() -> BlockTable:
     """Return the table of all blocks of up to MAX_BISECTIONS, which kernels/refine/block.py copies."""
     codes: list[int] = []
     legs: list[tuple[int, int]] = []
-    first_leaf, first_vertex, vertices = [], [], []
-    for n in range(MAX_BISECTIONS + 1):
+    first_leaf, first_vertex, vertex_counts = [], [], []
+    for bisections in range(MAX_BISECTIONS + 1):
         for state in range(STATES):
-            leaves, new = bisected_states(state, n)
+            leaves, vertices = bisected_states(state, bisections)
             first_leaf.append(len(codes))
             first_vertex.append(len(legs))
-            vertices.append(len(new))
+            vertex_counts.append(len(vertices))
             codes += leaves
-            legs += new
+            legs += vertices
     table = BlockTable()
     table.first_leaf, table.first_vertex = _array(first_leaf, wp.int32), _array(first_vertex, wp.int32)
-    table.vertices = _array(vertices, wp.int32)
+    table.vertices = _array(vertex_counts, wp.int32)
     table.code, table.leg = _array(codes, wp.uint16), _array(legs, wp.vec2i)
     return table

@@ -64,6 +64,7 @@ def ramp_start(
     """
     factor_at_step, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
     max_leaves = max(request.max_leaves, roots)
+    # no step keeps to the budget, or the next finer one does, too
     if step > MAX_STEP or (step == 0 and leaves < NEAR * max_leaves):
         return factor_at_step
     marks = history.hints.marks
@@ -92,7 +93,7 @@ def count_splits(
     number of steps by which the limits are finer.
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
-    cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
+    cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2  # cells are square: an even number of bisections
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
     slices, spacing = len(cuts) - 1, max_splits // 64 + 1
     arrays = {
@@ -103,6 +104,7 @@ def count_splits(
         "marks": scratch.get("count_marks", slices * MARKS, wp.uint64),
         "measured": scratch.get("count_measured", slices, wp.int64),
     }
+    # splits of each slice by the last step at which they happen
     last_steps = scratch.numpy("count_last_steps")[: slices * steps].reshape(slices, steps)
     last_steps[:] = 0
     structs = [scratch.struct(Count, slot) for slot in range(slices)]

@@ -183,8 +183,8 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     finest = relaxed_request / mean
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
-    low, high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
-    guaranteed = _guaranteed(finest, fixed.value, low, high)
+    source_low, source_high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
+    guaranteed = _guaranteed(finest, fixed.value, source_low, source_high)
     limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error is beyond the relief
     too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
     guaranteed, worst = outcome.tighten(ERROR, finest, guaranteed, finest)
@@ -236,7 +236,7 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     finest = relaxed_request / mean
     too_coarse, longer = outcome.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
-    return Bound(min(longest * longer, LARGEST), _of_edges(too_coarse, longer))
+    return Bound(min(longest * longer, LARGEST), _edge_reason(too_coarse, longer))
 
 
 def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
@@ -253,7 +253,7 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     too_coarse, longer = outcome.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
     area = 0.5 * longest * longest if too_coarse else criterion.area_px * factor * factor
-    return Bound(min(area * longer * longer, LARGEST), _of_edges(too_coarse, longer))
+    return Bound(min(area * longer * longer, LARGEST), _edge_reason(too_coarse, longer))
 
 
 def factor_of(criterion: Criterion, outcome: Outcome, bounds: list[Bound | None]) -> float:
@@ -289,9 +289,9 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
 def _limit_bound(request: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
     """Return a bound with its reason and terms.
 
-    value: the bound; reduced to `request`, the request, if only rounding separates them. precision, source: its
-    parts from rounding of float32 and of the source. stopped: whether the depth limit stopped a leaf. All in one
-    unit.
+    value: what the mesh guarantees; the bound is at most `request` if only rounding separates them. precision, source:
+    parts of the value from rounding of float32 and of the source. stopped: whether the depth limit stopped a leaf. All
+    numbers are in one unit.
     """
     if value <= request * (1 + MARGIN):
         value, stopped = min(value, request), False
@@ -308,7 +308,7 @@ def _limit_bound(request: float, value: float, precision: float, source: float, 
     return Bound(value, reason, Terms.shares(value, geometric, precision, source))
 
 
-def _of_edges(too_coarse: Excess | None, longer: float) -> str:
+def _edge_reason(too_coarse: Excess | None, longer: float) -> str:
     """Return the reason why a bound on edges exceeds the request, "" if it does not.
 
     too_coarse: the worst leaf if the depth limit stopped one. longer: factor by which rounding lengthens edges.

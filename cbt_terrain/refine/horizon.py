@@ -117,6 +117,7 @@ def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
     inputs = [domain, columns, flat(finest, wp.float32)]
     launch.spread(fill_blocks, rows, inputs, step="horizon", threads=threads, cost=20.0 * columns)
     levels, first, wide = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
+    # the highest heights are stored negated, so that one minimum serves both
     low, negative_high = levels.reshape(-1, 2).T
     return low.copy(), -negative_high, first, wide
 

@@ -45,7 +45,7 @@ def refine(
     """Refine from the roots and write the leaves into the next frame.
 
     Returns the leaves, and the factor by which the triangle limit relaxed the criterion (1: not at all). If vertices
-    morph, it is the factor from which they do. Raises TerrainError for a field whose errors are damaged.
+    morph, it is the factor from which they morph. Raises TerrainError for a field whose errors are damaged.
     """
     domain, criterion, depth, morphs = request.domain, request.criterion, request.max_depth, request.morph_until > 1
     history.need_tree(field.lattice.square_bits + max(depth, MIN_DEPTH), threads)
@@ -162,12 +162,13 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
     tree, last = history.tree, history.last.leaves
     assert tree is not None, "refine and replay have a tree"
     end = lattice.squares << tree.max_depth - lattice.square_bits
+    # without the numbers after the last square, up to a power of two, which are a leaf each
     leaves = tree.leaf_count - (1 << lattice.square_bits) + lattice.squares
     if threads < 2 or leaves < launch.SLICE_ITEMS:
         return [0, end]
     leaves_before = costs = np.array([0, leaves])  # leaves before each slice of the last frame, and their cost
     if last is not None and last.total == leaves:
-        leaves_before, costs = (np.cumsum([0, *of]) for of in (last.counts[:, 0], last.work))
+        leaves_before, costs = (np.cumsum([0, *by_slice]) for by_slice in (last.counts[:, 0], last.work))
     cut_leaves = np.interp(np.arange(1, threads) / threads * costs[-1], costs, leaves_before).astype(np.int64)
     inner = tree.cells_of(tree.decode(np.minimum(cut_leaves, leaves - 1))).tolist()
     return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]
@@ -176,14 +177,14 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
 def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
     """Store the leaves of the slices that have any as the next frame's `Leaves`, and in the tree; return them."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
-    used = np.flatnonzero(counts[:, 0])
+    used = np.flatnonzero(counts[:, 0])  # slices that have leaves
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)
     code = history.next.arrays.numpy("code")
     base = np.array([w.leaf_base for w in walks], np.int64)[used]
-    starts = (code[base] >> curve.FIRST & 1).astype(bool)
+    starts_square = (code[base] >> curve.FIRST & 1).astype(bool)
     cells = np.array([w.first_cell for w in walks], np.int64)[used]
     # A slice whose first cells belong to the last leaf of a square begins with the next square.
-    squares_of = (cells >> cell_bits) + (starts & (cells & ((1 << cell_bits) - 1) > 0))
+    squares_of = (cells >> cell_bits) + (starts_square & (cells & ((1 << cell_bits) - 1) > 0))
     history.next.leaves = leaves = Leaves(
         counts=np.ascontiguousarray(counts[used, :3]),
         squares=squares_of.astype(np.int32),

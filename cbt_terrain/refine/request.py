@@ -69,6 +69,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     arrays.error_px2, arrays.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
     # Twice the area is the squared leg of a right triangle of two equal legs.
     arrays.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
+    # `weighed_as` has divided by the mean already
     arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
     arrays.diagonal2, arrays.axis2 = spans.lengths
     arrays.limit = 1.0

@@ -17,11 +17,11 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
     """
     (max_depth, depths), lattice = depths_from_bytes(tree), field.lattice
     cell_bits = max_depth - lattice.square_bits
-    sizes = np.int64(1) << max_depth - depths.astype(np.int64)
+    num_cells = np.int64(1) << max_depth - depths.astype(np.int64)
+    first_cells = np.cumsum(num_cells) - num_cells
     # The numbers after the last square, up to a power of two, are no squares.
-    depths = (
-        depths[np.cumsum(sizes) - sizes < lattice.squares << max(0, cell_bits)].astype(np.int64) - lattice.square_bits
-    )
+    in_squares = first_cells < lattice.squares << max(0, cell_bits)
+    depths = depths[in_squares].astype(np.int64) - lattice.square_bits
     max_bisections = depth_limit(field) - 2 * meshlet if 0 <= meshlet <= MAX_MESHLET else 0
     if not (cell_bits >= MIN_DEPTH and 1 <= depths.min() and depths.max() <= max_bisections):
         raise TerrainError(

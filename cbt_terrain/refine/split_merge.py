@@ -28,6 +28,7 @@ def split_merge(
     Returns the number of leaves that were split or merged; 0 once the tree is the refinement. max_depth: bisections of
     a square.
     """
+    # of each leaf: the node to split, the one whose children are to be merged, or 0
     orders, grid = np.empty(tree.leaf_count, np.uint64), grid_of(lattice)
     shared_orders = shared(orders, wp.uint64)
     inputs = [tree.bits, grid, domain, criterion, max_depth, shared_orders]

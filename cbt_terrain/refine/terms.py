@@ -113,7 +113,7 @@ def position_rounding(
     field: HeightField, depth: int, vertical_scale: float, vertical_offset: float
 ) -> tuple[float, float, float]:
     """Return the largest errors of float32 positions of leaves at `depth` or above: metres along x, y and z."""
-    lattice, plane = field.lattice, []
+    lattice, errors_in_plane = field.lattice, []
     sides = (
         (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x),
         (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y),
@@ -121,14 +121,15 @@ def position_rounding(
     for cells, span, step, anchor in sides:
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
         largest = max(0.5 * cells * step + anchor, (span - 0.5 * cells) * step - anchor)
-        plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
+        errors_in_plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
     # A bicubic height is a sum of sixteen, which rounds about twice as much.
     relative_error = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
     # Heights of the raster are rounded where finer tiles hold them.
     finer = 2.0 * _half_step(heights) if field.raster.finer is not None else 0.0
-    return plane[0], plane[1], _half_step(highest) + relative_error * (heights + abs(vertical_offset)) + finer
+    error_x, error_y = errors_in_plane
+    return error_x, error_y, _half_step(highest) + relative_error * (heights + abs(vertical_offset)) + finer
 
 
 def _half_step(largest: float) -> float:

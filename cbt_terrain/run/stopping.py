@@ -107,7 +107,7 @@ def listening() -> Iterator[None]:
         os.set_blocking(writer, False)
     thread = threading.Thread(target=_listen, args=(reader,), name="adaptive_terrain_signals", daemon=True)
     thread.start()
-    fd = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    previous_fd = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     restore = [_replace(number) for number in numbers]
     _listening = True
     try:
@@ -116,7 +116,7 @@ def listening() -> Iterator[None]:
         _listening = False
         for put_back in restore:
             put_back()
-        signal.set_wakeup_fd(fd)
+        signal.set_wakeup_fd(previous_fd)
         os.write(writer, b"\0")
         thread.join()
         os.close(reader)

@@ -54,13 +54,13 @@ class Candidates:
         """
         if self._used + count > len(self.density):
             runs = np.searchsorted(self._keys, np.sort(keys))
-            counts, before = self._count[runs], (self.positions, self.normals, self.density)
+            counts, old_arrays = self._count[runs], (self.positions, self.normals, self.density)
             ends = np.cumsum(counts)
             used = int(ends[-1]) if len(ends) else 0
-            moved = np.arange(used) + np.repeat(self._first[runs] - (ends - counts), counts)
+            old_indices = np.arange(used) + np.repeat(self._first[runs] - (ends - counts), counts)
             self._allocate(int(SPARE * (used + count)))
-            for array, old in zip((self.positions, self.normals, self.density), before, strict=True):
-                array[:used] = old[moved]
+            for array, old in zip((self.positions, self.normals, self.density), old_arrays, strict=True):
+                array[:used] = old[old_indices]
             self._keys, self._first, self._count, self._used = self._keys[runs], ends - counts, counts, used
         return self._used
 
@@ -70,9 +70,9 @@ class Candidates:
         keys: of the runs, int64 [n]. count: candidates of each run, int64 [n].
         """
         firsts = self._used + np.cumsum(count) - count
-        others = ~np.isin(self._keys, keys)
+        is_kept = ~np.isin(self._keys, keys)
         added = (self._keys, keys), (self._first, firsts), (self._count, count)
-        merged = [np.concatenate([old[others], new]) for old, new in added]
+        merged = [np.concatenate([old[is_kept], new]) for old, new in added]
         order = np.argsort(merged[0])
         self._keys, self._first, self._count = (array[order] for array in merged)
         self._used += int(count.sum())

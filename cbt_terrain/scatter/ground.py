@@ -117,18 +117,18 @@ class ScatterGround:
         runs["at"] = firsts
         return runs
 
-    def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
+    def _place(self, runs: np.ndarray, added: slice, threads: int) -> None:
         """Compute positions, normals and densities of candidates.
 
         The density is the product of the pattern's, the boundary's and that of attributes. runs: numbers of the
-        candidates of each square. where: their slice of the candidates' arrays. Raises TerrainError for heights that
+        candidates of each square. added: their slice of the candidates' arrays. Raises TerrainError for heights that
         are not finite.
         """
         inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(
             kernels.place_candidates, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place"
         )
-        positions, density = self.candidates.positions[where], self.candidates.density[where]
+        positions, density = self.candidates.positions[added], self.candidates.density[added]
         if not np.isfinite(positions).all():
             raise self.field.raster.damage("it has heights that are not finite or too large for a mesh")
         if self.boundary is not None:
@@ -185,6 +185,7 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
     pattern.side, pattern.seed, points = side, scatter.seed, tile()
     pattern.place = shared(points.place, wp.vec2i)
     pattern.order = flat(np.concatenate(points.order), wp.int32)
+    # the finest squares have the last POINTS ranks of `order`
     pattern.first = flat((points.length - POINTS + points.first[FINEST]).astype(np.int32), wp.int32)
     return pattern, tiles
 

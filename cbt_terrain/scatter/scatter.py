@@ -79,7 +79,7 @@ class Scatter:
         requests = []
         if self.where.rules or self.where.strength != 1.0:
             requests.append((_splat(0, self._density_layers()), 1))
-        if self.on >= 0:
+        if self.on >= 0:  # a splat attribute has the weights of 4 layers
             requests.append((_splat(self.on // 4, self.layers), self.on % 4))
         return requests
 

@@ -74,7 +74,7 @@ def squares_in_view(
     """
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
-    halvings = -max(0, int(np.ceil(np.log2(tiles))))
+    halvings = -max(0, int(np.ceil(np.log2(tiles))))  # below 0: a square of 2^-halvings tiles a side
     numbers, final_squares = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of the final ones
     while len(numbers):
         density_range = np.empty((len(numbers), 2))

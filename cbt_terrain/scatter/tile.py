@@ -59,10 +59,10 @@ class Tile:
 
     def runs(self, halvings: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first index of each window in all of `order`, and its number of ranks, int64 [n] each."""
-        ends = np.concatenate(self.first)
-        row = (np.cumsum([0, *map(len, self.first)]))[halvings] + window
+        firsts = np.concatenate(self.first)
+        entry = (np.cumsum([0, *map(len, self.first)]))[halvings] + window
         before = np.cumsum([0, *map(len, self.order)])[halvings]
-        return before + ends[row], ends[row + 1] - ends[row]
+        return before + firsts[entry], firsts[entry + 1] - firsts[entry]
 
 
 @cache

@@ -192,7 +192,7 @@ class ConcurrentBinaryTree:
             for run in runs:
                 run.end_same = run.first_same  # an empty tree has no leaves to keep
         self._reduce()
-        if 2 * self._pages_used > self.bits.num_pages and is_empty:
+        if 2 * self._pages_used > self.bits.num_pages and is_empty:  # later edits need room
             self._resize(2 * num_pages)
         return bool(self._state[bitfield.DIFFERS])
 
@@ -258,13 +258,15 @@ class ConcurrentBinaryTree:
         self._resize(num_pages)
         for array in self._arrays.values():
             array[:used] = 0
-        self._arrays["words"][SLOTS] = 1
+        self._arrays["words"][SLOTS] = 1  # the first bit of the highest word: the root's
         self._state[:] = 0
         self._state[bitfield.PAGES_USED] = FIRST_PAGES
 
     def _resize(self, num_pages: int) -> None:
         """Give the pool room for `num_pages` pages, no fewer than it has; they keep their content."""
-        self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)  # counted on when it was full
+        self._state[bitfield.PAGES_USED] = min(
+            self._pages_used, self.bits.num_pages
+        )  # it went on when the pool was full
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:
             for name, dtype in ARRAYS.items():

@@ -51,13 +51,13 @@ class CameraPath:
         """Return the view at a frame, interpolated, for a picture of `resolution` pixels. Raises TerrainError."""
         with np.errstate(all="ignore"):  # the result is checked below
             values = hermite(self.frames, self.values, frame)
-            away = length(values[:3] - values[3:6])
-        if not np.isfinite([*values, away]).all() or away == 0.0:
+            distance = length(values[:3] - values[3:6])
+        if not np.isfinite([*values, distance]).all() or distance == 0.0:
             raise TerrainError(
                 f"The camera path has no place and direction at frame {frame:g}",
                 expected="keyframes whose frames, eyes and targets are neither too near each other nor too far apart",
             )
-        # A curve may swing beyond its keyframes, so far that the tangent itself is out of reach.
+        # A curve may swing beyond its keyframes, so far that `exp` would overflow.
         fov = math.degrees(2 * math.atan(math.exp(min(max(float(values[6]), -50.0), 50.0))))
         fov = min(max(fov, SMALLEST_FOV), LARGEST_FOV)
         return View.look(values[:3], values[3:6], fov_deg=fov, resolution=resolution, clip=self.clip)
@@ -97,16 +97,16 @@ def read_camera_path(path: Path) -> CameraPath:
     clip = _clip(path, data)
     sensor = _read_number(path, "the file", data, "sensor", 36.0)
     frames, values = [], []
-    for number, key in enumerate(data["keyframes"], 1):
+    for number, keyframe in enumerate(data["keyframes"], 1):
         where = f"keyframe {number}"
-        if not isinstance(key, dict):
-            raise _path_error(path, f"{where} is {key!r}", "an object with frame, eye, target")
-        _check_names(path, where, key, KEY_KEYS)
-        frames.append(_read_number(path, where, key, "frame"))
-        eye, target = _read_numbers(path, where, key, "eye", 3), _read_numbers(path, where, key, "target", 3)
+        if not isinstance(keyframe, dict):
+            raise _path_error(path, f"{where} is {keyframe!r}", "an object with frame, eye, target")
+        _check_names(path, where, keyframe, KEY_KEYS)
+        frames.append(_read_number(path, where, keyframe, "frame"))
+        eye, target = _read_numbers(path, where, keyframe, "eye", 3), _read_numbers(path, where, keyframe, "target", 3)
         if eye == target:
             raise _path_error(path, f"{where} has its eye at its target", "different points")
-        fov = _field_of_view(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
+        fov = _field_of_view(path, where, keyframe if {"fov", "lens"} & set(keyframe) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in pairwise(frames)):
         raise _path_error(path, f"the frames are {frames}", "each larger than the one before")
@@ -159,7 +159,7 @@ def _read_number(path: Path, where: str, data: dict, name: str, default: float |
 def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
     """Return the list of `count` finite numbers that `data` has as `name`. Raises TerrainError with file and keyframe.
 
-    A single number comes as a list of one, from `_read_number`. where: the keyframe, in errors.
+    A single number comes as a list of one, from `_read_number`. where: subject of the error, as a keyframe.
     """
     value: Any = data.get(name)
     is_list = isinstance(value, list) and len(value) == count

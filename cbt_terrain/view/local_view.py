@@ -12,8 +12,8 @@ from .linear import length, lengths, min_stretch, product, round_last_bits, solv
 from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
-# Factor by which a terrain that is wholly out of view may be coarser.
-HIDDEN = 1e90
+# Factor by which a terrain that is wholly out of view may be coarser: its smallest mesh is enough.
+OUT_OF_VIEW = 1e90
 # Degrees of the field of view for which the guard band and the fringe are stated; of narrower ones both are narrower.
 NORMAL_FOV = 50.0
 # With geomorphing, footprints get coarser outside the frame gradually, over this fraction of the depth (11 degrees at a
@@ -55,13 +55,7 @@ def localise(
     planes[:, 3] += np.abs(planes[:, 2]) * off
     # Points that rounding could put on the wrong side of a plane are inside.
     planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
-    narrow = _narrowness(view)  # ground off the screen is as coarse as a normal lens has it
-    factor, fade, fringe = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST), 0.0, 0.0
-    if factor > 1 and _outside(planes, box):
-        factor = HIDDEN  # this terrain is out of view: the smallest mesh is enough
-    elif criterion.morph_until > 1:
-        fade = math.sqrt(math.sqrt(factor)) - 1
-        fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
+    factor, fade, fringe = _off_screen(view, criterion, planes, box)
     largest, smallest = slants_of(view, placement, criterion)
     slants = slant_rows(view, placement) / largest if largest > smallest else np.zeros((2, 2))
     numbers = {
@@ -90,6 +84,22 @@ def localise(
             )
         setattr(local, name, value)
     return local
+
+
+def _off_screen(view: View, criterion: Criterion, planes: np.ndarray, box: np.ndarray) -> tuple[float, float, float]:
+    """Return the factor by which ground outside the frustum may be coarser, and `fade` and `fringe` of `LocalView`.
+
+    With geomorphing the factor grows gradually, over the fringe; else both are 0. planes: of the frustum, in terrain
+    space, float64 [n, 4]. box: the terrain's bounding box, float64 [2, 3].
+    """
+    narrow = _narrowness(view)  # ground off the screen is as coarse as a normal lens has it
+    factor = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST)
+    if factor > 1 and _outside(planes, box):
+        return OUT_OF_VIEW, 0.0, 0.0
+    if criterion.morph_until <= 1:
+        return factor, 0.0, 0.0
+    fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
+    return factor, math.sqrt(math.sqrt(factor)) - 1, fringe  # the kernels use (1 + fade)^4
 
 
 def eye_of(to_camera: np.ndarray) -> np.ndarray:
@@ -151,7 +161,7 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
             across, ahead = (cosine - tangent * sine) / secant, (tangent * cosine + sine) / secant
             if across > 0:  # else the side is turned by more than a right angle and culls nothing
                 planes.append([*(sign * across * unit + [0, 0, -ahead]), 0])
-    if view.kind == ORTHOGRAPHIC:
+    if view.kind == ORTHOGRAPHIC:  # it has no eye: ground is seen from the clip start on
         planes[0] = [0, 0, -1, -view.clip[0]]
     return np.array(planes, np.float64)
 

@@ -77,7 +77,7 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     """Return the spans (pixel footprints in the kernels' measure) of views of a terrain at `placement`.
 
     Without limits of edges or areas each view has one scale: its largest slant times its widening. With them
-    all views share one for edges. plan: units of the plan, for these limits.
+    all views share one for edges. plan: lengths on the ground that these limits depend on.
     """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
@@ -91,8 +91,8 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     secants = [secant_of(v) for v in views]
     edge = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
     scales = [edge * secant for secant in secants]
-    units = [unit_lengths(v, placement, plan.steps) for v in views]
-    longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
+    lengths_by_view = [unit_lengths(v, placement, plan.steps) for v in views]
+    longest = tuple(max(of_views) for of_views in zip(*lengths_by_view, strict=True))
     offset = max(largest_offset(v, placement, plan.off) for v in views)
     allowed = min(_stretch(longest, plan.unit_bits, plan.depth, offset), 1 + MAX_STRETCH)
     return Spans(*by_view, tuple(scales), edge / allowed, longest, allowed, offset, plan.unit_bits)
@@ -101,10 +101,12 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
     """Return the largest and the smallest slant that counts in the frame.
 
+    Both are the largest if one slant serves the whole frame.
+
     A slant is how many metres a metre of height moves a point across the view of a perspective, at a depth of 1 m; of a
     panorama across the ray, at a distance of 1 m.
 
-    The shading floor is the smallest, since shading and shadows show an error too.
+    No slant counts as less than the shading floor, since shading and shadows show an error too.
     """
     if view.kind == PANORAMIC:
         largest, smallest = 1.0, 0.0
@@ -167,8 +169,8 @@ def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
     return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)
 
 
-def as_seen(view: View, whole: float, pixels: float) -> float:
-    """Return the pixels between a point and its true position on screen, if its height is wrong by `pixels` spans.
+def as_seen(view: View, whole: float, spans: float) -> float:
+    """Return the pixels between a point and its true position on screen, if its height is wrong by `spans`.
 
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
     depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
@@ -176,15 +178,15 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
     where e > d steep. If the error may reach the eye, LARGEST. whole: pixels of an error that reaches the eye.
     """
     if view.kind == PERSPECTIVE:
-        return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
+        return min(spans / (1 - spans / whole), LARGEST) if spans < whole else LARGEST
     if view.kind == PANORAMIC:
-        slant, fraction = whole / view.pixels_per_unit, pixels / whole
+        slant, fraction = whole / view.pixels_per_unit, spans / whole
         steep = math.sqrt(max(0.0, 1 - slant * slant))
         angle = round_last_bits(math.asin(fraction)) if fraction < 1 else math.pi
         if fraction < steep:
             angle = round_last_bits(math.atan2(fraction * slant, 1 - fraction * steep))
         return view.pixels_per_unit * angle
-    return pixels
+    return spans
 
 
 def widening(view: View, whole: float, error_px: float) -> float:
@@ -251,5 +253,6 @@ def _stretch(lengths2: tuple[float, float], unit_bits: int, depth: int, off: flo
     """
     diagonal2, axis2 = lengths2
     side = 2.0 ** (unit_bits - (depth - 1) // 2)
+    # a leaf's legs are sides of a square at odd depths, and halves of its diagonals at even ones
     shortest = side * (math.sqrt(axis2) if depth % 2 else 0.5 * math.sqrt(diagonal2))
     return 1 + 2 * off / shortest

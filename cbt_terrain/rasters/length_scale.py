@@ -97,7 +97,7 @@ def _remedy(name: str, latitude: float) -> str:
 
     name: the coordinate system's name, "EPSG:n". latitude: the raster's latitude, degrees.
     """
-    utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]
+    utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]  # the names of all zones begin so
     if not -80.0 <= latitude <= 84.0:
         polar = "EPSG:32661" if latitude > 0.0 else "EPSG:32761"
         return f"import it with --project {polar} (polar, WGS 84) or give the extent in metres"
@@ -126,11 +126,11 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
         return np.empty((0, 2)), 0.0
     (longitude, latitude), ellipsoid = degrees[0].reshape(2, *x.shape), degrees[1]
     metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
-    column, row = (
+    column_step, row_step = (
         lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * metres)
         for k in (0, 2)
     )
-    steps = (row, column) if place.transposed else (column, row)
+    steps = (row_step, column_step) if place.transposed else (column_step, row_step)
     with np.errstate(divide="ignore"):
         ratios = np.stack([place.step_x / steps[0], place.step_y / steps[1]], axis=1)
     if not np.isfinite(ratios[0]).all():
@@ -153,13 +153,13 @@ def _degrees(crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[
 
     try:
         base = base_crs(crs)
-        moved = np.array(transform(crs, base, x, y)[:2])
+        transformed = np.array(transform(crs, base, x, y)[:2])
     except Exception:
         return None
     if base is None:
         return None
     # units_factor: name of the base's unit of angle, and radians in one
-    return np.degrees(moved * base.units_factor[1]), ellipsoid_of(base.to_wkt())
+    return np.degrees(transformed * base.units_factor[1]), ellipsoid_of(base.to_wkt())
 
 
 def _within_180(longitudes: np.ndarray) -> np.ndarray:

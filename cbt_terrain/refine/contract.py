@@ -289,7 +289,7 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
 def _limit_bound(request: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
     """Return a bound with its reason and terms.
 
-    value: what the mesh guarantees; the bound is at most `request` if only rounding separates them. precision, source:
+    value: the guaranteed bound; the result is at most `request` if only rounding separates them. precision, source:
     parts of the value from rounding of float32 and of the source. stopped: whether the depth limit stopped a leaf. All
     numbers are in one unit.
     """

@@ -100,13 +100,14 @@ def _allow(number: int, tests: list[Test]) -> list[tuple]:
     They expect the call's number in the accumulator. tests: (index of a 32-bit word of the arguments, mask, allowed
     values of the masked word).
     """
-    inside = []
+    decision = []
     for word, mask, values in tests:
-        inside += [(LOAD, 0, 0, ARGUMENTS_AT + 4 * word), (AND, 0, 0, mask)]
-        inside += [(JUMP_EQUAL, len(values) - i, 0, value) for i, value in enumerate(values)]
-        inside += [(RETURN, 0, 0, REFUSE)]
-    inside += [(RETURN, 0, 0, ALLOW)]
-    return [(JUMP_EQUAL, 0, len(inside), number), *inside]
+        decision += [(LOAD, 0, 0, ARGUMENTS_AT + 4 * word), (AND, 0, 0, mask)]
+        # an allowed value jumps over the refusal
+        decision += [(JUMP_EQUAL, len(values) - i, 0, value) for i, value in enumerate(values)]
+        decision += [(RETURN, 0, 0, REFUSE)]
+    decision += [(RETURN, 0, 0, ALLOW)]
+    return [(JUMP_EQUAL, 0, len(decision), number), *decision]
 
 
 def _install(libc: ctypes.CDLL, lines: list[tuple]) -> None:

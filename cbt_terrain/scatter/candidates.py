@@ -70,9 +70,9 @@ class Candidates:
         keys: of the runs, int64 [n]. count: candidates of each run, int64 [n].
         """
         firsts = self._used + np.cumsum(count) - count
-        is_kept = ~np.isin(self._keys, keys)
+        is_other = ~np.isin(self._keys, keys)
         added = (self._keys, keys), (self._first, firsts), (self._count, count)
-        merged = [np.concatenate([old[is_kept], new]) for old, new in added]
+        merged = [np.concatenate([old[is_other], new]) for old, new in added]
         order = np.argsort(merged[0])
         self._keys, self._first, self._count = (array[order] for array in merged)
         self._used += int(count.sum())

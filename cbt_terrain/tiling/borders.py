@@ -35,10 +35,11 @@ def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[Lat
     samples. is_centre: the vertices are centres of such cells, otherwise middles of their sides.
     """
     half = 1 << level
+    # beyond the raster, a few vertices of the padding have entries, too
     ends = [min(cells + 4 * half, span) + 1 for cells, span in zip(_cells(grid), grid.lattice.span, strict=True)]
     along = [np.arange(0, end, half) for end in ends]
     if 2 * half > grid.side or (is_centre and 2 * half == grid.side):
-        lines: list = [(along[0], along[1])]
+        lines: list = [(along[0], along[1])]  # no tile holds such a diamond: all vertices
     else:
         near = np.array([-half, 0, half])
         lines = [(near[near + x >= 0] + x, along[1]) for x in range(0, ends[0], grid.side)]
@@ -118,17 +119,17 @@ def raise_errors(
     """
     for level, is_centre in pass_depths(grid):
         below = level if is_centre else level - 1
-        values, finer = table[level // 2], table[below // 2 if below >= 0 else -1]
+        code_metres, child_code_metres = table[level // 2], table[below // 2 if below >= 0 else -1]
         for vertices in shared_vertices(grid, level, is_centre):
-            error = opened()
+            stored = opened()
             entries = entries_of(grid.lattice, vertices)
-            metres = values[error[entries]]
+            metres = code_metres[stored[entries]]
             for child, has_child in children_of(grid.lattice, vertices, is_centre):
-                metres[has_child] = np.maximum(metres[has_child], finer[error[child[has_child]]])
+                metres[has_child] = np.maximum(metres[has_child], child_code_metres[stored[child[has_child]]])
             if kinds is not None:
                 both = kinds()[entries] == GROUND_AND_HOLE
                 metres[both] = np.maximum(metres[both], np.float32(longest(level, is_centre)))
-            error[entries] = np.searchsorted(values, metres, side="left")
+            stored[entries] = np.searchsorted(code_metres, metres, side="left")
 
 
 def unite_ranges(grid: TileGrid, opened: Opened) -> None:
@@ -193,19 +194,19 @@ def write_large(grid: TileGrid, large: Sequence[LargeError], table: np.ndarray, 
     for level in range(grid.bits - 1, grid.lattice.levels):
         parts = [*shared_vertices(grid, level, True)]
         parts += [*shared_vertices(grid, level, False)] if level >= grid.bits else []
-        error = opened()
+        stored = opened()
         if level >= grid.bits:  # `join_borders` has written the centres of tiles
             for vertices in parts:
-                error[entries_of(grid.lattice, vertices)] = 0
+                stored[entries_of(grid.lattice, vertices)] = 0
         chosen = [item for item in large if item.level == level]
         if chosen:
             x, y = (np.array([item[axis] for item in chosen], np.int64) for axis in (0, 1))
             metres = np.array([item.error for item in chosen], np.float32)
             entries = entries_of(grid.lattice, LatticeVertices(x, y, level))
-            values = np.searchsorted(table[level // 2], metres, side="left").astype(np.uint8)
-            order = np.argsort(values, kind="stable")  # the last of several for one entry remains
-            entries, values = entries[order], values[order]
-            error[entries] = np.maximum(error[entries], values)
+            new_codes = np.searchsorted(table[level // 2], metres, side="left").astype(np.uint8)
+            order = np.argsort(new_codes, kind="stable")  # the last of several for one entry remains
+            entries, new_codes = entries[order], new_codes[order]
+            stored[entries] = np.maximum(stored[entries], new_codes)
 
 
 def tables_between(before: Sequence[int], wanted: Sequence[int]) -> np.ndarray:

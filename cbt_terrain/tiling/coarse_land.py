@@ -55,6 +55,7 @@ class CoarseLand:
         last, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
         for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
             positions = np.arange(first, end + 1)
+            # the coarser cell of each sample, and the place in it, 0 .. 1
             cell = np.minimum(positions >> self.bits, cells)
             parts.append((cell, (positions - (cell << self.bits)) / (1 << self.bits)))
         (j, t), (i, s) = parts
@@ -74,6 +75,7 @@ class CoarseLand:
         last, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
         for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
             positions = np.arange(first, end + 1)
+            # the cells before and behind each sample: a sample inside a cell touches that alone
             sides.append([np.clip(positions - before >> self.bits, 0, cells) for before in (1, 0)])
         (south, north), (west, east) = sides
         top, left = int(south[0]), int(west[0])
@@ -98,6 +100,7 @@ class CoarseLand:
                     is_centre = y0 == x0
                     if is_centre and level == local.levels - 1 and not grid.holds_roots:
                         continue  # it depends on other tiles
+                    # the end of these vertices in the image
                     wide, high = local.extent(2 * (local.levels - level) - is_centre)
                     wide, high = (2 * half * n if is_centre else half * n + 1 for n in (wide, high))
                     target = rows[y0 : high : 2 * half, x0 : wide : 2 * half]
@@ -126,7 +129,7 @@ class CoarseLand:
         is_centre: the vertices are centres of cells, otherwise middles of their sides.
         """
         above = level - self.bits
-        if above >= 0:
+        if above >= 0:  # a diamond of the coarser store's cells, not inside one of them
             base, pages = self.field.lattice.layout()
             group = above // 2
             shift = self.bits + 2 * group

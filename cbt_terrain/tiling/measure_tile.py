@@ -154,8 +154,8 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, thr
     target = rows_of(np.zeros(int(base[-1] - base[-2]), np.float32), int(pages[-1]))
     target[: rows.shape[0], : rows.shape[1]] = rows
     # A raster's last tile has a column or row of cells beyond its border, which saturation reaches.
-    last = local.extent(local.cell_depth)
-    for axis, count in enumerate(last):
+    extent = local.extent(local.cell_depth)
+    for axis, count in enumerate(extent):
         end = rows.shape[1 - axis]
         if end < count:
             line = np.moveaxis(target, 1 - axis, 0)
@@ -184,6 +184,7 @@ def measure_ranges(tile: TileSamples, scale: tuple[float, float], threads: int) 
     around, wide = grid.window(box, RANGE_MARGIN), tile.inner(tile.samples, RANGE_MARGIN)
     finest = hierarchy.ranges_at(local, local.range_depth)
     west, south = (box.x0 - around.x0) // 2, (box.y0 - around.y0) // 2
+    # the kernel's image begins in the corner of the margin, and the tile is shifted in it
     shifted = _rows_depth(finest.columns + west, finest.rows + south)
     shifted.pages = (finest.columns + west) // PAGE + 1
     image = np.zeros((shifted.pages * ((finest.rows + south) // PAGE + 1) * PAGE * PAGE, 2), np.uint16)
@@ -246,7 +247,8 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
 def _cells_over(grid: TileGrid, box: TileBox, side: int) -> list[tuple[int, int]]:
     """Return the cells of `side` samples that meet a tile: (column, row) of each.
 
-    side: at least that of a tile. Samples on the raster's border also count for the padding beyond it.
+    side: at least that of a tile, so that one cell holds the tile. Samples on the raster's border also count for the
+    padding beyond it.
     """
     axes = []
     for first, last, cells, span in zip(
@@ -264,10 +266,11 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
     `centre_errors`.
     """
     corners = []
-    is_northeast = is_root or (x + y) & 1 == 1
+    # legs of the first triangle point to the north-east, otherwise to the south-east
+    points_northeast = is_root or (x + y) & 1 == 1
     for k in range(2):
         right = 1 - 2 * k
-        up = right if is_northeast else -right
+        up = right if points_northeast else -right
         i, j = (x + k) * side, (y + (0 if up > 0 else 1)) * side
         z = height(i, j)
         slope_x = float(right) * (height(i + right * side, j) - z) / float(side)
@@ -281,15 +284,15 @@ def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height)
 
     x, y: in units of `half` samples, half the side. right, up: 1 or -1. height: function of a sample (i, j), metres.
     """
-    is_flat = x & 1
-    dx, dy = is_flat * half, (1 - is_flat) * half
+    is_along_x = x & 1
+    dx, dy = is_along_x * half, (1 - is_along_x) * half
     i, j = x * half, y * half
     begin, end = height(i - dx, j - dy), height(i + dx, j + dy)
     middle = 0.5 * (begin + end)
     slope = (end - begin) / (2.0 * float(half))
-    across = up if is_flat else right
+    across = up if is_along_x else right
     rise = float(across) * (height(i + across * dy, j + across * dx) - middle) / float(half)
-    return _corner(i, j, right, up, half, middle, *((slope, rise) if is_flat else (rise, slope)))
+    return _corner(i, j, right, up, half, middle, *((slope, rise) if is_along_x else (rise, slope)))
 
 
 def _corner(x: int, y: int, right: int, up: int, legs: int, plane: float, slope_x: float, slope_y: float) -> Corner:

@@ -115,6 +115,7 @@ class TileGrid:
             along = np.arange(0, self.side + half + 1, half)
             across = np.unique([0, half, self.side - half, self.side, self.side + half])
             x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
+            # one number for x and y, so that each vertex comes once
             chosen = np.unique((y * (4 * self.side) + x)[((x >> level) | (y >> level)) & 1 == 1])
             by_level.append((chosen % (4 * self.side), chosen // (4 * self.side), np.full(len(chosen), level)))
         return LatticeVertices(*map(np.concatenate, zip(*by_level, strict=True)))
@@ -134,6 +135,7 @@ def halved(lattice: Lattice) -> Lattice:
 
 def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
     """Return whether the lattice has an entry for each vertex, bool [n]; vertices outside the raster have none."""
+    # of each level: the columns and rows of cells, for their centres, and of half cells, for middles of sides
     counts = np.array(
         [
             (*lattice.extent(2 * (lattice.levels - level) - 1), *lattice.extent(2 * (lattice.levels - level)))
@@ -169,7 +171,7 @@ def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndar
 
 def rows_of(image: np.ndarray, pages: int) -> np.ndarray:
     """Return an image of pages, [n, ...], as rows of vertices, [rows, PAGE * pages, ...]. pages: pages in a row."""
-    rest = image.shape[1:]
+    rest = image.shape[1:]  # a page has 8 x 8 blocks of 4 x 4 vertices
     image = image.reshape(-1, pages, 8, 8, 4, 4, *rest)
     return image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages, *rest)
 
@@ -230,12 +232,12 @@ def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterat
     base, pages = grid.lattice.layout()
     groups = grid.local(box).groups
     for group in range(groups + with_cells):
-        shift, number = (2 * group, group) if group < groups else (0, len(pages) - 1)
-        entries, wide = slice(int(base[number]), int(base[number + 1])), int(pages[number])
+        shift, raster_group = (2 * group, group) if group < groups else (0, len(pages) - 1)
+        entries, row_pages = slice(int(base[raster_group]), int(base[raster_group + 1])), int(pages[raster_group])
         x, y, count = box.x0 >> shift, box.y0 >> shift, -(-grid.side >> shift)
-        width = wide * PAGE - x if box.x1 == grid.lattice.cells_x else count
-        height = (entries.stop - entries.start) // (wide * PAGE) - y if box.y1 == grid.lattice.cells_y else count
-        yield OwnedArea(group, entries, wide, x, y, width, height)
+        width = row_pages * PAGE - x if box.x1 == grid.lattice.cells_x else count
+        height = (entries.stop - entries.start) // (row_pages * PAGE) - y if box.y1 == grid.lattice.cells_y else count
+        yield OwnedArea(group, entries, row_pages, x, y, width, height)
 
 
 def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> None:

@@ -176,6 +176,7 @@ def measured(
         name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
     }
     around_digest, ranges_digest = _digest((content, sorted(heights.items()))), _digest((content, limits.scale))
+    # stored codes with larger exponents than are allowed were rounded too much
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == content and not is_rounded
     if is_measured and state["ranges"] == ranges_digest and state["above"][0] == around_digest:
@@ -260,7 +261,7 @@ def join(
         kinds = partial(work.open, "kinds")
         for level, is_centre in _join_kinds(work, kinds):
             largest[level // 2] = max(largest[level // 2], _longest(lattice, level, is_centre))
-    # of the largest error of each group, which choose the tables of codes
+    # the largest error of each group chooses its table of codes
     exponents = codes.nested(lattice, list(map(codes.exponent_of, _nested(largest))))
     for number, record in sorted(records.items()):
         on_progress(0.5 * number / len(grid))
@@ -270,7 +271,7 @@ def join(
             measure(work, number, limits, threads, record, wanted, coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
-            work.note(MEASURED, number)
+            work.note(MEASURED, number)  # it is not measured while its codes are replaced
             tables = borders.tables_between(record["exponents"], wanted)
             translate(grid, grid.box(number), work.open("error"), tables)
             values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
@@ -319,8 +320,7 @@ def _nested(largest: Sequence[float]) -> list[float]:
     largest: the largest error of each group, the finest first, then that of the cells.
     """
     *groups, cells = largest
-    *nested, _ = (max([cells, *groups[: number + 1]]) for number in range(len(groups) + 1))
-    return [*nested, cells]
+    return [*(max([cells, *groups[: number + 1]]) for number in range(len(groups))), cells]
 
 
 def _longest(lattice: Lattice, level: int, is_centre: bool) -> float:

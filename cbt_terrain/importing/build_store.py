@@ -23,7 +23,7 @@ from ..rasters.raster import ImportSettings, Raster
 from ..rasters.rounding import half_step
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
-from ..tiling.tile_work import work_in
+from ..tiling.tile_work import TileWork, work_in
 from .earlier_import import finished_import, import_before, source_digest
 from .finer_import import add_finer_tiles
 from .finer_squares import finer_provenance
@@ -132,17 +132,7 @@ def import_raster(
         with open_work(path, folder, source, lattice, digest, by_tile, doubt) as (draft, work):
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
-            begin = _check_original(raster, reader.check, on_progress)
-            end = 1.0 if raster.finer is None else COARSE_SHARE
-
-            def tell(share: float, message: str) -> None:
-                """Report a fraction of this step as one of the whole import."""
-                on_progress(begin + (end - begin) * share, message)
-
-            if by_tile:
-                field = build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
-            else:
-                field = _build(reader, place, draft, lattice, tell)
+            field = _build_coarse(reader, source, lattice, digest, draft, work, by_tile, crew, on_progress)
             field = field.with_raster(
                 origin=np.array([*place.middle, 0.0]),
                 crs=place.crs,
@@ -163,6 +153,35 @@ def import_raster(
         return report
     finally:
         raster.close()
+
+
+def _build_coarse(
+    reader: HeightReader,
+    source: TileSource,
+    lattice: Lattice,
+    digest: str,
+    draft: store.Draft,
+    work: TileWork | None,
+    by_tile: bool,
+    crew: Crew,
+    on_progress: Tell,
+) -> HeightField:
+    """Check and build the height field of a raster, without its finer tiles, in the arrays of a draft.
+
+    reader: gets the figures of the heights that are read. digest: of the settings and sources. work: of an unfinished
+    import by tile, None without one. on_progress: gets the fraction of the whole import.
+    """
+    raster = reader.raster
+    begin = _check_original(raster, reader.check, on_progress)
+    end = 1.0 if raster.finer is None else COARSE_SHARE
+
+    def tell(share: float, message: str) -> None:
+        """Report a fraction of this step as one of the whole import."""
+        on_progress(begin + (end - begin) * share, message)
+
+    if by_tile:
+        return build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
+    return _build(reader, source.place, draft, lattice, tell)
 
 
 def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> float:

@@ -48,7 +48,7 @@ def open_draft(
         draft = store.Draft(path, folder, is_begun)
         yield draft
     except OSError as reason:
-        by_tile = False
+        by_tile = False  # no work is left on a disk that fails
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:

@@ -47,6 +47,7 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
 
     def nearest(first: int, count: int, column: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns of the raster's samples that are nearest to a window of the finer grid."""
+        # n * size / cell, rounded
         v, u = (
             (2 * np.arange(start, start + number) * size + cell) // (2 * cell)
             for start, number, size, cell in ((first, count, sizes[1], cells[1]), (column, columns, sizes[0], cells[0]))
@@ -138,6 +139,7 @@ def finer_squares(field: HeightField) -> FinerSquares | None:
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError):
         return None
     total = len(TileGrid(field.lattice, square_bits(bits)))
+    # runs in ascending order that do not overlap
     marks = [0, *(mark for run in ends for mark in run), total]
     if marks != sorted(marks):
         return None

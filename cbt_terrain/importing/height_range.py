@@ -27,9 +27,9 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
     """Return settings whose scale and offset give a raster its lowest and highest height, and a warning of a guess.
 
     These heights are those of the settings. If only one is given, or none for an image (`is_image`), the lowest is 0
-    and the highest RELIEF times `width_m`, metres from west to east, above it. Settings without heights for another
-    raster are returned as they are, and so are those of a raster without a finite sample. All samples are read to find
-    the range. Raises TerrainError for heights in the wrong order and for infinite samples.
+    and the highest RELIEF times `width_m`, metres from west to east, above it. Settings without these heights are
+    returned as they are for any other raster, and all settings for one without a finite sample. All samples are read to
+    find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None
@@ -40,16 +40,17 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
     high = high if high is not None else low + RELIEF * width_m
     if not low < high:
         raise TerrainError(f"The lowest height, {low:g} m, is not below {high:g} m", fix="give both heights")
-    ends = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in raster.blocks() if np.isfinite(rows).any()]
-    if not ends:
+    ranges = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in raster.blocks() if np.isfinite(rows).any()]
+    if not ranges:
         return settings, []  # the import reports that there is no height
-    first, last = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
-    if not np.isfinite([first, last]).all():
+    min_value, max_value = float(min(end[0] for end in ranges)), float(max(end[1] for end in ranges))
+    if not np.isfinite([min_value, max_value]).all():
         raise TerrainError(
             f"{settings.source} holds infinite values, so it has no lowest and highest",
             fix="give the metres in a unit of its values instead",
         )
-    bottom, top = (first, last) if raster.scale > 0.0 else (last, first)  # values of the lowest and the highest height
+    # values of the lowest and the highest height
+    bottom, top = (min_value, max_value) if raster.scale > 0.0 else (max_value, min_value)
     scale = (high - low) / (top - bottom) if top != bottom else raster.scale
     # The import applies the file's own scale and offset to the values first.
     offset = low - scale * (bottom + raster.offset / raster.scale)
@@ -60,9 +61,11 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
         return fitted, []
     name = Path(settings.source).name
     if top == bottom:
-        return fitted, [f"All values of {name} are {first:g} and have no unit: the terrain is flat, at {low:.6g} m."]
+        return fitted, [
+            f"All values of {name} are {min_value:g} and have no unit: the terrain is flat, at {low:.6g} m."
+        ]
     return fitted, [
-        f"The values of {name}, {first:g} to {last:g}, have no unit: they became {low:.6g} to "
+        f"The values of {name}, {min_value:g} to {max_value:g}, have no unit: they became {low:.6g} to "
         f"{high:.6g} m, a quarter of the width. Give the lowest and the highest height in metres (--lowest, "
         "--highest), or the metres in one of its values as the height scale (--height-scale)."
     ]

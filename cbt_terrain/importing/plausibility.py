@@ -59,7 +59,8 @@ class ValueCheck:
         warnings = []
         for value, count in self.marks.items():
             gap = max(self.low - value, value - self.high)
-            if gap < (APART if value else ZERO_APART) * spread or (value == 0.0 and spread == 0.0) or gap <= 0.0:
+            is_sea = value == 0.0 and spread == 0.0  # all land has one height
+            if is_sea or gap < (APART if value else ZERO_APART) * spread or gap <= 0.0:
                 continue
             samples = f"{count:,} samples hold" if count > 1 else "1 sample holds"
             warnings.append(

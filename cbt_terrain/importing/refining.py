@@ -67,7 +67,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
     stride = stride_of(raster.width, raster.height, settings.quick)
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
     columns, rows = (
-        (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)
+        (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)  # the nearest sample: a rounded quotient
         for cells, count in zip(counts, (raster.width, raster.height), strict=True)
     )
 
@@ -76,7 +76,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         v, u = rows[first : first + count], columns[column : column + width]
         if raster.pick is not None:
             values = raster.pick(v, u)
-            fine.shifted = raster.shifted
+            fine.shifted = raster.shifted  # the error of datums, which `pick` has set
             return values
         left, wide = int(u[0]), int(u[-1] - u[0]) + 1
         if raster.window is None:
@@ -285,6 +285,7 @@ def errors_in_view(
         with np.errstate(divide="ignore", invalid="ignore"):
             needs = errors * abs(seen.vertical_scale) / pixels
         needs = np.nan_to_num(needs, posinf=np.inf)
+        # the largest of the parts of each square
         for axis in (0, 1):
             needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
         yield needs

@@ -148,7 +148,7 @@ def write_read_parts(work: TileWork, inputs_of: Callable[[int], str], count: int
         if record is None or number >= count or record["inputs"] != inputs_of(number):
             continue
         if number in before and before[number]["inputs"] == record["inputs"]:
-            continue
+            continue  # it was written before
         try:
             for block in part_files.blocks_of(work.folder, record):
                 (x, y), shape = block.place, block.values.shape

@@ -34,7 +34,7 @@ GEOID = (
 )
 SPACINGS = (32, 16, 8)  # samples between nodes at most, the first whose error is small enough, or the last
 MAX_ERROR_M = 0.01
-MARGIN = 2.0  # the true error by that at half a spacing: grids have kinks, at any place between two nodes
+MARGIN = 2.0  # a bound of the error over that in the middle of two nodes: grids have kinks at any place between them
 USER_FOLDERS = {"darwin": "~/Library/Application Support/proj", "win32": "~/AppData/Local/proj"}
 SYSTEM_FOLDERS = ("/usr/share/proj", "/usr/local/share/proj")
 
@@ -189,10 +189,10 @@ def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.n
     longitude, latitude = projected(crs, GEOGRAPHIC, x, y)
     geoid = GEOID.format(plane=crs_of(GEOGRAPHIC).to_wkt(version="WKT1_GDAL"), grid=grid)
     try:
-        moved = transform(CRS.from_wkt(geoid), crs_of(GEOGRAPHIC_3D), longitude, latitude, np.zeros(len(x)))
+        transformed = transform(CRS.from_wkt(geoid), crs_of(GEOGRAPHIC_3D), longitude, latitude, np.zeros(len(x)))
     except Exception:  # the grid ends here or is damaged; PROJ raises many kinds
         return np.full(len(x), np.nan)
-    return np.where(np.isfinite(moved[2]), moved[2], np.nan)
+    return np.where(np.isfinite(transformed[2]), transformed[2], np.nan)
 
 
 @lru_cache(maxsize=len(GRIDS))

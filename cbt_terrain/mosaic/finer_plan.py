@@ -49,22 +49,24 @@ def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: n
     width, height = ((count - 1 >> bits) + 1 for count in (grid.width, grid.height))
     low = np.floor(boxes[is_finer, :2]).astype(np.int64) - (grid.column, grid.row)
     high = np.ceil(boxes[is_finer, 2:]).astype(np.int64) - (grid.column, grid.row)
-    files = np.concatenate([low, high], axis=1)
-    tiles = _count_tiles(grid, files)
+    file_boxes = np.concatenate([low, high], axis=1)
+    tiles = _count_tiles(grid, file_boxes)
     needed = width * height + tiles * SIDE * SIDE
     if bits < 1 or SAVING * needed > grid.width * grid.height or min(width, height) < 3:
         return None
     x0, y0 = grid.positions(np.array(grid.column), np.array(grid.row))
-    part = grid._replace(x0=float(x0), y0=float(y0), column=0, row=0, width=width, height=height)
-    return FinerPlan(part._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits), bits, files, tiles)
+    coarse = grid._replace(x0=float(x0), y0=float(y0), column=0, row=0, width=width, height=height)
+    return FinerPlan(
+        coarse._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits), bits, file_boxes, tiles
+    )
 
 
-def _count_tiles(grid: TargetGrid, files: np.ndarray) -> int:
+def _count_tiles(grid: TargetGrid, file_boxes: np.ndarray) -> int:
     """Return the number of finer tiles of a grid that the files meet, with the tiles next to these.
 
-    files: boxes of the files in columns and rows of the grid, see `FinerPlan.boxes`.
+    file_boxes: in columns and rows of the grid, see `FinerPlan.boxes`.
     """
     is_tile = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
-    for west, north, east, south in files // SIDE:
+    for west, north, east, south in file_boxes // SIDE:
         is_tile[max(north - 1, 0) : south + 2, max(west - 1, 0) : east + 2] = True
     return int(is_tile.sum())

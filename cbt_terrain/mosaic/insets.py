@@ -135,7 +135,7 @@ class InsetBlend:
         It is the margin of the widest window of `_marks_around`, whose first and last cells are whole.
         """
         wide = map(_widened, self.rings)
-        windows = [*zip(self.rings, [1] * len(self.rings), strict=True), *((ring, MAX_PART + 1) for ring in wide)]
+        windows = [*((ring, 1) for ring in self.rings), *((ring, MAX_PART + 1) for ring in wide)]
         return max(ring.cell * (rings * max(ring.reach) + 2) for ring, rings in windows)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:

@@ -27,7 +27,7 @@ class SeamRecords(NamedTuple):
     def find(self, place: Block, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
         """Return the marks of a block's seam cells by level, from its record; None if they are unknown.
 
-        place: column and row of the block, counted from the grid's first one. block: the same by absolute numbers.
+        place: row and column of the block, counted from the grid's first one. block: the same by absolute numbers.
         kind: type of the marks. side(level): cells along a side.
         """
         record = self.find_record(*place)
@@ -47,7 +47,7 @@ class SeamRecords(NamedTuple):
     def note(self, place: Block, block: Block, marks: dict[int, np.ndarray]) -> None:
         """Write the record of a block: the marks of its seam cells by level.
 
-        place: column and row of the block, counted from the grid's first one. block: the same by absolute numbers.
+        place: row and column of the block, counted from the grid's first one. block: the same by absolute numbers.
         """
         texts = {str(level): zlib.compress(level_marks.tobytes()).hex() for level, level_marks in marks.items()}
         self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)

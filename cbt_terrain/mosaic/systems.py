@@ -77,13 +77,13 @@ def projected(source: str, target: str, x: np.ndarray, y: np.ndarray) -> tuple[n
     if source == target:
         return x, y
     try:
-        moved = transform(crs_of(source), crs_of(target), x, y)
+        transformed = transform(crs_of(source), crs_of(target), x, y)
     except Exception as reason:  # PROJ raises many kinds
         raise TerrainError(
             f"{shown(source, 80)} and {shown(target, 80)} have no common coordinate system ({shown(reason)})",
             fix="give another target (--project), or import the files apart",
         ) from reason
-    return np.array(moved[0]), np.array(moved[1])
+    return np.array(transformed[0]), np.array(transformed[1])
 
 
 def period_of(crs: str) -> float:

@@ -121,14 +121,14 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
         back_x, back_y = projected(crs, name, x, y)
         x, y = x.reshape(points[:, 0].shape), y.reshape(points[:, 0].shape)
         back = np.stack([back_x.reshape(x.shape), back_y.reshape(x.shape)], axis=1)
-        for at, n in enumerate(numbers):
-            _check_return(tiles[n], crs, back[at] - points[at])
+        for row, n in enumerate(numbers):
+            _check_return(tiles[n], crs, back[row] - points[row])
             if period:
-                anchor = float(x[at, 0]) if anchor is None else anchor
-                x[at] -= period * np.round((x[at] - anchor) / period)
-            border_x, border_y = x[at, :-3], y[at, :-3]  # the last three points give the steps
+                anchor = float(x[row, 0]) if anchor is None else anchor
+                x[row] -= period * np.round((x[row] - anchor) / period)
+            border_x, border_y = x[row, :-3], y[row, :-3]  # the last three points give the steps
             boxes[n] = border_x.min(), border_y.min(), border_x.max(), border_y.max()
-            steps[n] = _steps(x[at, -3:], y[at, -3:])
+            steps[n] = _steps(x[row, -3:], y[row, -3:])
     return Footprints(boxes, steps)
 
 

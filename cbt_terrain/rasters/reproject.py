@@ -101,8 +101,8 @@ def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:
     if np.abs(longitudes).max() <= 180.0:
         return grid
     middle = float(longitudes.min() + longitudes.max()) / 2
-    moved = (float(meridian[1]) + middle + 180.0) % 360.0 - 180.0
-    wkt = f'{wkt[: meridian.start()]}PRIMEM["moved",{moved!r}]{wkt[meridian.end() :]}'
+    new_meridian = (float(meridian[1]) + middle + 180.0) % 360.0 - 180.0
+    wkt = f'{wkt[: meridian.start()]}PRIMEM["moved",{new_meridian!r}]{wkt[meridian.end() :]}'
     a, b, c, d, e, f = grid.placed
     return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
 
@@ -156,6 +156,7 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
     rows = np.concatenate([np.full_like(rows, 0.5), np.full_like(rows, bottom), rows, rows])
     x, y = _transform_points(path, source.crs, crs, *source.positions(columns, rows))
     column, row = dataset.width / 2, dataset.height / 2
+    # the middle, and the next samples along its row and its column
     near = source.positions(np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
     near_x, near_y = _transform_points(path, source.crs, crs, *near)
     step_x, step_y = _steps(near_x[1] - near_x[0], near_x[2] - near_x[0], near_y[1] - near_y[0], near_y[2] - near_y[0])
@@ -215,11 +216,11 @@ def _transform_points(
     from rasterio.warp import transform
 
     try:
-        moved = np.array(transform(source, target, x, y)[:2])
+        transformed = np.array(transform(source, target, x, y)[:2])
     except Exception as reason:
         what = f"{shown(path)} cannot be brought into {target.to_string()} ({shown(reason)})"
         raise TerrainError(what, fix="choose another system") from reason
-    if not np.isfinite(moved).all():
+    if not np.isfinite(transformed).all():
         what = f"{shown(path)} extends beyond the area of {target.to_string()}"
         raise TerrainError(what, fix="choose another system")
-    return moved[0], moved[1]
+    return transformed[0], transformed[1]

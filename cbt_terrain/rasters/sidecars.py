@@ -67,7 +67,7 @@ def read_aux(file: Path) -> str:
     def start(name: str, attributes: dict[str, str]) -> None:
         """Refuse an element that is nested too deep, names another file or has a damaged projection."""
         nonlocal depth, in_system
-        depth, in_system = depth + 1, depth == 1 and name == "SRS"
+        depth, in_system = depth + 1, depth == 1 and name == "SRS"  # directly in the root element
         if depth > MAX_DEPTH:
             refuse(f"has elements more than {MAX_DEPTH} deep")
         if "OVERVIEW_FILE" in attributes.values():

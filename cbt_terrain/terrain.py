@@ -323,11 +323,12 @@ class Terrain:
         packed = pack(criterion, local, spans, domain.source)
         with self.history.writing():
             leaves, relaxed, surface, changed = self._build_within_limit(criterion, shape, domain, packed)
+            # only leaves beyond the plane limit may be too small for float32
             if 1 < depth > plane_limit(self.field.lattice) - 2 * criterion.meshlet:
                 exact_depth = depth_in_plane(self.field.lattice, surface.positions, surface.corner_verts, surface.level)
                 if exact_depth is not None:  # float32 cannot represent the corners of deeper triangles
                     return max(1, exact_depth - 2 * criterion.meshlet)
-            horizon = None
+            horizon = None  # else arguments of `horizon_of`, the last a factor on the criterion that the mesh satisfies
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
                 horizon = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
             outcome = Outcome(

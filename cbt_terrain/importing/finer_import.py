@@ -53,7 +53,7 @@ def add_finer_tiles(
     the raster, in the draft's folder. on_progress: called with the fraction that is done.
     """
     bits, lattice = source.bits, plain.lattice
-    last = lattice.cells_x << bits, lattice.cells_y << bits
+    last = lattice.cells_x << bits, lattice.cells_y << bits  # finer cells along x and y
     margin = border_margin(bits)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}

@@ -36,12 +36,12 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         counts: columns and rows of cells of that raster.
         loaded: numbers of the squares to load.
     """
-    sizes = raster.width - 1, raster.height - 1
-    bits = max(int(np.ceil(np.log2(size / count))) for size, count in zip(sizes, counts, strict=True))
+    raster_cells = raster.width - 1, raster.height - 1
+    bits = max(int(np.ceil(np.log2(size / count))) for size, count in zip(raster_cells, counts, strict=True))
     if raster.finest is None or raster.window is None or not 1 <= bits <= MAX_BITS:
         return None
-    cells = [count << bits for count in counts]
-    scale = np.array([cell / size for cell, size in zip(cells, sizes, strict=True)])
+    finer_cells = [count << bits for count in counts]
+    scale = np.array([cell / size for cell, size in zip(finer_cells, raster_cells, strict=True)])
     low, high = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
     boxes = np.concatenate([np.floor(low), np.ceil(high)], axis=1).astype(np.int64)
 
@@ -50,7 +50,10 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         # n * size / cell, rounded
         v, u = (
             (2 * np.arange(start, start + number) * size + cell) // (2 * cell)
-            for start, number, size, cell in ((first, count, sizes[1], cells[1]), (column, columns, sizes[0], cells[0]))
+            for start, number, size, cell in (
+                (first, count, raster_cells[1], finer_cells[1]),
+                (column, columns, raster_cells[0], finer_cells[0]),
+            )
         )
         return v, u
 
@@ -65,7 +68,7 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         """Return a digest of all that determines the samples of a window."""
         assert raster.inputs is not None
         v, u = nearest(first, count, column, columns)
-        return f"{raster.inputs(*_span(v), *_span(u))} {sizes} {cells}"
+        return f"{raster.inputs(*_span(v), *_span(u))} {raster_cells} {finer_cells}"
 
     has_inputs = raster.inputs is not None
     return FinerSource(bits, boxes, window, inputs if has_inputs else None, squares=frozenset(loaded))

@@ -43,7 +43,8 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
     ranges = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in raster.blocks() if np.isfinite(rows).any()]
     if not ranges:
         return settings, []  # the import reports that there is no height
-    min_value, max_value = float(min(end[0] for end in ranges)), float(max(end[1] for end in ranges))
+    lows, highs = zip(*ranges, strict=True)
+    min_value, max_value = float(min(lows)), float(max(highs))
     if not np.isfinite([min_value, max_value]).all():
         raise TerrainError(
             f"{settings.source} holds infinite values, so it has no lowest and highest",

@@ -73,20 +73,20 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
 
     def window(first: int, count: int, column: int, width: int) -> np.ndarray:
         """Return a window of the finer grid, NaN where samples are missing."""
-        v, u = rows[first : first + count], columns[column : column + width]
+        wanted_rows, wanted_columns = rows[first : first + count], columns[column : column + width]
         if raster.pick is not None:
-            values = raster.pick(v, u)
+            values = raster.pick(wanted_rows, wanted_columns)
             fine.shifted = raster.shifted  # the error of datums, which `pick` has set
             return values
-        left, wide = int(u[0]), int(u[-1] - u[0]) + 1
+        left, wide = int(wanted_columns[0]), int(wanted_columns[-1] - wanted_columns[0]) + 1
         if raster.window is None:
             left, wide = 0, raster.width
-        bands = (v - v[0]) // max(1, MAX_READ // wide)  # rows that are read together
+        bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // wide)  # rows that are read together
         parts = []
-        for band in np.split(v, np.flatnonzero(np.diff(bands)) + 1):
+        for band in np.split(wanted_rows, np.flatnonzero(np.diff(bands)) + 1):
             top, high = int(band[0]), int(band[-1] - band[0]) + 1
             read = raster.read(top, high) if raster.window is None else raster.window(top, high, left, wide)
-            parts.append(read[np.ix_(band - top, u - left)])
+            parts.append(read[np.ix_(band - top, wanted_columns - left)])
         return np.concatenate(parts)
 
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)

@@ -143,8 +143,8 @@ def read_ahead(
     """Read tiles of coarse land ahead of the import that loads them, and return a report. Raises TerrainError.
 
     Tiles that were read before are not read again, so a killed process loses one. Without any tile the sources are
-    only checked, and the store keeps the catalogue of a mosaic for those that read. The report has the number of the
-    import's "tiles" and how many of the requested ones are "done". path: the store.
+    only checked, and the store keeps the catalogue of a mosaic for processes that read. The report has the number of
+    the import's "tiles" and how many of the requested ones are "done". path: the store.
     """
     if part.step != READ_TILES:
         raise TerrainError(f"No part {part.step!r} of tiles in view can be done", expected=repr(READ_TILES))

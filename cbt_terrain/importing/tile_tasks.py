@@ -89,7 +89,7 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
 
     number: of the tile. inputs: digest of the sources.
     """
-    source.raster.moved = source.raster.shifted = 0.0
+    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this tile alone
     reader, whole = HeightReader(source.raster, source.settings), grid.owned(grid.box(number))
     tile_heights = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
     for box, heights in _read_heights(grid, source, number, reader):
@@ -125,7 +125,7 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
         return
     if done is not None and done["inputs"] == task.inputs:
         return
-    source.raster.moved = source.raster.shifted = 0.0
+    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this unit alone
     reader, extremes = HeightReader(source.raster, source.settings), list[float]()
     with part_files.writing_part(folder, READ, number) as writer:
         for box, heights in _read_heights(work.grid, source, number, reader):

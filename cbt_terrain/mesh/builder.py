@@ -55,6 +55,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     assert leaves is not None, "refine has not been called"
     triangles, vertices, edges = leaves.counts.sum(axis=0).tolist()
     t = template(meshlet) if meshlet else None
+    # whether it is known which points both frames have
     has_runs = t.inner_points > 0 if t else history.next.reused_points is not None
     reuses, slots = history.reuse_vertices(domain, geomorph is not None, has_runs), None
     _check_memory(triangles * 4**meshlet)

@@ -33,7 +33,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     triangles, _, edges = leaves.counts.sum(axis=0).tolist()
     slices, squares = len(leaves.counts), domain.columns * domain.rows
     _check_sides(field, leaves.sides.reshape(domain.rows, domain.columns, 4))
-    # the edges on each square's right side, then on its upper one, where the squares behind them look them up
+    # first edges of all right sides, then of all upper ones, where the squares beyond these sides look them up
     side_base = scratch.get("side_base", 2 * squares + 1, wp.int32)
     side_bases = scratch.numpy("side_base")
     side_bases[0] = 0

@@ -60,6 +60,7 @@ def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
     order = np.argsort(boxes[:, 0], kind="stable")
     starts, pairs = boxes[order, 0], []
     for position, rank in enumerate(order):
+        # tiles that begin further east, but not beyond this one
         end = int(np.searchsorted(starts, boxes[rank, 2] + INSIDE, side="right"))
         others = order[position + 1 : end]
         meets = (boxes[others, 1] <= boxes[rank, 3] + INSIDE) & (boxes[others, 3] >= boxes[rank, 1] - INSIDE)
@@ -84,7 +85,7 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     if level == 0:
         return levels
     pairs = np.array(overlapping_pairs(boxes), np.int64).reshape(-1, 2)
-    lower, upper = pairs[levels[pairs[:, 0]] < levels[pairs[:, 1]]].T
+    lower, upper = pairs[levels[pairs[:, 0]] < levels[pairs[:, 1]]].T  # finer tiles over coarser ones
     finest_below = np.full(len(lattices), -1)
     np.maximum.at(finest_below, owners[upper], levels[lower])
     level_steps = [steps[levels == number].max(axis=0) for number in range(level + 1)]
@@ -200,6 +201,7 @@ class InsetBlend:
                 if block_marks is None:
                     continue
                 pooled = _pool(block_marks, len(block_marks) // size)
+                # the block's first cell in the window, of which the block may have a part only
                 top, left = row * size - first[0], column * size - first[1]
                 window = cells[max(top, 0) : top + size, max(left, 0) : left + size]
                 window[:] = pooled[max(-top, 0) :, max(-left, 0) :][: window.shape[0], : window.shape[1]]
@@ -213,7 +215,7 @@ class InsetBlend:
         """
         key = row, column
         if key not in self._cells:
-            place = row - self._blocks[0][0], column - self._blocks[1][0]
+            place = row - self._blocks[0][0], column - self._blocks[1][0]  # counted from the grid's first block
             known = None
             if self.records is not None:
                 known = self.records.find(place, key, self._kind, self._side_of)
@@ -351,7 +353,7 @@ def _corners(cells: np.ndarray) -> np.ndarray:
 
 
 def _distances(marked: np.ndarray, ring: BlendRing, limit: int) -> np.ndarray:
-    """Return the distance, in widths of the ring, to the nearest marked corner; at most `limit` widths."""
+    """Return the distance of corners to the nearest `marked` one, in widths of the ring; at most `limit` widths."""
     # First along each row, then over rows: the squared distance is the sum of both.
     columns, far = np.arange(marked.shape[1]), float(limit * limit)
     before = np.maximum.accumulate(np.where(marked, columns, -(1 << 30)), axis=1)

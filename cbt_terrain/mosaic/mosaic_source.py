@@ -35,9 +35,9 @@ def open_composite(
 ) -> Composite:
     """Open the mosaic of the settings' sources; the caller closes it. Raises TerrainError.
 
-    If its finer files cover little, the composite has the grid of the coarser ones, and `finer` has the finer tiles. For
-    a quick import that is so only if a complete one is as short; else the composite has the finest grid, and `finest`
-    has the plan.
+    If its finer files cover little, the composite has the grid of the coarser ones, and `finer` has the finer tiles. A
+    quick import does so only if a complete one takes little longer; otherwise the composite has the finest grid, and
+    `finest` has the plan.
 
     store: folder whose kept catalogue is used, None to read all headers. on_progress: gets the fraction of headers that
     are known. unpacked: height maps of archives.

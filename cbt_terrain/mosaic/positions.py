@@ -86,11 +86,11 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
     circle = period_of(lattice.crs)
     if circle:
         middle_of_tiles = lattice.rectangles[:, [0, 2]].mean(), lattice.rectangles[:, [1, 3]].mean()
-        centre, middle = float(lattice.positions(*middle_of_tiles)[0]), float(x[len(x) // 2])
-        middle = middle if np.isfinite(middle) else centre
+        tiles_middle, block_middle = float(lattice.positions(*middle_of_tiles)[0]), float(x[len(x) // 2])
+        block_middle = block_middle if np.isfinite(block_middle) else tiles_middle
         if lattice.crs != grid.crs:
-            x = x - circle * np.round((x - middle) / circle)
-        x = x - circle * np.round((middle - centre) / circle)
+            x = x - circle * np.round((x - block_middle) / circle)
+        x = x - circle * np.round((block_middle - tiles_middle) / circle)
     u, v = lattice.indices(x, y)
     return u.reshape(columns.shape), v.reshape(columns.shape)
 

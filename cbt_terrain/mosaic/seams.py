@@ -139,5 +139,6 @@ def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> 
     rows, columns = int(min(q.max() + 2, tile.height)) - top, int(min(p.max() + 2, tile.width)) - left
     z, s, t = composite.tile_window(rank, top, rows, left, columns), u - p, v - q
     p, q = p - left, q - top
+    # a sample of no weight may be missing
     right, down = np.minimum(p + (s > 0), columns - 1), np.minimum(q + (t > 0), rows - 1)
     return (z[q, p] * (1 - s) + z[q, right] * s) * (1 - t) + (z[down, p] * (1 - s) + z[down, right] * s) * t

@@ -77,7 +77,7 @@ def grid_axes(lattice: Lattice, step: float = 0.0) -> tuple[GridAxis, GridAxis]:
     sides = (lattice.width, lattice.step_x), (lattice.height, lattice.step_y)
     if not step:
         return GridAxis(*sides[0]), GridAxis(*sides[1])
-    shortest, longest = (end((samples - 1) * cell for samples, cell in sides) for end in (min, max))
+    shortest, longest = (extreme((samples - 1) * cell for samples, cell in sides) for extreme in (min, max))
     if not longest / MAX_SAMPLES < step <= shortest * (1.0 + SNAPPED):
         expected = f"more than {longest / MAX_SAMPLES:.3g} and at most {shortest:g} m"
         raise TerrainError(f"The step of exported heights is {step:g} m", expected=expected)

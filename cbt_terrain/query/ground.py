@@ -132,6 +132,7 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     finer = field.raster.finer
     parts = 1 << finer.bits if finer is not None else 1  # finer cells along the side of a raster cell
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y]) / parts
+    # the points in finer cells from the raster's corner; those beyond the raster are moved onto its border
     cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x * parts, lattice.cells_y * parts))
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []

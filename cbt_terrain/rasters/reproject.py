@@ -150,6 +150,7 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
     Raises TerrainError. crs: the new system.
     """
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
+    # samples along the northern, southern, western and eastern side
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
     columns, rows = sides.T
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])

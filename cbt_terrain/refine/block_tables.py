@@ -16,7 +16,7 @@ def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[
     """Return the leaves of a triangle after even bisections, as states in curve order, and its new vertices.
 
     A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
-    state: the curve's state in the triangle.
+    state: how the curve passes the triangle (kernels/refine/curve.py).
     """
     leaves: list[int] = []
     vertices: list[tuple[int, int]] = []

@@ -71,8 +71,8 @@ def ramp_start(
     _, splits = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_leaves, finer_by=1)
     history.hints.marks = marks  # those of the search
     # leaves at the next finer step, and where the limit is between both counts, 0 .. 1
-    finer = int(splits[0]) + roots if len(splits) else FAR_OVER * max_leaves
-    fraction = (finer - max_leaves) / (finer - leaves) if finer > max_leaves else 0.0
+    finer_leaves = int(splits[0]) + roots if len(splits) else FAR_OVER * max_leaves
+    fraction = (finer_leaves - max_leaves) / (finer_leaves - leaves) if finer_leaves > max_leaves else 0.0
     return factor_at_step * 2.0 ** (fraction / STEPS_PER_OCTAVE)
 
 
@@ -95,7 +95,7 @@ def count_splits(
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2  # cells are square: an even number of bisections
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
-    slices, spacing = len(cuts) - 1, max_splits // 64 + 1
+    slices, spacing = len(cuts) - 1, max_splits // 64 + 1  # spacing: measured diamonds between two marks
     arrays = {
         "limit_factors": _limits(finer_by),
         "stack": scratch.get("count_stack", slices * CELLS, Cell),

@@ -181,6 +181,7 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     mean, source = mean_ramp(criterion.morph_until), outcome.domain.source
     relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / mean)
     finest = relaxed_request / mean
+    morph_error = relaxed_request - finest
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
     source_low, source_high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
@@ -188,13 +189,13 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error is beyond the relief
     too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
     guaranteed, worst = outcome.tighten(ERROR, finest, guaranteed, finest)
-    guaranteed = min(guaranteed + (relaxed_request - finest), limit)
+    guaranteed = min(guaranteed + morph_error, limit)
     worst_leaf = too_coarse or worst or fixed
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
-    value = too_coarse.value + (relaxed_request - finest) if too_coarse else guaranteed
+    value = too_coarse.value + morph_error if too_coarse else guaranteed
     precision = (worst_leaf.fixed - source) * spans_per_metre
     bound = _limit_bound(relaxed_request, value, precision, source * spans_per_metre, stopped=too_coarse is not None)
-    if bound.value <= criterion.error_px:
+    if bound.value <= criterion.error_px:  # spans up to the request are no more pixels: see `widening`
         return bound
     pixels = min(spans.pixels(bound.value), LARGEST)
     assert bound.terms is not None, "_limit_bound gives terms"

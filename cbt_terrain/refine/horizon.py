@@ -70,6 +70,7 @@ def fill_horizons(
         buffers.numpy("horizons")[:entries] = -math.inf
         return
     blocks = _blocks_of(field, domain, threads)
+    # the longest leg of the deepest leaves
     margin_units = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
         start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])

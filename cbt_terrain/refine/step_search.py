@@ -113,7 +113,7 @@ class _Search:
         """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
         growth = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
-        # coarser steps with 1 / growth of the splits at `high`, or 0.5 to 0.9: the slope to the first is measured
+        # The growth is measured to the first coarser step with fewer splits by that factor, at least 0.9, at most 0.5.
         fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / growth, 0.5), 0.9) * known[0]))
         slope = SPLITS_PER_ERROR / STEPS_PER_OCTAVE
         if len(fewer):

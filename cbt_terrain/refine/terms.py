@@ -119,6 +119,7 @@ def position_rounding(
         (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y),
     )
     for cells, span, step, anchor in sides:
+        # of lattice lines at this depth; then the largest coordinate from the anchor
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
         largest = max(0.5 * cells * step + anchor, (span - 0.5 * cells) * step - anchor)
         errors_in_plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))

@@ -145,18 +145,18 @@ def _listen(reader: int) -> None:
     The first asks to stop. A later one ends the process at once, unless it follows within ONE_PRESS_SECONDS. 0 ends the
     loop.
     """
-    first, end = None, None
+    first, timer = None, None
     while number := os.read(reader, 1)[0]:
         if first is None:
             first = time.monotonic()
             request_stop(number)
-            end = threading.Timer(GRACE_SECONDS, _end, (number,))
-            end.daemon = True
-            end.start()
+            timer = threading.Timer(GRACE_SECONDS, _end, (number,))
+            timer.daemon = True
+            timer.start()
         elif time.monotonic() - first > ONE_PRESS_SECONDS:
             _end(number)
-    if end is not None:
-        end.cancel()
+    if timer is not None:
+        timer.cancel()
 
 
 def _end(number: int) -> None:

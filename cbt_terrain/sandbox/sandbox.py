@@ -111,7 +111,7 @@ def _drop_writes(libc: ctypes.CDLL, folder: Path | None) -> str:
 
     Later versions of Landlock also refuse TCP, device calls, abstract sockets and signals. Raises OSError.
     """
-    version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
+    version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)  # LANDLOCK_CREATE_RULESET_VERSION
     if version < 2:  # version 1 refuses every rename into another folder, which a store needs
         return f"{REMAINS}: this kernel's Landlock is too old"
     files = READ_FILE | ALL_WRITES | (TRUNCATE if version >= 3 else 0) | (IOCTL_DEV if version >= 5 else 0)

@@ -100,12 +100,12 @@ class ScatterGround:
         """
         tiles, window = squares.of_tile(self.scatter.seed)
         runs = np.zeros(len(window), kernels.CandidateRun.numpy_dtype())
-        first, available = tile().runs(squares.halvings, window)
-        runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first, squares.count
+        first_rank, available = tile().runs(squares.halvings, window)
+        runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first_rank, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
         runs["clear"] = squares.clear if views == 1 else 0  # of several views it is not known in which one
-        keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first
-        firsts, known = self.candidates.find(keys, squares.count)
+        keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first_rank
+        cached_at, known = self.candidates.find(keys, squares.count)
         if not known.all():
             fresh, count = runs[~known], squares.count[~known]
             fresh["count"] = count = np.minimum((SPARE * count).astype(np.int64) + 8, available[~known])
@@ -113,8 +113,8 @@ class ScatterGround:
             fresh["at"] = begin + np.cumsum(count) - count
             self._place(fresh, slice(begin, begin + int(count.sum())), threads)
             self.candidates.add(keys[~known], count)
-            firsts, _ = self.candidates.find(keys, squares.count)
-        runs["at"] = firsts
+            cached_at, _ = self.candidates.find(keys, squares.count)
+        runs["at"] = cached_at
         return runs
 
     def _place(self, runs: np.ndarray, added: slice, threads: int) -> None:

@@ -164,7 +164,7 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
     a, b, c = (surface.positions[surface.triangles[triangle[on_triangle], k]].astype(np.float64) for k in range(3))
     (ux, uy), (vx, vy), (px, py) = (b - a)[:, :2].T, (c - a)[:, :2].T, (places[on_triangle] - a[:, :2]).T
     area = ux * vy - uy * vx
-    s, t = (px * vy - py * vx) / area, (ux * py - uy * px) / area
+    s, t = (px * vy - py * vx) / area, (ux * py - uy * px) / area  # weights of b and c
     positions = points.positions.copy()
     positions[on_triangle, 2] = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
     return replace(points, positions=positions)

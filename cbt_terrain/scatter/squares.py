@@ -89,7 +89,8 @@ def squares_in_view(
         divided = ranks > 0  # squares without points are dropped
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
-            count = tile().count(halvings, Squares(depth, numbers, ranks, divided).of_tile(seed)[1], ranks)
+            _, windows = Squares(depth, numbers, ranks, divided).of_tile(seed)
+            count = tile().count(halvings, windows, ranks)  # of these ranks, those of points in the square
             divided &= (count > FEW) & (high > EVEN * low) & (halvings < FINEST)
             final = ~divided & (count > 0)
             final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))

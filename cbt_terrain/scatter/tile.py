@@ -72,6 +72,7 @@ def tile() -> Tile:
     It is computed once, in integers, so it is the same on every machine.
     """
     side = 1 << int(kernels.BITS)
+    # near: the kernel's scratch
     near, place = np.full(side * side, side * side, np.int32), np.empty((POINTS, 2), np.int32)
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")
     order, first, keys = [], [], []

@@ -41,7 +41,7 @@ def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[Lat
     if 2 * half > grid.side or (is_centre and 2 * half == grid.side):
         lines: list = [(along[0], along[1])]  # no tile holds such a diamond: all vertices
     else:
-        near = np.array([-half, 0, half])
+        near = np.array([-half, 0, half])  # vertices on a line between tiles, and on both sides of it
         lines = [(near[near + x >= 0] + x, along[1]) for x in range(0, ends[0], grid.side)]
         lines += [(along[0], near[near + y >= 0] + y) for y in range(0, ends[1], grid.side)]
     parts = ((x, y[row : row + ROWS]) for x, y in lines for row in range(0, len(y), ROWS))
@@ -76,7 +76,7 @@ def children_of(
             yield entries_of(lattice, child), exist(lattice, child)
     else:
         for right, up in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
-            if level == 0:
+            if level == 0:  # the children are single cells
                 i, j = x + right, y + up
                 columns, rows = lattice.extent(lattice.cell_depth)
                 yield cell_entries(lattice, i, j), (i >= 0) & (j >= 0) & (i < columns) & (j < rows)
@@ -118,7 +118,7 @@ def raise_errors(
         longest: longest(level, is_centre) returns the longest edge of such diamonds, metres.
     """
     for level, is_centre in pass_depths(grid):
-        below = level if is_centre else level - 1
+        below = level if is_centre else level - 1  # level of the children, -1 for cells, whose table is the last
         code_metres, child_code_metres = table[level // 2], table[below // 2 if below >= 0 else -1]
         for vertices in shared_vertices(grid, level, is_centre):
             stored = opened()

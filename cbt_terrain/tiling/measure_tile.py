@@ -266,7 +266,7 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
     `centre_errors`.
     """
     corners = []
-    # legs of the first triangle point to the north-east, otherwise to the south-east
+    # whether the legs of the first triangle point to the north-east; else to the south-east
     points_northeast = is_root or (x + y) & 1 == 1
     for k in range(2):
         right = 1 - 2 * k

@@ -182,6 +182,7 @@ def pages_of(rows: np.ndarray) -> np.ndarray:
     high, wide = -(-height // PAGE), -(-width // PAGE)
     full = np.zeros((high * PAGE, wide * PAGE, *rest), rows.dtype)
     full[:height, :width] = rows
+    # a page has 8 x 8 blocks of 4 x 4 vertices
     full = full.reshape(high, 8, 4, wide, 8, 4, *rest)
     return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)
 
@@ -235,6 +236,7 @@ def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterat
         shift, raster_group = (2 * group, group) if group < groups else (0, len(pages) - 1)
         entries, row_pages = slice(int(base[raster_group]), int(base[raster_group + 1])), int(pages[raster_group])
         x, y, count = box.x0 >> shift, box.y0 >> shift, -(-grid.side >> shift)
+        # the last tiles write up to the end of the image
         width = row_pages * PAGE - x if box.x1 == grid.lattice.cells_x else count
         height = (entries.stop - entries.start) // (row_pages * PAGE) - y if box.y1 == grid.lattice.cells_y else count
         yield OwnedArea(group, entries, row_pages, x, y, width, height)

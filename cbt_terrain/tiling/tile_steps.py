@@ -161,8 +161,8 @@ def measured(
     raw = work.raw("samples", window)
     valid = work.raw("missing", window) ^ 1 if work.holes and limits.missing else None
     is_near = coarse is not None and coarse.is_near_loaded(grid, number, margin_of(limits.low, limits.high))
-    surface = () if coarse is None else (coarse.digest, is_near)
-    content = _digest((window, work.steps, *surface), raw, *([] if valid is None else [valid]))
+    coarse_inputs = () if coarse is None else (coarse.digest, is_near)
+    errors_digest = _digest((window, work.steps, *coarse_inputs), raw, *([] if valid is None else [valid]))
     heights: dict[tuple[int, int], float] = {}
 
     def height(x: int, y: int) -> float:
@@ -175,10 +175,11 @@ def measured(
     state: dict[str, Any] = {
         name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
     }
-    around_digest, ranges_digest = _digest((content, sorted(heights.items()))), _digest((content, limits.scale))
+    around_digest = _digest((errors_digest, sorted(heights.items())))
+    ranges_digest = _digest((errors_digest, limits.scale))
     # stored codes with larger exponents than are allowed were rounded too much
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
-    is_measured = state["errors"] == content and not is_rounded
+    is_measured = state["errors"] == errors_digest and not is_rounded
     if is_measured and state["ranges"] == ranges_digest and state["above"][0] == around_digest:
         return None
     stored, border, ranges = None, None, None
@@ -190,7 +191,7 @@ def measured(
             [tile_errors.border, np.zeros_like(tile_errors.border) if tile_errors.kinds is None else tile_errors.kinds]
         )
         state |= {
-            "errors": content,
+            "errors": errors_digest,
             "largest": tile_errors.largest,
             "climbs": hierarchy.climbs(tile.inner(tile.samples)),
         }

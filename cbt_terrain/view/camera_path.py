@@ -74,7 +74,7 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
     slopes = np.gradient(values, times, axis=0)
     i = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 2)
     duration = times[i + 1] - times[i]
-    t = (at - times[i]) / duration
+    t = (at - times[i]) / duration  # from keyframe i to the next, 0 .. 1
     return (
         (1 + 2 * t) * (1 - t) * (1 - t) * values[i]
         + t * (1 - t) * (1 - t) * duration * slopes[i]

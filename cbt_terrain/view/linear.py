@@ -50,11 +50,12 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
     Raises numpy's LinAlgError where there is none.
     """
+    # each row of the matrix, followed by that of `right`
     rows = [a + b for a, b in zip(np.asarray(matrix, np.float64).tolist(), np.asarray(right).tolist(), strict=True)]
     n = len(rows)
     for k in range(n):
-        best = max(range(k, n), key=lambda i: abs(rows[i][k]))
-        rows[k], rows[best] = rows[best], rows[k]
+        pivot_row = max(range(k, n), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[pivot_row] = rows[pivot_row], rows[k]
         pivot = rows[k][k]
         if pivot == 0 or not math.isfinite(pivot):
             raise np.linalg.LinAlgError("the matrix is singular")

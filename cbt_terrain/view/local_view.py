@@ -48,7 +48,7 @@ def localise(
     stretch = lengths(linear)
     sigma = min_stretch(linear / stretch)
     pixels = view.pixels_per_unit * height_scale
-    # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
+    # Nothing nearer than the clip start is seen; half of it leaves room for the error itself. It is never 0.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * length(stretch * (box[1] - box[0])), 1e-150)
     planes = product(frustum_planes(view, margins or guard_margins(view, criterion.guard_deg)), to_camera)

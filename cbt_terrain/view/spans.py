@@ -81,21 +81,21 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
-    wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
-    scales = [factor * largest for factor, (largest, _) in zip(wide, slants, strict=True)]
-    by_view = tuple(views), tuple(wholes), tuple(wide)
+    widenings = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
+    scales = [factor * largest for factor, (largest, _) in zip(widenings, slants, strict=True)]
+    by_view = tuple(views), tuple(wholes), tuple(widenings)
     if not views or not criterion.measures_edges:
         return Spans(*by_view, tuple(scales))
     # Spans are at the largest slant, but edges may be across the view. All views share one scale for edges, which must
     # not depend on the widening of errors in each view.
     secants = [secant_of(v) for v in views]
-    edge = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
-    scales = [edge * secant for secant in secants]
+    edge_spans = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
+    scales = [edge_spans * secant for secant in secants]
     lengths_by_view = [unit_lengths(v, placement, plan.steps) for v in views]
     longest = tuple(max(of_views) for of_views in zip(*lengths_by_view, strict=True))
     offset = max(largest_offset(v, placement, plan.off) for v in views)
     allowed = min(_stretch(longest, plan.unit_bits, plan.depth, offset), 1 + MAX_STRETCH)
-    return Spans(*by_view, tuple(scales), edge / allowed, longest, allowed, offset, plan.unit_bits)
+    return Spans(*by_view, tuple(scales), edge_spans / allowed, longest, allowed, offset, plan.unit_bits)
 
 
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
@@ -249,7 +249,8 @@ def _squared(vector: np.ndarray) -> float:
 def _stretch(lengths2: tuple[float, float], unit_bits: int, depth: int, off: float) -> float:
     """Bound the factor by which edges of leaves at `depth` or above are longer if corners are shifted by up to `off`.
 
-    lengths2: squared diagonal and side of a lattice unit, in the space of `off`.
+    lengths2: squared diagonal and side of a lattice unit, in the space of `off`. unit_bits: a root square's side is
+    2^unit_bits units.
     """
     diagonal2, axis2 = lengths2
     side = 2.0 ** (unit_bits - (depth - 1) // 2)

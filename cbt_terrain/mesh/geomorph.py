@@ -37,6 +37,7 @@ class Geomorph:
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp
         ramp.limit, ramp.end2 = self.relaxed * self.relaxed, self.end * self.end  # the kernels compare squares
+        # factor on (1 - 1 / ratio), see view/morph.py
         ramp.steep = 1.0 / (1.0 - 1.0 / self.end)
         ramp.bisections = 2 * meshlet
         if layers:

@@ -48,19 +48,19 @@ def _array(values: list, dtype: type) -> wp.array:
 @cache
 def block_table() -> BlockTable:
     """Return the table of all blocks of up to MAX_BISECTIONS, which kernels/refine/block.py copies."""
-    codes: list[int] = []
-    legs: list[tuple[int, int]] = []
+    all_leaves: list[int] = []
+    all_vertices: list[tuple[int, int]] = []
     first_leaf, first_vertex, vertex_counts = [], [], []
     for bisections in range(MAX_BISECTIONS + 1):
         for state in range(STATES):
             leaves, vertices = bisected_states(state, bisections)
-            first_leaf.append(len(codes))
-            first_vertex.append(len(legs))
+            first_leaf.append(len(all_leaves))
+            first_vertex.append(len(all_vertices))
             vertex_counts.append(len(vertices))
-            codes += leaves
-            legs += vertices
+            all_leaves += leaves
+            all_vertices += vertices
     table = BlockTable()
     table.first_leaf, table.first_vertex = _array(first_leaf, wp.int32), _array(first_vertex, wp.int32)
     table.vertices = _array(vertex_counts, wp.int32)
-    table.code, table.leg = _array(codes, wp.uint16), _array(legs, wp.vec2i)
+    table.code, table.leg = _array(all_leaves, wp.uint16), _array(all_vertices, wp.vec2i)
     return table

@@ -115,18 +115,17 @@ class Outcome:
         """Find the largest value above `threshold` of a quantity if a leaf at the depth limit is too coarse."""
         return self.search(what, threshold) if self.stopped else None
 
-    def tighten(self, what: int, finest: float, guaranteed: float, request: float) -> tuple[float, Excess | None]:
+    def tighten(self, what: int, tolerance: float, guaranteed: float, request: float) -> tuple[float, Excess | None]:
         """Return the smaller of two bounds of an error, and the worst leaf's error if that was searched.
 
-        The bounds are `guaranteed` and the error of the worst leaf. Leaves, which are refined to the tolerance
-        `finest`, are searched only if rounding makes `guaranteed` exceed `request`. They are not searched if the depth
-        limit stopped a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all
-        numbers are.
+        The bounds are `guaranteed` and the error of the worst leaf. Leaves, which are refined to `tolerance`, are
+        searched only if rounding makes `guaranteed` exceed `request`. They are not searched if the depth limit stopped
+        a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all numbers are.
         """
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
-        worst = replace(self, max_depth=ANY).search(what, finest)
-        return min(guaranteed, worst.value if worst else finest), worst
+        worst = replace(self, max_depth=ANY).search(what, tolerance)
+        return min(guaranteed, worst.value if worst else tolerance), worst
 
 
 def bounds_of(criterion: Criterion, spans: Spans, outcome: Outcome) -> ReportedBounds:
@@ -172,23 +171,23 @@ def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | No
 def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     """Return the bound of the screen error for the views of `outcome.arrays`; 0 if no ground is in view.
 
-    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway. `finest`
-    is the tolerance of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
+    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway.
+    `tolerance` is that of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
     """
     fixed = outcome.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
     mean, source = mean_ramp(criterion.morph_until), outcome.domain.source
     relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / mean)
-    finest = relaxed_request / mean
-    morph_error = relaxed_request - finest
+    tolerance = relaxed_request / mean
+    morph_error = relaxed_request - tolerance
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
     source_low, source_high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
-    guaranteed = _guaranteed(finest, fixed.value, source_low, source_high)
+    guaranteed = _guaranteed(tolerance, fixed.value, source_low, source_high)
     limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error is beyond the relief
     too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
-    guaranteed, worst = outcome.tighten(ERROR, finest, guaranteed, finest)
+    guaranteed, worst = outcome.tighten(ERROR, tolerance, guaranteed, tolerance)
     guaranteed = min(guaranteed + morph_error, limit)
     worst_leaf = too_coarse or worst or fixed
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
@@ -212,13 +211,13 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     if not criterion.error_m:
         return None
     fixed, source, mean = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
-    finest = weighed_as(criterion.error_m, source, mean)
-    factor = outcome.factor(METRES, finest)
-    finest *= factor
-    guaranteed, limit = _guaranteed(finest, fixed, source, source), outcome.relief + fixed
-    relaxed_request, morph_error = criterion.error_m * factor, (mean - 1) * finest
+    tolerance = weighed_as(criterion.error_m, source, mean)
+    factor = outcome.factor(METRES, tolerance)
+    tolerance *= factor
+    guaranteed, limit = _guaranteed(tolerance, fixed, source, source), outcome.relief + fixed
+    relaxed_request, morph_error = criterion.error_m * factor, (mean - 1) * tolerance
     too_coarse = outcome.stopped_above(METRES, min(guaranteed, limit))
-    guaranteed, _worst = outcome.tighten(METRES, finest, guaranteed, relaxed_request - morph_error)
+    guaranteed, _worst = outcome.tighten(METRES, tolerance, guaranteed, relaxed_request - morph_error)
     precision = (too_coarse.fixed if too_coarse else fixed) - source
     value = too_coarse.value + morph_error if too_coarse else min(guaranteed + morph_error, limit)
     return _limit_bound(relaxed_request, value, precision, source, stopped=too_coarse is not None)
@@ -234,9 +233,9 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
         return None
     mean = mean_ramp(criterion.morph_until)
     relaxed_request = criterion.edge_px * outcome.factor(EDGE, criterion.edge_px / mean * spans.edge)
-    finest = relaxed_request / mean
-    too_coarse, longer = outcome.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
-    longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
+    tolerance = relaxed_request / mean
+    too_coarse, longer = outcome.stopped_above(EDGE, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
+    longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
     return Bound(min(longest * longer, LARGEST), _edge_reason(too_coarse, longer))
 
 
@@ -250,9 +249,9 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
         return None
     request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
     factor = outcome.factor(AREA, request / mean * spans.edge)
-    relaxed_request, finest = request * factor, request * factor / mean
-    too_coarse, longer = outcome.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(outcome.deepest)
-    longest = too_coarse.value / spans.edge + (relaxed_request - finest) if too_coarse else relaxed_request
+    relaxed_request, tolerance = request * factor, request * factor / mean
+    too_coarse, longer = outcome.stopped_above(AREA, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
+    longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
     area = 0.5 * longest * longest if too_coarse else criterion.area_px * factor * factor
     return Bound(min(area * longer * longer, LARGEST), _edge_reason(too_coarse, longer))
 
@@ -260,8 +259,8 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
 def factor_of(criterion: Criterion, outcome: Outcome, bounds: list[Bound | None]) -> float:
     """Return the finite factor by which a triangle limit coarsened a criterion.
 
-    bounds: screen error, height error, edge and area, None for those that the criterion does not limit. The area grows
-    with the square of the factor.
+    If no factor is enough, it is the largest ratio of a bound to its request; the area grows with the square of it.
+    bounds: screen error, height error, edge and area, None for those that the criterion does not limit.
     """
     if outcome.relaxed < math.inf:
         return outcome.relaxed

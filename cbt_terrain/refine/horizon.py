@@ -35,6 +35,7 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     """
     entries, factor = 0, min(factor, LARGEST)
     for view in views:
+        # the kernels use (1 + occlusion_fade)^4
         view.hidden2, view.occlusion_fade, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:

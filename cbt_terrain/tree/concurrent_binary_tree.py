@@ -264,9 +264,8 @@ class ConcurrentBinaryTree:
 
     def _resize(self, num_pages: int) -> None:
         """Give the pool room for `num_pages` pages, no fewer than it has; they keep their content."""
-        self._state[bitfield.PAGES_USED] = min(
-            self._pages_used, self.bits.num_pages
-        )  # it went on when the pool was full
+        # the count went on when the pool was full
+        self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:
             for name, dtype in ARRAYS.items():

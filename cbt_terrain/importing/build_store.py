@@ -204,11 +204,14 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
     """
     source = reader.raster.finer
     assert source is not None, "the raster has finer files"
-    share, work = (COARSE_SHARE, 0.99 - COARSE_SHARE), work_in(draft.folder)
+    work = work_in(draft.folder)
     assert work is not None, "a raster with finer files is imported by tile"
-    field = add_finer_tiles(
-        field, source, reader, draft, work, lambda done: on_progress(share[0] + share[1] * done, FINER)
-    )
+
+    def tell(done: float) -> None:
+        """Report a fraction of this step as one of the whole import."""
+        on_progress(COARSE_SHARE + (0.99 - COARSE_SHARE) * done, FINER)
+
+    field = add_finer_tiles(field, source, reader, draft, work, tell)
     return dataclasses.replace(field, source_max=max(field.source_max, _source_max(reader)))
 
 

@@ -242,7 +242,10 @@ class _Windows:
         return self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1
 
     def _read(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
-        """Read the finer samples x0 .. x1 and y0 .. y1, as the heights of `heights`."""
+        """Return heights as `heights`, of the finer samples x0 .. x1 and y0 .. y1, which are read from the files.
+
+        `figures` then has those of this window, which the reader of the whole import gets, too.
+        """
         raster = self._reader.raster
         before = raster.moved, raster.shifted
         raster.moved = raster.shifted = 0.0  # the figures are of this window alone

@@ -84,8 +84,10 @@ def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:
     grid, shift = TileGrid(lattice, square_bits(source.bits)), source.bits + square_bits(source.bits)
     has_files, rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
     for west, north, east, south in source.boxes:
-        first, end = max(rows - int(south), 0) >> shift, max(rows - int(north), 0) >> shift
-        has_files[first : end + 1, max(int(west), 0) >> shift : (max(int(east), 0) >> shift) + 1] = True
+        # a box has its first row in the north, the grid of squares in the south
+        edges = int(west), int(east), rows - int(south), rows - int(north)
+        first_column, last_column, first_row, last_row = (max(edge, 0) >> shift for edge in edges)
+        has_files[first_row : last_row + 1, first_column : last_column + 1] = True
     return set(map(int, np.flatnonzero(has_files)))
 
 

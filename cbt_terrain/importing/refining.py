@@ -174,10 +174,10 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
     """
     if not is_large(field):
         return ()
-    [needs] = (errors.ravel() for errors in errors_in_view(field, _picture_side(field), [seen]))
-    needs[[tile for tile in loaded if tile < len(needs)]] = 0.0
-    order = np.argsort(-needs, kind="stable")[:MAX_TILES]
-    return tuple(sorted(int(tile) for tile in order if needs[tile] > seen.error_px))
+    [errors_px] = (errors.ravel() for errors in errors_in_view(field, _picture_side(field), [seen]))
+    errors_px[[tile for tile in loaded if tile < len(errors_px)]] = 0.0
+    order = np.argsort(-errors_px, kind="stable")[:MAX_TILES]
+    return tuple(sorted(int(tile) for tile in order if errors_px[tile] > seen.error_px))
 
 
 def is_large(field: HeightField) -> bool:
@@ -216,7 +216,7 @@ def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | Non
     wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
     ratios = _ratios_in_view(field, side, lands, side)[wanted]
     order = np.argsort(-ratios, kind="stable")[:max_count]
-    return tuple(sorted(wanted[place] for place in order if ratios[place] > 1.0))
+    return tuple(sorted(wanted[index] for index in order if ratios[index] > 1.0))
 
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
@@ -271,8 +271,8 @@ def errors_in_view(
 ) -> Iterator[np.ndarray]:
     """Yield for each land the largest errors of the finest vertices, pixels, in squares of side x side cells.
 
-    Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance.
-    Those out of every view have 0, one around an eye has infinity.
+    Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance;
+    None: SQUARES parts along a side. Those out of every view have 0, one around an eye has infinity.
     """
     lattice, part = field.lattice, part or max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()
@@ -283,12 +283,14 @@ def errors_in_view(
         boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
         pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True).reshape(rows, columns)
         with np.errstate(divide="ignore", invalid="ignore"):
-            needs = errors * abs(seen.vertical_scale) / pixels
-        needs = np.nan_to_num(needs, posinf=np.inf)
+            errors_px = errors * abs(seen.vertical_scale) / pixels
+        errors_px = np.nan_to_num(errors_px, posinf=np.inf)
         # the largest of the parts of each square
         for axis in (0, 1):
-            needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
-        yield needs
+            errors_px = np.maximum.reduceat(
+                errors_px, np.arange(0, errors_px.shape[axis], max(side // part, 1)), axis=axis
+            )
+        yield errors_px
 
 
 def picture_tiles(picture: HeightField) -> int:

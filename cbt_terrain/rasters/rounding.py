@@ -88,13 +88,15 @@ def band_rounding(dataset: DatasetReader, band: int) -> SourceRounding:
     method = of_file.get("COMPRESSION") or of_band.get("COMPRESSION") or dataset.driver
     is_lossy = method in LOSSY and not of_file.get("COMPRESSION_REVERSIBILITY", "LOSSY").startswith("LOSSLESS")
     error = error if error > 0.0 and math.isfinite(error) else 0.0
-    return SourceRounding(stored, bits, error, is_cut=bits > 0, lossy=method if is_lossy else "")  # GDAL cuts them off
+    # GDAL cuts off the bits that a shorter float lacks.
+    return SourceRounding(stored, bits, error, is_cut=bits > 0, lossy=method if is_lossy else "")
 
 
 def rounding_warnings(roundings: tuple[SourceRounding, ...], largest: float, half: float) -> list[str]:
     """Return warnings about samples of less than 32 bits and about unknown errors.
 
-    largest: the largest height in metres. half: metres by which it may be off.
+    largest: the largest height in metres. half: metres by which it may be off: a step of short floats if their digits
+    are cut off, half of one if they are rounded.
     """
     short = [rounding for rounding in roundings if 0 < rounding.significant < FLOAT32_BITS]
     warnings = []

@@ -96,7 +96,10 @@ class TileGrid:
         return TileBox(box.x0, box.y0, box.x1 - east, box.y1 - north)
 
     def local(self, box: TileBox) -> Lattice:
-        """Return the lattice of a tile; the last ones of the raster include the padding that has entries."""
+        """Return the lattice of a tile; the last ones of the raster include the padding that has entries.
+
+        This is at most one more square along each axis.
+        """
         lattice = self.lattice
         cells, span = (lattice.cells_x, lattice.cells_y), lattice.span
         columns, rows = (

@@ -31,7 +31,7 @@ def line_of(record: dict) -> str:
 
 def record_of(line: bytes, grid: TileGrid) -> dict | None:
     """Return the record in a line without its end; None for a damaged one. grid: tiles of the terrain."""
-    text = line[len(_signed(b"")) - 1 : -1]
+    text = line[len(_signed(b"")) - 1 : -1]  # between the checksum and the last bracket
     if line != _signed(text):
         return None
     try:

@@ -47,10 +47,10 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
 
     def nearest(first: int, count: int, column: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns of the raster's samples that are nearest to a window of the finer grid."""
-        # n * size / cell, rounded
+        # number of a sample * cells of the raster / cells of the finer grid, rounded
         v, u = (
-            (2 * np.arange(start, start + number) * size + cell) // (2 * cell)
-            for start, number, size, cell in (
+            (2 * np.arange(start, start + number) * cells + finer) // (2 * finer)
+            for start, number, cells, finer in (
                 (first, count, raster_cells[1], finer_cells[1]),
                 (column, columns, raster_cells[0], finer_cells[0]),
             )

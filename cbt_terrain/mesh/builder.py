@@ -54,24 +54,24 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     leaves, arrays, scratch = history.next.leaves, history.next.arrays, history.scratch
     assert leaves is not None, "refine has not been called"
     triangles, vertices, edges = leaves.counts.sum(axis=0).tolist()
-    t = template(meshlet) if meshlet else None
+    tables = template(meshlet) if meshlet else None
     # whether it is known which points both frames have
-    has_runs = t.inner_points > 0 if t else history.next.reused_points is not None
+    has_runs = tables.inner_points > 0 if tables else history.next.reused_points is not None
     reuses, slots = history.reuse_vertices(domain, geomorph is not None, has_runs), None
     _check_memory(triangles * 4**meshlet)
-    weld(field, domain, history, level_in=arrays if t else scratch)
+    weld(field, domain, history, level_in=arrays if tables else scratch)
     # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
     point, parts = arrays.get("point", 0, wp.vec2i), _point_slices(leaves)
     prefix, built = "leaf_", Vertices(domain, geomorph is not None)
-    if t:
-        built.leaves, built.first_inner = triangles, vertices + edges * (t.segments - 1)
+    if tables:
+        built.leaves, built.first_inner = triangles, vertices + edges * (tables.segments - 1)
         if reuses:
-            slots = reuse_inner_points(history, built, t.inner_points)
-        point, triangles, vertices, edges = _expand(history, parts, triangles, vertices, edges, t, threads)
+            slots = reuse_inner_points(history, built, tables.inner_points)
+        point, triangles, vertices, edges = _expand(history, parts, triangles, vertices, edges, tables, threads)
         prefix, parts = "mesh_", [(0, built.first_inner), (built.first_inner, vertices - built.first_inner)]
     elif reuses:
         slots = reuse_points(history)
-    pieces = _pieces(vertices, threads) if t or len(parts) == 1 else 1  # several slices are parallel already
+    pieces = _pieces(vertices, threads) if tables or len(parts) == 1 else 1  # several slices are parallel already
     displace(field, domain, history, point, parts, pieces, slots, geomorph, meshlet)
     surface = Surface(
         arrays.numpy("positions")[:vertices],
@@ -114,7 +114,7 @@ def _expand(
     leaves: int,
     vertices: int,
     edges: int,
-    t: meshlet_kernels.Template,
+    tables: meshlet_kernels.Template,
     threads: int,
 ) -> tuple[wp.array, int, int, int]:
     """Divide every leaf into the triangles of its meshlet, in the arrays of the next frame.
@@ -122,11 +122,11 @@ def _expand(
     Return the points, and the new numbers of triangles, vertices and edges. parts: first entry and number of each
     slice's points. leaves, vertices, edges: their numbers before. t: the tables of a meshlet.
     """
-    scratch, arrays, segments = history.scratch, history.next.arrays, t.segments
+    scratch, arrays, segments = history.scratch, history.next.arrays, tables.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))
-    triangles = leaves * t.triangles
-    all_vertices = vertices + edges * (segments - 1) + leaves * t.inner_points
-    all_edges = edges * segments + leaves * t.inner_lines
+    triangles = leaves * tables.triangles
+    all_vertices = vertices + edges * (segments - 1) + leaves * tables.inner_points
+    all_edges = edges * segments + leaves * tables.inner_lines
     coarse.vertices, coarse.edge_count = vertices, edges
     point = scratch.get("mesh_point", all_vertices, wp.vec2i)
     bind(coarse, point=point, **mesh_arrays(scratch, "leaf_", leaves, edges, arrays))
@@ -137,11 +137,11 @@ def _expand(
         target[first : first + count] = source[base : base + count]
         first += count
     pieces = _pieces(triangles, threads)
-    table_size = t.points + t.lines
+    table_size = tables.points + tables.lines
     numbers = scratch.get("template_numbers", pieces * table_size, wp.int32)
     ranges = zip(launch.ranges(edges, pieces), launch.ranges(leaves, pieces), strict=True)
     inputs = [
-        [*of_edges, *of_leaves, k * table_size, t, coarse, fine, numbers]
+        [*of_edges, *of_leaves, k * table_size, tables, coarse, fine, numbers]
         for k, (of_edges, of_leaves) in enumerate(ranges)
     ]
     launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=scratch.launches)

@@ -191,7 +191,7 @@ class _Work:
             launch.once(kernels.snap_to_line, [wp.float64(side.tolerance), positions, self.m], step="cut")
         launch.once(kernels.cut, [self.m], step="cut")
         end, end_edge, end_face, _ = self.counts.tolist()
-        p, q = self.ends[: end - first].T
+        p, q = self.ends[: end - first].T  # a new vertex is where the value is 0 on the edge from p to q
         fraction = (self.value[p] / (self.value[p] - self.value[q]))[:, None]
         for name, (kind, _) in self.items.items():
             rows = self.rows[name]
@@ -225,18 +225,18 @@ class _Work:
             return
         listed = self.listed[: self.counts[kernels.LISTED]]
         listed = listed[~self.removed[kernels.TRIANGLE, listed]]
-        removed = np.unique(edges[short])
-        to = _merge_numbers(edges[short], self.counts[kernels.VERTEX])  # the vertex that each becomes
-        corners[listed], used_edges = to[corners[listed]], np.unique(sides[listed])
-        edges[used_edges] = to[edges[used_edges]]
+        removed_ends = np.unique(edges[short])
+        merged = _merge_numbers(edges[short], self.counts[kernels.VERTEX])  # the vertex that each becomes
+        corners[listed], used_edges = merged[corners[listed]], np.unique(sides[listed])
+        edges[used_edges] = merged[edges[used_edges]]
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
         # Of a flat triangle's edges one is a point; the others are one edge.
         is_point = edges[sides[flat], 0] == edges[sides[flat], 1]
-        equal = [of_one[~p] for of_one, p in zip(sides[flat], is_point, strict=True) if p.sum() == 1]
+        equal = [of_one[~is_it] for of_one, is_it in zip(sides[flat], is_point, strict=True) if is_it.sum() == 1]
         pairs = np.array(equal, np.int64).reshape(-1, 2)
         sides[listed] = _merge_numbers(pairs, self.counts[kernels.EDGE])[sides[listed]]
         self.removed[kernels.TRIANGLE, flat] = True
-        self.removed[kernels.VERTEX, np.union1d(removed, corners[flat])] = True
+        self.removed[kernels.VERTEX, np.union1d(removed_ends, corners[flat])] = True
         self.removed[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
 
     def close(self) -> tuple[Surface, np.ndarray]:

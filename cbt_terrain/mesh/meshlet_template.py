@@ -22,8 +22,8 @@ def _middle(p: Barycentric, q: Barycentric) -> Barycentric:
 @cache
 def template(meshlet: int) -> Template:
     """Return the tables for 4**meshlet triangles a leaf; kernels/mesh/meshlet.py has the order of points and lines."""
-    n = 1 << meshlet
-    triangles = [((n, 0, 0), (0, n, 0), (0, 0, n))]
+    segments = 1 << meshlet
+    triangles = [((segments, 0, 0), (0, segments, 0), (0, 0, segments))]
     for _ in range(2 * meshlet):
         triangles = [
             child
@@ -34,21 +34,21 @@ def template(meshlet: int) -> Template:
     inner_points: dict[Barycentric, int] = {}
     inner_lines: dict[frozenset[Barycentric], tuple[int, Barycentric, Barycentric]] = {}
 
-    def point(b: Barycentric) -> int:
+    def point(weights: Barycentric) -> int:
         """Return the number of a point: corners first, then points on sides, then inner ones as they are met."""
-        if n in b:
-            return b.index(n)
-        side = _side(b)
-        if side is not None:
-            return 3 + side * (n - 1) + b[(side + 1) % 3] - 1
-        return 3 * n + inner_points.setdefault(b, len(inner_points))
+        if segments in weights:
+            return weights.index(segments)
+        side = _side(weights)
+        if side is not None:  # the weight of a corner of the side counts the points from the other one on
+            return 3 + side * (segments - 1) + weights[(side + 1) % 3] - 1
+        return 3 * segments + inner_points.setdefault(weights, len(inner_points))
 
     def line(p: Barycentric, q: Barycentric) -> int:
         """Return the number of a line between two points: segments of sides first, then inner ones as they are met."""
         side = _side(p, q)
         if side is not None:
-            return side * n + min(p[(side + 1) % 3], q[(side + 1) % 3])
-        return 3 * n + inner_lines.setdefault(frozenset((p, q)), (len(inner_lines), p, q))[0]
+            return side * segments + min(p[(side + 1) % 3], q[(side + 1) % 3])
+        return 3 * segments + inner_lines.setdefault(frozenset((p, q)), (len(inner_lines), p, q))[0]
 
     corners = np.array([[point(b) for b in triangle] for triangle in triangles], np.int32)
     sides = np.array([[line(a, b), line(b, c), line(c, a)] for a, b, c in triangles], np.int32)
@@ -57,15 +57,15 @@ def template(meshlet: int) -> Template:
         """Return rows of integers as an array for kernels."""
         return wp.array(np.array(rows, np.int32).reshape(shape), dtype=dtype, device="cpu")
 
-    t = Template()
-    t.segments, t.levels, t.triangles = n, 2 * meshlet, len(triangles)
-    t.inner_points, t.inner_lines = len(inner_points), len(inner_lines)
-    t.points, t.lines = 3 * n + t.inner_points, 3 * n + t.inner_lines
-    t.corners = table([corners[:, _MIRRORED_CORNERS], corners], wp.int32, -1)
-    t.sides = table([sides[:, _MIRRORED_SIDES], sides], wp.int32, -1)
-    t.weights = table([b[1:] for b in inner_points], wp.vec2i, (-1, 2))
-    t.ends = table([(point(p), point(q)) for _, p, q in inner_lines.values()], wp.int32, -1)
-    return t
+    tables = Template()
+    tables.segments, tables.levels, tables.triangles = segments, 2 * meshlet, len(triangles)
+    tables.inner_points, tables.inner_lines = len(inner_points), len(inner_lines)
+    tables.points, tables.lines = 3 * segments + tables.inner_points, 3 * segments + tables.inner_lines
+    tables.corners = table([corners[:, _MIRRORED_CORNERS], corners], wp.int32, -1)
+    tables.sides = table([sides[:, _MIRRORED_SIDES], sides], wp.int32, -1)
+    tables.weights = table([b[1:] for b in inner_points], wp.vec2i, (-1, 2))
+    tables.ends = table([(point(p), point(q)) for _, p, q in inner_lines.values()], wp.int32, -1)
+    return tables
 
 
 def _side(*points: Barycentric) -> int | None:

@@ -102,6 +102,7 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
     start, along = border[:, 0], border[:, 1] - border[:, 0]
     for block in np.array_split(beside_border, 1 + len(beside_border) * len(border) // BLOCK):
         from_start = points[block][:, None] - start
+        # how far along each segment its point is that is nearest to a vertex, 0 .. 1
         t = np.clip(np.sum(from_start * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
         from_start -= t[:, :, None] * along
         values[block] *= np.sqrt(np.sum(from_start * from_start, axis=2).min(axis=1))
@@ -121,7 +122,7 @@ def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     high = np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right")
     for (a, b, c), first, end in zip(triangles, low, high, strict=True):
         u, v = x[first:end], y[first:end]
-        is_inside = np.ones(end - first, bool)
+        is_inside = np.ones(end - first, bool)  # on the left of all sides
         for p, q in ((a, b), (b, c), (c, a)):
             is_inside &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
         is_covered[order[first:end][is_inside]] = True

@@ -42,7 +42,7 @@ class Pieces:
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
         pieces, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
         for k in range(int((end - first).max(initial=0))):
-            rows = np.flatnonzero(first + k < end)
+            rows = np.flatnonzero(first + k < end)  # points with a k-th piece
             triangles = self.order[first[rows] + k]
             piece_depth = _depth(self.surface.positions[self.surface.triangles[triangles], :2], places[rows])
             deeper = piece_depth > depth[rows]

@@ -83,12 +83,13 @@ def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.nda
     error of one sample in u or v: twice the largest difference between the first corner of its cell and another.
     """
     height, width = window.values.shape
-    p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
-    s, t = u - p, v - q
-    p, q = p - window.left, q - window.top
-    inside = (p >= 0) & (q >= 0) & (p + 1 < width) & (q + 1 < height)
-    p, q = np.clip(p, 0, width - 2), np.clip(q, 0, height - 2)
-    corners = window.values[q, p], window.values[q, p + 1], window.values[q + 1, p], window.values[q + 1, p + 1]
+    # the cell of each position, and the place in it, 0 .. 1
+    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    s, t = u - i, v - j
+    i, j = i - window.left, j - window.top
+    inside = (i >= 0) & (j >= 0) & (i + 1 < width) & (j + 1 < height)
+    i, j = np.clip(i, 0, width - 2), np.clip(j, 0, height - 2)
+    corners = window.values[j, i], window.values[j, i + 1], window.values[j + 1, i], window.values[j + 1, i + 1]
     a, b, c, d = (  # a missing corner of weight 0 must not make the sum NaN
         np.where(needed, z, 0.0) for z, needed in zip(corners, (s < 1, s > 0, t > 0, (s > 0) & (t > 0)), strict=True)
     )

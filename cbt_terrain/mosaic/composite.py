@@ -104,8 +104,7 @@ class Composite:
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
         self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
         self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
-        near = np.concatenate([-self.reach, self.reach], axis=1)
-        self.near = self.boxes + near
+        self.near = self.boxes + np.concatenate([-self.reach, self.reach], axis=1)
         self.step_levels = find_levels(self.lattices, steps, self.boxes)
         self.levels = self.step_levels if settings.blend else np.zeros(len(tiles), np.int64)
         self.insets = InsetBlend(self.levels, steps, grid, self._scan) if self.levels.any() else None

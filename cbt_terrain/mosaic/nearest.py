@@ -51,7 +51,7 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
     period = period_of(tile.crs)
     if period:
         x = x - period * np.round((x - tile.position(tile.width / 2, tile.height / 2)[0]) / period)
-    area = a * e - b * d
+    area = a * e - b * d  # by which the inverse of the transform divides
     with np.errstate(invalid="ignore"):
         u, v = np.rint((e * (x - x0) - b * (y - y0)) / area), np.rint((a * (y - y0) - d * (x - x0)) / area)
         inside = (u >= 0) & (u < tile.width) & (v >= 0) & (v < tile.height)

@@ -121,7 +121,7 @@ def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np
     if period:
         middle = below.position(below.width / 2, below.height / 2)[0]
         x = x - period * np.round((x - middle) / period)
-    area = a * e - b * d
+    area = a * e - b * d  # by which the inverse of the transform divides
     with np.errstate(invalid="ignore"):
         return (e * (x - x0) - b * (y - y0)) / area, (a * (y - y0) - d * (x - x0)) / area
 
@@ -134,11 +134,13 @@ def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> 
     tile = composite.tiles[rank]
     u, v = np.clip(u, 0.0, tile.width - 1.0), np.clip(v, 0.0, tile.height - 1.0)
     u, v = (np.where(np.abs(w - np.round(w)) < INSIDE, np.round(w), w) for w in (u, v))
-    p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
-    left, top = int(p.min()), int(q.min())
-    rows, columns = int(min(q.max() + 2, tile.height)) - top, int(min(p.max() + 2, tile.width)) - left
-    z, s, t = composite.tile_window(rank, top, rows, left, columns), u - p, v - q
-    p, q = p - left, q - top
+    # the cell of each position, and the place in it, 0 .. 1
+    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    s, t = u - i, v - j
+    left, top = int(i.min()), int(j.min())
+    rows, columns = int(min(j.max() + 2, tile.height)) - top, int(min(i.max() + 2, tile.width)) - left
+    z = composite.tile_window(rank, top, rows, left, columns)
+    i, j = i - left, j - top
     # a sample of no weight may be missing
-    right, down = np.minimum(p + (s > 0), columns - 1), np.minimum(q + (t > 0), rows - 1)
-    return (z[q, p] * (1 - s) + z[q, right] * s) * (1 - t) + (z[down, p] * (1 - s) + z[down, right] * s) * t
+    right, down = np.minimum(i + (s > 0), columns - 1), np.minimum(j + (t > 0), rows - 1)
+    return (z[j, i] * (1 - s) + z[j, right] * s) * (1 - t) + (z[down, i] * (1 - s) + z[down, right] * s) * t

@@ -86,10 +86,10 @@ def grid_axes(lattice: Lattice, step: float = 0.0) -> tuple[GridAxis, GridAxis]:
 
 
 def _ratio_of(cells: float) -> tuple[int, int]:
-    """Return a number of cells as a ratio of two integers, of which one is 1 if it nearly is."""
-    num, den = max(round(cells), 1), max(round(1.0 / cells), 1)
-    if min(num, den) == 1 and abs(cells * den / num - 1.0) < SNAPPED:
-        return num, den
+    """Return a number of cells as a ratio of two integers: n / 1 or 1 / n if it is nearly that."""
+    whole, part = max(round(cells), 1), max(round(1.0 / cells), 1)
+    if min(whole, part) == 1 and abs(cells * part / whole - 1.0) < SNAPPED:
+        return whole, part
     ratio = Fraction(cells).limit_denominator(MAX_DENOMINATOR)
     return ratio.numerator, ratio.denominator
 

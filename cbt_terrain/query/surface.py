@@ -51,21 +51,23 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
 
     Their fields are explained in HeightRanges. Memory is shared, nothing is read.
     """
-    lattice, b = field.lattice, crossing.HeightRanges()
-    b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
-    b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
-    b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
-    b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
-    b.more = rounded_more(field, surface, field.max_change)
+    lattice, ranges = field.lattice, crossing.HeightRanges()
+    ranges.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
+    ranges.low_z, ranges.high_z = sorted(
+        h * surface.scale + surface.offset for h in (field.min_height, field.max_height)
+    )
+    ranges.spare = SPARE * (ranges.high_z - ranges.low_z + max(abs(ranges.low_z), abs(ranges.high_z)))
+    ranges.base, ranges.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
+    ranges.more = rounded_more(field, surface, field.max_change)
     first, pages = lattice.range_layout()
-    b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
-    b.ranges = flat(field.ranges, wp.uint16)
+    ranges.first, ranges.pages = shared(first, wp.int64), shared(pages, wp.int32)
+    ranges.ranges = flat(field.ranges, wp.uint16)
     # First entries of the ranges of cells, and of the curvatures, which are stored behind the errors.
-    b.cells, b.curvatures = first[-2], lattice.node_count
-    b.cell_pages, b.curvature_group = pages[-1], lattice.groups + 1
-    b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
-    b.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
-    return b
+    ranges.cells, ranges.curvatures = first[-2], lattice.node_count
+    ranges.cell_pages, ranges.curvature_group = pages[-1], lattice.groups + 1
+    ranges.table, ranges.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
+    ranges.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
+    return ranges
 
 
 def rounded_more(field: HeightField, surface: kernels.QueriedSurface, change: float) -> float:

@@ -272,10 +272,10 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
         right = 1 - 2 * k
         up = right if points_northeast else -right
         i, j = (x + k) * side, (y + (0 if up > 0 else 1)) * side
-        z = height(i, j)
-        slope_x = float(right) * (height(i + right * side, j) - z) / float(side)
-        slope_y = float(up) * (height(i, j + up * side) - z) / float(side)
-        corners.append(_corner(i, j, right, up, side, z, slope_x, slope_y))
+        corner_height = height(i, j)
+        slope_x = float(right) * (height(i + right * side, j) - corner_height) / float(side)
+        slope_y = float(up) * (height(i, j + up * side) - corner_height) / float(side)
+        corners.append(_corner(i, j, right, up, side, corner_height, slope_x, slope_y))
     return corners
 
 

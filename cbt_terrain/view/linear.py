@@ -86,11 +86,13 @@ def min_stretch(matrix: np.ndarray) -> float:
             aa, bb, ab = (add_up(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
             if abs(ab) > 1e-16 * math.sqrt(aa * bb):
                 at_right_angles = False
-                zeta = (bb - aa) / (2 * ab)
-                t = math.copysign(1 / (abs(zeta) + math.sqrt(1 + zeta * zeta)), zeta)
-                c = 1 / math.sqrt(1 + t * t)
-                columns[p] = [c * x - c * t * y for x, y in zip(a, b, strict=True)]
-                columns[q] = [c * t * x + c * y for x, y in zip(a, b, strict=True)]
+                # of the smaller angle by which a rotation of both makes it 0
+                cotangent_of_double = (bb - aa) / (2 * ab)
+                root = math.sqrt(1 + cotangent_of_double * cotangent_of_double)
+                tangent = math.copysign(1 / (abs(cotangent_of_double) + root), cotangent_of_double)
+                cosine = 1 / math.sqrt(1 + tangent * tangent)
+                columns[p] = [cosine * x - cosine * tangent * y for x, y in zip(a, b, strict=True)]
+                columns[q] = [cosine * tangent * x + cosine * y for x, y in zip(a, b, strict=True)]
         if at_right_angles:
             break
     return min(length(column) for column in columns)

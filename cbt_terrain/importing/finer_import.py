@@ -198,9 +198,9 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
     """
     is_known = np.zeros(shape, bool)
     for west, north, east, south in boxes:
-        first_x, end_x = max(west - margin, 0) // SIDE, min(east + margin, last[0] - 1) // SIDE
-        first_y, end_y = max(last[1] - south - margin, 0) // SIDE, min(last[1] - north + margin, last[1] - 1) // SIDE
-        is_known[first_y : end_y + 1, first_x : end_x + 1] = True
+        first_x, last_x = max(west - margin, 0) // SIDE, min(east + margin, last[0] - 1) // SIDE
+        first_y, last_y = max(last[1] - south - margin, 0) // SIDE, min(last[1] - north + margin, last[1] - 1) // SIDE
+        is_known[first_y : last_y + 1, first_x : last_x + 1] = True
     return {(int(column), int(row)) for row, column in np.argwhere(is_known)}
 
 

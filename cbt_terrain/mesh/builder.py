@@ -120,7 +120,7 @@ def _expand(
     """Divide every leaf into the triangles of its meshlet, in the arrays of the next frame.
 
     Return the points, and the new numbers of triangles, vertices and edges. parts: first entry and number of each
-    slice's points. leaves, vertices, edges: their numbers before. t: the tables of a meshlet.
+    slice's points. leaves, vertices, edges: their numbers before. tables: those of a meshlet.
     """
     scratch, arrays, segments = history.scratch, history.next.arrays, tables.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))

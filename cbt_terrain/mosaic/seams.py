@@ -15,6 +15,7 @@ from .systems import period_of, projected
 
 MAX_PAIRS = 400  # of files that are compared; of more, some are chosen evenly
 MAX_SAMPLES = 512  # of one side of a file
+MAX_INNER = 65  # along each side of a whole file
 
 
 class SeamReport(NamedTuple):
@@ -65,10 +66,10 @@ def find_seams(composite: Composite) -> SeamReport:
 
 
 def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps in metres and positions at samples of the upper tile's border inside the lower tile.
+    """Return steps (upper minus lower height, metres) and positions at samples of the upper tile's border.
 
-    Without a known step there, samples of the whole upper tile are compared. lower, upper: ranks of both tiles. Results
-    are float64 [n] and [n, 2], as in SeamReport.
+    They are those inside the lower tile. Without a known step there, samples of the whole upper tile are compared.
+    lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in SeamReport.
     """
     tile, scale = composite.tiles[upper], abs(composite.scale)
     right, bottom = tile.width - 1, tile.height - 1
@@ -76,7 +77,7 @@ def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, 
     sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]
     parts = [_compare(composite, lower, upper, *side) for side in sides]
     if not any(len(part[0]) for part in parts):
-        parts = [_compare(composite, lower, upper, _spread(0, right, 65), _spread(0, bottom, 65))]
+        parts = [_compare(composite, lower, upper, _spread(0, right, MAX_INNER), _spread(0, bottom, MAX_INNER))]
     steps, columns, rows = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     x, y = projected(tile.crs, composite.grid.crs, *tile.position(columns, rows))
     return steps * scale, np.stack([x, y], axis=1)

@@ -90,7 +90,7 @@ class _EarlierTiles:
     """The finer tiles of the store at a path, before it is replaced, and the records of their import."""
 
     def __init__(self, path: Path, lattice: Lattice, bits: int):
-        """Open the store if it has finer tiles on the same raster; a damaged one counts as none."""
+        """Open the store if it has finer tiles of the same `bits` on the same raster; a damaged one counts as none."""
         self._tiles: FinerTiles | None = None
         self.work: TileWork | None = None
         with suppress(TerrainError, OSError):

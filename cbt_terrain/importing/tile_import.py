@@ -65,7 +65,7 @@ def is_tiled(raster: Raster, lattice: Lattice) -> bool:
 
 
 def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
-    """Raise TerrainError for a raster that is imported in one piece, and so has no parts."""
+    """Raise TerrainError for a raster, of the source `name`, that is imported in one piece, and so has no parts."""
     if not is_tiled(raster, lattice):
         raise TerrainError(
             f"{name} has {lattice.width} x {lattice.height} samples, too few for an import in parts",
@@ -250,7 +250,7 @@ def _inputs(work: TileWork, source: TileSource, number: int) -> str:
 def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -> None:
     """Raise TerrainError for a raster of which nothing would be left.
 
-    limits: lowest and highest height, and the number of missing samples.
+    limits: lowest and highest height, and the number of missing samples. name: of the source, in the error.
     """
     lattice = work.grid.lattice
     if limits.missing == lattice.width * lattice.height:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lowest and the highest height in a box of the plan."""
+"""The lowest and the highest height, `height * vertical_scale + vertical_offset`, in a box of the plan."""
 
 import math
 

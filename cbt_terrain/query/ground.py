@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights, normals and slopes at points, and along a line."""
+"""Heights, `height * vertical_scale + vertical_offset`, normals and slopes at points, and along a line."""
 
 from itertools import pairwise
 from typing import NamedTuple

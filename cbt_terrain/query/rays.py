@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against the surface: the first hit, and the nearest along a direction."""
+"""Rays against a surface `height * vertical_scale + vertical_offset`: the first hit, and the nearest hit of a line."""
 
 from typing import NamedTuple
 

@@ -23,27 +23,27 @@ SPARE = 1e-3
 
 
 def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
-    """Return the surface as the kernels of queries read it.
+    """Return the surface `height * vertical_scale + vertical_offset` as the kernels of queries read it.
 
     Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have.
     """
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
-    lattice, s = field.lattice, kernels.QueriedSurface()
-    s.west, s.south, east, north = lattice.rectangle()
-    s.step_x, s.step_y = lattice.step_x, lattice.step_y
-    s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    s.border_x = ROUNDED * max(-s.west, east) / lattice.step_x
-    s.border_y = ROUNDED * max(-s.south, north) / lattice.step_y
-    s.scale, s.offset = vertical_scale, vertical_offset
-    s.bicubic = int(field.interpolation == "bicubic")
-    s.samples = codes.pack_samples(field.samples, field.steps)
-    s.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
+    lattice, surface = field.lattice, kernels.QueriedSurface()
+    surface.west, surface.south, east, north = lattice.rectangle()
+    surface.step_x, surface.step_y = lattice.step_x, lattice.step_y
+    surface.per_x, surface.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
+    surface.border_x = ROUNDED * max(-surface.west, east) / lattice.step_x
+    surface.border_y = ROUNDED * max(-surface.south, north) / lattice.step_y
+    surface.scale, surface.offset = vertical_scale, vertical_offset
+    surface.bicubic = int(field.interpolation == "bicubic")
+    surface.samples = codes.pack_samples(field.samples, field.steps)
+    surface.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
     if field.finer is not None:
-        s.has_finer, s.finer = 1, field.finer.packed
-    s.holed = int(field.valid is not None)
-    s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
-    return s
+        surface.has_finer, surface.finer = 1, field.finer.packed
+    surface.holed = int(field.valid is not None)
+    surface.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
+    return surface
 
 
 def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:

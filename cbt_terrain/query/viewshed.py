@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Samples that an eye sees."""
+"""Samples that an eye sees on a surface `height * vertical_scale + vertical_offset`."""
 
 import math
 

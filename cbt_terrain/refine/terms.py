@@ -93,20 +93,20 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
     times = 2.0 if lattice.is_padded else 1.0  # vertices cut at the border are rounded twice
     x, y, z = (times * rounding_m for rounding_m in position_rounding(field, depth, vertical_scale, vertical_offset))
-    cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
-    lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
+    moved_cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
+    lean = moved_cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
     finer = field.raster.finer
     if finer is not None:  # corners of a facet are at least a finer cell apart
         lean *= 1 << finer.bits
     # The float64 rounding of the positions at which displacement is evaluated adds to this.
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     detail_slope = steepest(field.parts) * abs(vertical_scale)
-    detail = detail_slope * (cells * (lattice.step_x + lattice.step_y) + spare) if detail_slope else 0.0
+    detail = detail_slope * (moved_cells * (lattice.step_x + lattice.step_y) + spare) if detail_slope else 0.0
     near = (0.0, 0.0)
-    if (lattice.anchor_x or lattice.anchor_y) and cells:
-        relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / cells
+    if (lattice.anchor_x or lattice.anchor_y) and moved_cells:
+        relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / moved_cells
         near = relative_error / lattice.step_x if x else 0.0, relative_error / lattice.step_y if y else 0.0
-    return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale), near)
+    return Rounding(z * OUTWARD + detail, lean, moved_cells * climb * abs(vertical_scale), near)
 
 
 def position_rounding(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Land of which some tiles are loaded: everywhere else it is the bilinear surface of a coarser store.
 
-The grid divides each cell of the coarser store into `factor` x `factor` cells. Inside such a cell with the twist T, the
+The grid divides each cell of the coarser store into 2^bits x 2^bits cells. Inside such a cell with the twist T, the
 surface has the error T/4 at its centre, and a quarter of that after each two bisections (field/hierarchy.py). With the
 coarser store's own errors above its cells this is a nested function on all diamonds. It bounds the errors of tiles that
 are not near a loaded one, and is the lower limit of all others, so the errors of all tiles together are nested.
@@ -52,11 +52,11 @@ class CoarseLand:
 
     def heights(self, box: TileBox) -> np.ndarray:
         """Return the interpolated heights of a box, its last samples included, float32 metres; NaN inside of holes."""
-        last, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
-        for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
+        last_cells, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
+        for first, end, last_cell in zip((box.y0, box.x0), (box.y1, box.x1), last_cells, strict=True):
             positions = np.arange(first, end + 1)
             # the coarser cell of each sample, and the place in it, 0 .. 1
-            cell = np.minimum(positions >> self.bits, cells)
+            cell = np.minimum(positions >> self.bits, last_cell)
             parts.append((cell, (positions - (cell << self.bits)) / (1 << self.bits)))
         (j, t), (i, s) = parts
         nodes = self.field.heights(slice(j[0], j[-1] + 2), slice(i[0], i[-1] + 2)).astype(np.float64)
@@ -72,11 +72,11 @@ class CoarseLand:
 
         valid: of the coarser store.
         """
-        last, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
-        for first, end, cells in zip((box.y0, box.x0), (box.y1, box.x1), last, strict=True):
+        last_cells, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
+        for first, end, last_cell in zip((box.y0, box.x0), (box.y1, box.x1), last_cells, strict=True):
             positions = np.arange(first, end + 1)
             # the cells before and behind each sample: a sample inside a cell touches that alone
-            sides.append([np.clip(positions - before >> self.bits, 0, cells) for before in (1, 0)])
+            sides.append([np.clip(positions - before >> self.bits, 0, last_cell) for before in (1, 0)])
         (south, north), (west, east) = sides
         top, left = int(south[0]), int(west[0])
         known = valid[top : int(north[-1]) + 2, left : int(east[-1]) + 2] > 0

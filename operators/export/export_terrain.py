@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Export the terrain of the current frame, at the detail of the render."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
@@ -11,13 +12,26 @@ from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import propose_file
 from ..kernel_operator import KernelOperator
 from ..session import session
-from ..session.polls import TerrainObjectOperator, cancelled_by_errors, invoke_with_file, remember_object
+from ..session.polls import (
+    TerrainObjectOperator,
+    cancelled_by_errors,
+    invoke_with_file,
+    remember_object,
+    remembered_object,
+)
 from ..terrain.request import RENDER, gather
 from ..terrain.request_kernels import kernels_for
 from .formats import FORMATS, format_of
 
 NAMES = [f".{name}" for name, form in FORMATS.items() if not form.is_whole_scene]
 GLOB = ";".join(f"*{name}" for name in NAMES)
+
+
+def draw_formats(layout, names: Iterable[str]) -> None:
+    """Draw the formats of a file browser's file. names: endings of file names, such as ".ply"."""
+    column = layout.column(align=True)
+    column.label(text="The name's ending is the format:", icon="INFO")
+    column.label(text=" ".join(names), icon="BLANK1", translate=False)
 
 
 class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, ExportHelper):
@@ -47,20 +61,22 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
 
     def draw(self, _context):
         """Draw the formats in the file browser, and a line that says what a file holds."""
-        column = self.layout.column(align=True)
-        column.label(text="This frame, as fine as in a render", icon="INFO")
-        column.label(text="The name's ending is the format:", icon="BLANK1")
-        column.label(text=" ".join(NAMES), icon="BLANK1")
+        self.layout.label(text="This frame, as fine as in a render", icon="INFO")
+        draw_formats(self.layout, NAMES)
 
     @cancelled_by_errors
     def execute(self, context):
-        """Write the terrain to the chosen file, and restore the viewport's detail even after an error."""
-        if self.options.is_invoke and not self.is_chosen:
-            return invoke_with_file(self, context)
-        try:
-            self._write(context, Path(self.filepath))
-        finally:
-            self._restore_viewport(context.object)
+        """Write the terrain to the chosen file, and restore the viewport's detail even after an error.
+
+        After the dialog, invoke the operator anew only if kernels are missing: Blender shows no report of a nested one.
+        """
+        with remembered_object(self, context):
+            if self.options.is_invoke and not self.is_chosen and not self._has_kernels(context):
+                return invoke_with_file(self, context)
+            try:
+                self._write(context, Path(self.filepath))
+            finally:
+                self._restore_viewport(context.object)
         return {"FINISHED"}
 
     def _write(self, context, path: Path):

@@ -23,6 +23,7 @@ from ..session import session
 from ..session.polls import on_terrain_object, remember_object
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
+from .export_terrain import draw_formats
 from .exporting import check_target
 
 GLOB = ";".join(f"*{suffix}" for suffix in FORMATS)
@@ -127,6 +128,12 @@ class ExportHeights(LandExport, bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in WRITERS), options={"HIDDEN"})
     step: step_property()
 
+    def draw(self, _context):
+        """Draw the formats and the distance between heights."""
+        draw_formats(self.layout, WRITERS)
+        self.layout.use_property_split = True
+        self.layout.prop(self, "step")
+
     def check_file(self) -> None:
         """Raise TerrainError if the file is of no format for heights, or cannot be written."""
         check_export(self.filepath)
@@ -195,6 +202,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
 
     def draw(self, _context):
         """Draw the options of the tiles. The fit applies unless the whole land is one tile, the step without a fit."""
+        draw_formats(self.layout, FORMATS)
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "size")
@@ -202,7 +210,9 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
             column.prop(self, "free_size")
         fits = self.fit and self.size != WHOLE
         if self.size != WHOLE:
-            column.prop(self, "fit")
+            row = column.row()
+            row.use_property_split = False  # its name needs the whole width
+            row.prop(self, "fit")
             if fits:
                 column.prop(self, "tiles")
             column.prop(self, "overlap")

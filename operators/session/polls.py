@@ -88,7 +88,20 @@ def invoke_with_file(operator, context) -> set[str]:
     """
     again = getattr(bpy.ops.adaptive_terrain, type(operator).bl_idname.partition(".")[2])
     with remembered_object(operator, context):
-        again("INVOKE_DEFAULT", is_chosen=True, **operator.as_keywords(ignore=("is_chosen",)))
+        options = operator.as_keywords(ignore=("is_chosen",))
+        return run_nested(operator, again, "INVOKE_DEFAULT", is_chosen=True, **options)
+
+
+def run_nested(operator, run: Callable, how: str, **properties) -> set[str]:
+    """Run an operator inside another one, which reports its errors; return FINISHED, or CANCELLED after an error.
+
+    run: its function in bpy.ops. how: INVOKE_DEFAULT or EXEC_DEFAULT.
+    """
+    try:
+        run(how, **properties)
+    except RuntimeError as error:  # the text of the nested operator's reports, which Blender shows nowhere
+        operator.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        return {"CANCELLED"}
     return {"FINISHED"}
 
 

@@ -3,6 +3,7 @@
 
 import json
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -17,6 +18,7 @@ from adaptive_terrain.operators.export import export_tiles
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
 from adaptive_terrain.operators.export.export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
 from adaptive_terrain.operators.export.render_map import RenderMap
+from adaptive_terrain.operators.session.polls import invoke_with_file
 from land_scenes import add
 from modal_runs import RunningOperator, hold, running, to_the_end
 from tilesets import read_tileset
@@ -90,6 +92,19 @@ def test_the_dialog_proposes_the_terrain_beside_its_source(terrain, operator_cla
     operator = RunningOperator(operator_class=operator_class, filepath="", is_chosen=False)
     assert operator_class.invoke(operator, context, None) == {"RUNNING_MODAL"}
     assert operator.filepath == str(tmp_path / NAMES[operator_class])
+
+
+def test_an_error_after_the_dialog_is_reported(terrain, tmp_path):
+    """The dialog's operator invokes another one, whose error Blender would show as a traceback."""
+
+    class Dialog(SimpleNamespace):
+        bl_idname = ExportHeights.bl_idname
+
+    keywords = {"filepath": str(tmp_path / "land.jpg"), "step": 0.0}
+    dialog = Dialog(report=Mock(), as_keywords=lambda ignore: keywords)
+    assert invoke_with_file(dialog, bpy.context) == {"CANCELLED"}
+    [[kind, text]] = [call.args for call in dialog.report.call_args_list]
+    assert kind == {"ERROR"} and text.endswith("land.jpg is of no format for heights; expected .tif, .tiff, .exr.")
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
 LATITUDE, LONGITUDE = "latitude", "longitude"
 WGS84 = "EPSG:4326"
 METRES = "crs metres"  # our own: metres in a unit of x and of y, 1 if it is missing
+WRITTEN = "adaptive_terrain_origin"  # our own: the origin as we wrote it, since other add-ons may write another
 # Metres in a degree of latitude, on any ellipsoid and at any latitude.
 DEGREE = 1.10e5, 1.12e5
 
@@ -55,6 +56,28 @@ def set_origin(scene, origin: SceneOrigin, latitude_longitude: tuple[float, floa
         scene[METRES] = origin.metres
     elif METRES in scene:
         del scene[METRES]
+
+
+def claim_origin(scene) -> None:
+    """Record that the scene's present origin is ours, not that of another add-on."""
+    scene[WRITTEN] = _text_of(scene)
+
+
+def is_own_origin(scene) -> bool:
+    """Return whether a scene's origin is ours, and no other add-on has changed it since."""
+    return origin_of(scene) is not None and scene.get(WRITTEN) == _text_of(scene)
+
+
+def remove_origin(scene) -> None:
+    """Remove the origin from a scene's custom properties."""
+    for name in (SRID, CRS_X, CRS_Y, LATITUDE, LONGITUDE, METRES, WRITTEN):
+        if name in scene:
+            del scene[name]
+
+
+def _text_of(scene) -> str:
+    """Return a scene's origin as one text, to compare it with another."""
+    return " ".join(repr(scene[name]) for name in (SRID, CRS_X, CRS_Y))
 
 
 def full_name(crs: str) -> str:

@@ -246,6 +246,8 @@ class ImportOperator(JobOperator):
         shared_origin.keep_anchor_inside(obj, found)
         shift = shared_origin.origin_shift(obj, self.before, found, anchor_before)
         if follows:
+            if self.before is None and shared_origin.forget_left_origin(obj, context.scene, found):
+                self.report({"INFO"}, "The scene's origin is now here, since no terrain is left at the earlier one")
             for note in shared_origin.place_terrain(obj, context.scene, found):
                 self.report({"WARNING"}, note)
         shared_origin.keep_ground(obj, shift, is_placed=follows)

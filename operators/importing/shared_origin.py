@@ -10,7 +10,17 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
 from ...cbt_terrain.importing.placing import reproject_point
 from ..bridge.evaluated import anchor_of
-from ..bridge.scene_origin import WGS84, SceneOrigin, origin_of, set_origin, unit_lengths
+from ..bridge.scene_origin import (
+    SRID,
+    WGS84,
+    SceneOrigin,
+    claim_origin,
+    is_own_origin,
+    origin_of,
+    remove_origin,
+    set_origin,
+    unit_lengths,
+)
 from ..terrain import move_world
 from .imported import Imported
 
@@ -70,6 +80,32 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
         basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
         move_world.shift_location(obj, Vector((basis @ by).tolist()), set())
     move_world.keep_children(obj, by)
+
+
+def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
+    """Remove an origin that earlier terrains have left, before a new terrain is placed elsewhere; return whether.
+
+    It stays if another add-on has written it, if another object has coordinates (a terrain, its baked mesh), or if it
+    is on the new land, which then fits what else is in the scene.
+    """
+    if imported is None or not imported.crs or imported.place is None or not is_own_origin(scene):
+        return False
+    if any(other.get(SRID) for other in scene.objects if other != obj) or _covers_origin(imported, origin_of(scene)):
+        return False
+    remove_origin(scene)
+    return True
+
+
+def _covers_origin(imported: Imported, origin: SceneOrigin) -> bool:
+    """Return whether a scene's origin is inside a raster; False if its coordinates cannot be converted."""
+    point = origin.x, origin.y
+    if imported.crs != origin.crs:
+        try:
+            point = reproject_point(*point, origin.crs, imported.crs)
+        except TerrainError:
+            return False
+    ((x, y),) = from_crs(imported.place, np.array([point])).tolist()
+    return abs(x) <= imported.extent_m[0] / 2 and abs(y) <= imported.extent_m[1] / 2
 
 
 def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
@@ -133,6 +169,7 @@ def _begin_origin(obj, scene, imported: Imported) -> None:
         set_origin(scene, origin._replace(metres=tuple(lengths)), None)
     else:
         set_origin(scene, origin._replace(metres=tuple(lengths)), (latitude, longitude))
+    claim_origin(scene)
 
 
 def _is_straight(place: Place) -> bool:

@@ -15,6 +15,7 @@ from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
 from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
 from adaptive_terrain.operators.importing.shared_origin import place_terrain
+from adaptive_terrain.operators.terrain import frame_terrain, move_world
 from modal_runs import RunningOperator, running, turn
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
@@ -234,3 +235,70 @@ def test_a_raster_elsewhere_leaves_a_moved_terrain_alone(saved):
     far = write_raster(path / "far.tif", hills(), crs="EPSG:32632", transform=Affine(10, 0, 7e5, 0, -10, 5.2e6))
     operator.finish(bpy.context, terrain, (run_import(ImportSettings(str(far)), path / "far"), str(path / "far")))
     assert list(terrain.location) == [77.0, 0.0, 0.0]
+
+
+def import_at(path, x, name, crs="EPSG:32632"):
+    """Import a file of 400 x 300 m in this process, and end as the operator does for a new terrain; return it."""
+    file = write_raster(path / f"{name}.tif", hills(), crs=crs, transform=Affine(10, 0, x, 0, -10, 5.2e6))
+    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.scene.collection.objects.link(obj)
+    obj.adaptive_terrain.enabled, obj.adaptive_terrain.live = True, False
+    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock(), before=None)
+    operator.finish(bpy.context, obj, (run_import(ImportSettings(str(file)), path / name), str(path / name)))
+    return obj
+
+
+def test_land_elsewhere_gets_a_new_origin_after_all_is_deleted(saved, monkeypatch):
+    scene, path = saved
+    monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
+    first = import_at(path, 6e5, "a")
+    second = import_at(path, 7e5, "b")
+    assert second.location.x == 1e5 and scene["crs x"] == 6e5 + 200, "beside the first"
+    baked = first.copy()
+    baked.property_unset("adaptive_terrain")
+    scene.collection.objects.link(baked)
+    bpy.data.batch_remove([first, second])
+    third = import_at(path, 7e5, "c")
+    assert third.location.x == 1e5, "a baked mesh is left in its place"
+    bpy.data.batch_remove([baked, third])
+    fourth = import_at(path, 7e5, "d")
+    assert list(fourth.location) == [0.0, 0.0, 0.0] and scene["crs x"] == 7e5 + 200
+
+
+@pytest.mark.parametrize("is_other", [False, True])
+def test_an_origin_stays_on_its_land_or_if_it_is_not_ours(saved, monkeypatch, is_other):
+    scene, path = saved
+    monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
+    bpy.data.objects.remove(import_at(path, 6e5, "a"))
+    if is_other:
+        scene["crs x"] = 6e5  # as another add-on writes it
+    before, shift = scene["crs x"], 1e5 if is_other else 150.0
+    again = import_at(path, 6e5 + shift, "b")
+    assert scene["crs x"] == before and again.location.x == 6e5 + shift + 200 - before
+
+
+def test_a_moved_origin_is_still_ours(saved, monkeypatch):
+    scene, path = saved
+    monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
+    terrain = import_at(path, 6e5, "a")
+    move_world.move_world(bpy.context, np.array([-8192.0, 0.0]))
+    assert scene["crs x"] == 6e5 + 200 + 8192
+    bpy.data.objects.remove(terrain)
+    assert list(import_at(path, 7e5, "b").location) == [0.0, 0.0, 0.0]
+
+
+def test_a_grown_terrain_stays_framed_where_all_of_it_was_seen(saved, monkeypatch):
+    _scene, path = saved
+    monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
+    monkeypatch.setattr(frame_terrain, "shown_viewports", lambda *_: ["near", "far"])
+    monkeypatch.setattr(frame_terrain, "with_all_of", lambda *_: ["far"])
+    framed = []
+    monkeypatch.setattr(frame_terrain, "frame_terrain", lambda *given, always: framed.append(given[2]) or [])
+    terrain = import_at(path, 6e5, "a")
+    assert framed == [["near", "far"]], "new land is shown everywhere"
+    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock())
+    operator.before = imported_of(terrain.adaptive_terrain)
+    larger = write_raster(path / "b.tif", hills(60, 30), crs="EPSG:32632", transform=Affine(10, 0, 6e5, 0, -10, 5.2e6))
+    for _ in range(2):
+        operator.finish(bpy.context, terrain, (run_import(ImportSettings(str(larger)), path / "b"), str(path / "b")))
+    assert framed == [["near", "far"], ["far"]], "a view of a part is in use, and the same land is framed once"

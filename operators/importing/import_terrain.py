@@ -189,11 +189,15 @@ class ImportOperator(JobOperator):
             return read_json(Path(absolute_path(folder)))["report"] | {"warnings": notes}, folder
 
     def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, folder: str) -> jobs.Steps:
-        """Load the tiles that the views of a first picture need, and show them; the picture stays if that fails."""
+        """Load the tiles that the views of a first picture need, and show them; the picture stays if that fails.
+
+        A camera that is not placed does not count: its tiles would delay those of the viewports.
+        """
         job.raise_if_stopped()
-        depsgraph = bpy.context.evaluated_depsgraph_get()
+        depsgraph, obj = bpy.context.evaluated_depsgraph_get(), job.terrain()
+        modes = [request.VIEWPORT] if follows_viewport(obj, bpy.context.scene) else [request.VIEWPORT, request.RENDER]
         try:
-            if child := loader.start(job.terrain(), depsgraph, request.VIEWPORT, request.RENDER):
+            if child := loader.start(obj, depsgraph, *modes):
                 report = yield from jobs.run_in_child(job, child)
                 if job.terrain() is not None:
                     self.finish(bpy.context, job.terrain(), (report, folder))

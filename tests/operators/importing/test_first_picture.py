@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -32,7 +33,7 @@ from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_row
 from drawn_panels import DrawnLayout
 from mathutils import Vector
-from modal_runs import running, to_the_end, turn
+from modal_runs import RunningOperator, running, to_the_end, turn
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
@@ -357,3 +358,12 @@ def test_a_render_loads_the_tiles_that_it_sees(terrain, held):
     until(again, lambda: tiles_of(terrain) > before)
     HeldImport.is_released = True
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
+
+
+@pytest.mark.parametrize(("is_placed", "modes"), [(True, ("VIEWPORT", "RENDER")), (False, ("VIEWPORT",))])
+def test_tiles_of_a_camera_come_first_only_if_it_is_placed(scene, monkeypatch, is_placed, modes):
+    monkeypatch.setattr(import_terrain, "follows_viewport", lambda *_: not is_placed)
+    operator, loader = RunningOperator(operator_class=import_terrain.ImportTerrain), Mock()
+    loader.start.return_value = None
+    assert list(operator._load_seen(Mock(), loader, "")) == []
+    assert loader.start.call_args.args[2:] == modes

@@ -21,6 +21,7 @@ from ..bridge.scene_paths import absolute_path
 from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
 from ..session import live, session
+from ..session.polls import run_nested
 from ..terrain import frame_terrain, request, sidebar
 from ..terrain.camera_source import follows_viewport
 from ..terrain.properties import built_in_land
@@ -134,12 +135,7 @@ def start_import(operator, run, **properties) -> set[str]:
     run: its function in bpy.ops. Return FINISHED, beside the window once it has begun, or CANCELLED with its report if
     it refuses or, without a window, fails.
     """
-    try:
-        run("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", **properties)
-    except RuntimeError as error:  # reported by the nested operator
-        operator.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
-        return {"CANCELLED"}
-    return {"FINISHED"}
+    return run_nested(operator, run, "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", **properties)
 
 
 class ImportOperator(JobOperator):
@@ -235,13 +231,15 @@ class ImportOperator(JobOperator):
         _gone.add(self.job.uid)
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
-        """Give the store to the terrain, place it, and report. Frame a terrain that had none, or one of another size.
+        """Give the store to the terrain, place it, show it in viewports, and report.
 
         A quick import calls it up to three times: for the first picture, for its tiles in view and for the complete
         store. result: the import's report and the path of the store.
         """
         report, folder = result
         size_before, anchor_before = _size_of(obj), anchor_of(obj)
+        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
+        viewports_before = frame_terrain.with_all_of(obj, viewports)
         follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
@@ -259,9 +257,11 @@ class ImportOperator(JobOperator):
         context.view_layer.update()
         size = _size_of(obj)
         if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
-            self._bring_into_view(context, obj)
+            self._bring_into_view(context, obj, viewports)
             if follows_viewport(obj, context.scene):
                 self.report({"INFO"}, "The mesh follows the viewports until you place a camera, as by Set Up Scene")
+        elif size > size_before:  # a viewport that shows a part of it may be in use
+            self._bring_into_view(context, obj, viewports_before)
         self._report_and_update(obj, report)
         if self.baked not in ("", folder):
             self.report(
@@ -269,9 +269,11 @@ class ImportOperator(JobOperator):
             )
             self.baked = ""
 
-    def _bring_into_view(self, context, obj):
-        """Show the terrain in viewports that do not show all of it, extend clip ranges, and report the changes."""
-        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
+    def _bring_into_view(self, context, obj, viewports: list[tuple]) -> None:
+        """Show the terrain in those viewports that do not show all of it, extend clip ranges, and report the changes.
+
+        viewports: as of `frame_terrain`.
+        """
         try:
             done = frame_terrain.frame_terrain(obj, context.evaluated_depsgraph_get(), viewports, always=False)
         except TerrainError as error:

@@ -8,6 +8,7 @@ panel warns if they do not see the terrain.
 import bpy
 import numpy as np
 
+from ...cbt_terrain.errors import TerrainError
 from ..bridge import camera as cameras
 from ..session import session
 from ..session.polls import cancelled_by_errors
@@ -53,6 +54,20 @@ def shown_viewports(window_manager, scene) -> list[tuple]:
     if bpy.app.background:
         return []
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
+
+
+def with_all_of(obj, viewports: list[tuple]) -> list[tuple]:
+    """Return those of some viewports, as of `frame_terrain`, that show the whole terrain; [] if it has no store."""
+    try:
+        box = sight.box_of(obj)
+    except TerrainError:
+        return []
+    return [found for found in viewports if sight.shows_all(box, _view_of(*found))]
+
+
+def _view_of(_window, area, region, region_3d):
+    """Return the View of a viewport."""
+    return cameras.view_from_region(area.spaces.active, region, region_3d)
 
 
 def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:

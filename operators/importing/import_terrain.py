@@ -123,9 +123,8 @@ def summary(report: dict) -> str:
     return line
 
 
-def _size_of(obj) -> float:
-    """Return the diagonal of the terrain's height map in metres; 0 without one."""
-    found = imported.imported_of(obj.adaptive_terrain)
+def _size_of(found: imported.Imported | None) -> float:
+    """Return the diagonal of an imported height map in metres; 0 for None."""
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
@@ -143,7 +142,8 @@ class ImportOperator(JobOperator):
 
     Attributes:
         shows_first_picture: whether a quick import is shown first.
-        before: Imported of the store that the terrain had before, None without one.
+        before: Imported of the store that the terrain had before, None without one. An import may write its folder.
+        box: corners of the terrain with that store in the world, as of `frame_terrain.box_or_none`.
         baked: path of the baked land that the import replaces, "" for none.
     """
 
@@ -151,6 +151,7 @@ class ImportOperator(JobOperator):
 
     kind = jobs.IMPORT
     shows_first_picture = True
+    box = None
     baked = ""
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
@@ -163,6 +164,7 @@ class ImportOperator(JobOperator):
         """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
+        self.box = frame_terrain.box_or_none(context.object)
         self.baked = context.object.adaptive_terrain.store if self.before and self.before.is_shaped else ""
         folder = store_folder(context.object, settings)
         if not (self.shows_first_picture and self.beside_window):
@@ -237,37 +239,44 @@ class ImportOperator(JobOperator):
         store. result: the import's report and the path of the store.
         """
         report, folder = result
-        size_before, anchor_before = _size_of(obj), anchor_of(obj)
-        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
-        viewports_before = frame_terrain.with_all_of(obj, viewports)
-        follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
+        before, anchor_before = self.before, anchor_of(obj)
+        follows = shared_origin.follows_coordinates(obj, context.scene, before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
         imported.tag_object(obj)
         found = imported.imported_of(obj.adaptive_terrain)
         shared_origin.keep_anchor_inside(obj, found)
-        shift = shared_origin.origin_shift(obj, self.before, found, anchor_before)
+        shift = shared_origin.origin_shift(obj, before, found, anchor_before)
         if follows:
-            if self.before is None and shared_origin.forget_left_origin(obj, context.scene, found):
+            if before is None and shared_origin.forget_left_origin(obj, context.scene, found):
                 self.report({"INFO"}, "The scene's origin is now here, since no terrain is left at the earlier one")
             for note in shared_origin.place_terrain(obj, context.scene, found):
                 self.report({"WARNING"}, note)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
         self.before = found  # for the next call of a quick import
         context.view_layer.update()
-        size = _size_of(obj)
-        if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
-            self._bring_into_view(context, obj, viewports)
-            if follows_viewport(obj, context.scene):
-                self.report({"INFO"}, "The mesh follows the viewports until you place a camera, as by Set Up Scene")
-        elif size > size_before:  # a viewport that shows a part of it may be in use
-            self._bring_into_view(context, obj, viewports_before)
+        self._show_in_viewports(context, obj, before)
         self._report_and_update(obj, report)
         if self.baked not in ("", folder):
             self.report(
                 {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
             )
             self.baked = ""
+
+    def _show_in_viewports(self, context, obj, before: imported.Imported | None) -> None:
+        """Frame a terrain that is new or of another size; one that has grown less only where all of it was seen.
+
+        A viewport that shows a part of it may be in use. before: facts of the earlier raster, None without one.
+        """
+        size, size_before = _size_of(self.before), _size_of(before)
+        viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
+        box_before, self.box = self.box, frame_terrain.box_or_none(obj)
+        if size and not (size_before and 1 / RESIZED < size / size_before < RESIZED):
+            self._bring_into_view(context, obj, viewports)
+            if follows_viewport(obj, context.scene):
+                self.report({"INFO"}, "The mesh follows the viewports until you place a camera, as by Set Up Scene")
+        elif size > size_before:
+            self._bring_into_view(context, obj, frame_terrain.with_all_of(box_before, viewports))
 
     def _bring_into_view(self, context, obj, viewports: list[tuple]) -> None:
         """Show the terrain in those viewports that do not show all of it, extend clip ranges, and report the changes.

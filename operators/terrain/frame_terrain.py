@@ -56,13 +56,17 @@ def shown_viewports(window_manager, scene) -> list[tuple]:
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
 
 
-def with_all_of(obj, viewports: list[tuple]) -> list[tuple]:
-    """Return those of some viewports, as of `frame_terrain`, that show the whole terrain; [] if it has no store."""
+def box_or_none(obj) -> np.ndarray | None:
+    """Return the corners of a terrain's box in the world, float64 [8, 3]; None without a store or a finite box."""
     try:
-        box = sight.box_of(obj)
+        return sight.box_of(obj)
     except TerrainError:
-        return []
-    return [found for found in viewports if sight.shows_all(box, _view_of(*found))]
+        return None
+
+
+def with_all_of(box: np.ndarray | None, viewports: list[tuple]) -> list[tuple]:
+    """Return those of some viewports, as of `frame_terrain`, that show a whole box [8, 3]; [] for None."""
+    return [] if box is None else [found for found in viewports if sight.shows_all(box, _view_of(*found))]
 
 
 def _view_of(_window, area, region, region_3d):

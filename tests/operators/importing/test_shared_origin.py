@@ -288,17 +288,19 @@ def test_a_moved_origin_is_still_ours(saved, monkeypatch):
 
 
 def test_a_grown_terrain_stays_framed_where_all_of_it_was_seen(saved, monkeypatch):
+    """The store of a saved file is in the same folder before and after an import."""
     _scene, path = saved
     monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
     monkeypatch.setattr(frame_terrain, "shown_viewports", lambda *_: ["near", "far"])
-    monkeypatch.setattr(frame_terrain, "with_all_of", lambda *_: ["far"])
-    framed = []
+    boxes, framed = [], []
+    monkeypatch.setattr(frame_terrain, "with_all_of", lambda box, _viewports: boxes.append(box) or ["far"])
     monkeypatch.setattr(frame_terrain, "frame_terrain", lambda *given, always: framed.append(given[2]) or [])
     terrain = import_at(path, 6e5, "a")
     assert framed == [["near", "far"]], "new land is shown everywhere"
-    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock())
-    operator.before = imported_of(terrain.adaptive_terrain)
-    larger = write_raster(path / "b.tif", hills(60, 30), crs="EPSG:32632", transform=Affine(10, 0, 6e5, 0, -10, 5.2e6))
-    for _ in range(2):
-        operator.finish(bpy.context, terrain, (run_import(ImportSettings(str(larger)), path / "b"), str(path / "b")))
-    assert framed == [["near", "far"], ["far"]], "a view of a part is in use, and the same land is framed once"
+    terrain.adaptive_terrain.source, terrain.adaptive_terrain.source_path = "FILE", str(path / "a.tif")
+    bpy.context.view_layer.objects.active = terrain
+    for width in (60, 90, 200):
+        write_raster(path / "a.tif", hills(width, 30), crs="EPSG:32632", transform=Affine(10, 0, 6e5, 0, -10, 5.2e6))
+        bpy.ops.adaptive_terrain.import_source()
+    assert framed == [["near", "far"], ["far"], ["far"], ["near", "far"]], "a view of a part is in use"
+    assert [np.ptp(box[:, 0]) for box in boxes] == pytest.approx([390.0, 590.0]), "those of the land before"

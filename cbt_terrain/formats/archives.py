@@ -2,14 +2,17 @@
 """Height maps in a .zip or .gz, unpacked by Python into a folder of the store while they are imported.
 
 GDAL's own reader of archives is not used, since a name in one could lead around the list of drivers. Names and sizes
-are checked before anything is unpacked. A .zip holds one height map; files with its name, such as .prj, come with it.
+are checked before anything is unpacked. Files with the name of a height map in a .zip, such as .prj, come with it.
+A .zip of several tiles is a mosaic: each tile has the path of the archive with the tile's name in it, as a.zip/b.tif.
 """
 
+import functools
 import gzip
 import os
 import re
 import shutil
 import stat
+import time
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -22,6 +25,7 @@ from ..field import store_folder
 from ..rasters.raster import ImportSettings
 from ..rasters.sidecars import SUFFIXES
 from ..rasters.source_formats import FORMATS, SourceFormat
+from ..rasters.tile_names import is_tile
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular
 from ..run.owned_files import NotOursError
@@ -36,7 +40,7 @@ FAULTS = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipf
 
 
 class Member(NamedTuple):
-    """The height map in an archive.
+    """A height map in an archive.
 
     Attributes:
         name: the file's name, without folders.
@@ -55,6 +59,55 @@ def is_archive(path: Path) -> bool:
     return form is not None and form.is_archive
 
 
+def archive_of(path: Path) -> Path:
+    """Return the .zip that the path of a tile leads into; `path` itself if it leads into none."""
+    if f".zip{os.sep}" not in str(path).lower():
+        return path
+    inside = (outer for outer in path.parents if outer.suffix.lower() == ".zip" and os.path.isfile(outer))
+    return next(inside, path)
+
+
+def is_inside(path: Path) -> bool:
+    """Return whether a path leads into a .zip, to one of its tiles."""
+    return archive_of(path) != path
+
+
+def is_packed(path: Path) -> bool:
+    """Return whether a height map has to be unpacked: its path is that of an archive, or leads into one."""
+    return is_archive(path) or is_inside(path)
+
+
+def height_maps(path: Path) -> list[Path]:
+    """Return the paths of the tiles in an archive, sorted by name; its own path if it holds one height map.
+
+    Raises TerrainError.
+    """
+    members = _members(path)
+    return [path] if len(members) == 1 else [path / name for name in sorted(members)]
+
+
+def files_of_tile(path: Path) -> list[tuple[str, int, int]]:
+    """Return path, size and time (ns) of a tile in a .zip and of its sidecars there. Raises TerrainError.
+
+    The time is the member's date with digits of its checksum for parts of a second: archives often have one date.
+    """
+    archive, member = archive_of(path), _member(path)
+    return [
+        (str(archive / PurePosixPath(info.filename)), info.file_size, _changed_ns(info))
+        for info in (member.info, *member.sidecars)
+        if info is not None
+    ]
+
+
+def _changed_ns(info: zipfile.ZipInfo) -> int:
+    """Return the local date of a member of a .zip in ns, with digits of its checksum below a second."""
+    try:
+        seconds = int(time.mktime((*info.date_time, 0, 0, -1)))
+    except (ValueError, OverflowError):  # the archive has an impossible date
+        seconds = 0
+    return seconds * 10**9 + info.CRC % 10**9
+
+
 def inner_path(path: Path) -> Path:
     """Return a path with the name of the height map in an archive. Raises TerrainError."""
     return path.with_name(_member(path).name)
@@ -64,7 +117,7 @@ def read_head(path: Path, count: int) -> bytes:
     """Return the first `count` bytes of the height map in an archive, or all of a shorter one. Raises TerrainError."""
     member = _member(path)
     try:
-        with open_regular(path, links=True) as file:
+        with open_regular(archive_of(path), links=True) as file:
             if member.info is None:
                 with gzip.open(file) as source:
                     return source.read(count)
@@ -92,15 +145,15 @@ class UnpackedFiles:
         self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
 
     def path_of(self, path: Path) -> Path:
-        """Return the unpacked height map of an archive; `path` itself if it is no archive, or without a folder.
+        """Return the unpacked copy of a height map; `path` itself if it is in no archive, or without a folder.
 
         Raises TerrainError.
         """
-        if self._folder is None or not is_archive(path):
+        if self._folder is None or not is_packed(path):
             return path
         if path not in self._kept:
             inner = self._folder / str(len(self._archives))
-            self._archives.append(path)
+            self._archives.append(path.parent if is_inside(path) else path)
             with owned_files.open_folder(inner, make=True):
                 file = _unpack(path, inner)
             self._kept[path] = file, sum(int(entry.stat().st_size) for entry in inner.iterdir())
@@ -164,20 +217,20 @@ def unpacked(path: Path, folder: Path) -> Iterator[Path]:
 
 def _unpack(path: Path, folder: Path) -> Path:
     """Write the height map of an archive, and its sidecars, into a folder; return its path. Raises TerrainError."""
-    member = _member(path)
+    member, outer = _member(path), archive_of(path)
     target = folder / member.name
     try:
-        with open_regular(path, links=True) as file:
+        with open_regular(outer, links=True) as file:
             if member.info is None:
                 with gzip.open(file) as source:
-                    _copy(path, source, target, MAX_BYTES)
+                    _copy(outer, source, target, MAX_BYTES)
                 return target
             with zipfile.ZipFile(file) as archive:
                 for info in (member.info, *member.sidecars):
                     with archive.open(info) as source:
-                        _copy(path, source, folder / PurePosixPath(info.filename).name, info.file_size)
+                        _copy(outer, source, folder / PurePosixPath(info.filename).name, info.file_size)
     except FAULTS as reason:
-        raise _damaged(path, reason) from reason
+        raise _damaged(outer, reason) from reason
     return target
 
 
@@ -211,11 +264,38 @@ def _too_large(path: Path, name: str, limit: int) -> TerrainError:
 
 
 def _member(path: Path) -> Member:
-    """Return the one height map in an archive, from names and sizes alone. Raises TerrainError."""
+    """Return the one height map in an archive, or the tile that a path leads to. Raises TerrainError."""
+    archive = archive_of(path)
+    members = _members(archive)
+    if archive == path:
+        if len(members) > 1:
+            raise _not_one(path, list(members))
+        return next(iter(members.values()))
+    name = path.relative_to(archive).as_posix()
+    if name not in members:
+        raise TerrainError(f"{shown(archive)} has lost {shown(name)!r}", fix="import it again when it is complete")
+    return members[name]
+
+
+def _members(path: Path) -> dict[str, Member]:
+    """Return the height maps in an archive by their names in it, from names and sizes alone. Raises TerrainError."""
     if path.suffix.lower() == ".gz":
         if _importable(path.with_suffix("")) is None:
             raise _not_one(path, [])
-        return Member(path.stem)
+        return {path.stem: Member(path.stem)}
+    try:
+        stat = os.stat(path)
+    except OSError as reason:
+        raise _damaged(path, reason) from reason
+    return _members_of(path, stat.st_size, stat.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=4)
+def _members_of(path: Path, _size: int, _changed_ns: int) -> dict[str, Member]:
+    """Return the height maps in a .zip, cached: for each of n tiles its directory would be read again.
+
+    _size, _changed_ns: of the file, only for the cache. Raises TerrainError.
+    """
     try:
         with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
@@ -226,27 +306,36 @@ def _member(path: Path) -> Member:
     return _choose(path, [info for info in members if not info.is_dir() and not info.filename.startswith(IGNORED)])
 
 
-def _choose(path: Path, members: list[zipfile.ZipInfo]) -> Member:
-    """Return the only height map of a .zip and its sidecars, without those of more than MAX_SIDECAR_BYTES.
+def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
+    """Return the only height map of a .zip, or its tiles (tile_names.py) if it has several, by their names in it.
 
-    Raises TerrainError for unsafe members, for none or several height maps, and for one of more than MAX_BYTES.
+    Raises TerrainError for unsafe members, for none or several height maps of which none is a tile, and for one of more
+    than MAX_BYTES.
     """
+    beside: dict[PurePosixPath, dict[str, dict]] = {}  # members of each folder by name, by that in small letters
     for info in members:
         _check_member(path, info)
-    maps = [info for info in members if _importable(PurePosixPath(info.filename))]
-    if len(maps) != 1:
-        raise _not_one(path, [info.filename for info in maps])
-    map_path = PurePosixPath(maps[0].filename)
-    if maps[0].file_size > MAX_BYTES:
-        raise _too_large(path, map_path.name, MAX_BYTES)
-    starts = map_path.name.lower(), map_path.stem.lower()
-    names = {start + suffix for start in starts for suffix in SUFFIXES}
-    sidecars = {}
-    for info in members:
-        other = PurePosixPath(info.filename)
-        if other.parent == map_path.parent and other.name.lower() in names and info.file_size <= MAX_SIDECAR_BYTES:
-            sidecars[other.name] = info
-    return Member(map_path.name, maps[0], tuple(sidecars.values()))
+        name = PurePosixPath(info.filename)
+        beside.setdefault(name.parent, {}).setdefault(name.name.lower(), {})[name.name] = info
+    maps = {name: info for info in members if _importable(name := PurePosixPath(info.filename))}
+    if len(maps) > 1:
+        maps = {name: info for name, info in maps.items() if is_tile(name.name, beside[name.parent])}
+    if not maps:
+        raise _not_one(path, [info.filename for info in members if _importable(PurePosixPath(info.filename))])
+    largest = max(maps.values(), key=lambda info: info.file_size)
+    if largest.file_size > MAX_BYTES:
+        raise _too_large(path, PurePosixPath(largest.filename).name, MAX_BYTES)
+    return {str(name): Member(name.name, info, _sidecars(name, beside[name.parent])) for name, info in maps.items()}
+
+
+def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.ZipInfo, ...]:
+    """Return the members that belong to a height map, without those of more than MAX_SIDECAR_BYTES.
+
+    beside: the members of its folder by name, by that in small letters.
+    """
+    starts = {name.name.lower(), name.stem.lower()}
+    found = [beside.get(start + suffix, {}).values() for start in starts for suffix in SUFFIXES]
+    return tuple(info for infos in found for info in infos if info.file_size <= MAX_SIDECAR_BYTES)
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
@@ -270,7 +359,8 @@ def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
 
 
 def _not_one(path: Path, names: list[str]) -> TerrainError:
-    """Return the error about an archive without a height map, or with several."""
+    """Return the error about an archive without a height map, or with several that are not tiles."""
     found = f"{len(names)} height maps ({shown(', '.join(names), 120)})" if names else "no height map"
-    fix = "unpack it, and import the folder as one terrain, or one of them" if names else "unpack it first"
-    return TerrainError(f"{shown(path)} holds {found}", expected="one height map in an archive", fix=fix)
+    fix = "unpack it, and import one of them" if names else "unpack it first"
+    expected = "one height map in an archive, or tiles with a position"
+    return TerrainError(f"{shown(path)} holds {found}", expected=expected, fix=fix)

@@ -21,10 +21,19 @@ def format_of(path: Path) -> SourceFormat | None:
         return form
 
 
-def inner_format(path: Path) -> SourceFormat | None:
-    """Return the format of a file, or of the height map in an archive. Raises TerrainError for an unusable archive."""
-    if not archives.is_archive(path):
-        return format_of(path)
+def inner_formats(path: Path) -> list[SourceFormat]:
+    """Return the format of a file, or those of the height maps in an archive; [] for an unknown suffix.
+
+    Raises TerrainError for an unusable archive.
+    """
+    if archives.is_archive(path):
+        return [_packed_format(inner) for inner in archives.height_maps(path)]
+    form = format_of(path)
+    return [] if form is None else [form]
+
+
+def _packed_format(path: Path) -> SourceFormat:
+    """Return the format of a height map in an archive."""
     form = FORMATS[archives.inner_path(path).suffix.lower()]
     return _choose(form, archives.read_head(path, HEAD_BYTES)) if form.others else form
 

@@ -15,7 +15,7 @@ from ..field.lands import LANDS
 from ..formats.sources import check_file, check_named
 from ..rasters.raster import ImportSettings, Raster
 from ..rasters.sidecars import sidecars
-from .source_list import absolute_source, file_stat, files_of, names_several
+from .source_list import absolute_source, file_stat, files_of, may_name_several, names_several
 
 METHOD = 2  # increased when the same source gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
@@ -104,7 +104,8 @@ def source_digest(
             name, size, changed_ns = file_stat(file)
             parts.append((paths.get(name, name), size, changed_ns))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-    settings.check_file()
+    if not may_name_several(settings):
+        settings.check_file()
     if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)

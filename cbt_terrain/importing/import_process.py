@@ -16,7 +16,7 @@ from ..sandbox.guard import VARIABLES, guard_import
 from ..sandbox.store_job import CHECK_FILE, READING, JobProgress, StoreJob, Tell, serve, wait_for
 from .build_store import run_import
 from .earlier_import import finished_import
-from .source_list import files_of, names_several
+from .source_list import files_of, may_name_several, names_several
 from .tile_crew import start_crew
 from .tile_import import ImportPart
 
@@ -41,7 +41,7 @@ class ImportJob(StoreJob):
         if several:
             files_of(settings)  # raises TerrainError for a missing one before a process starts
         super().__init__(
-            MOSAIC if several else "cbt_terrain.importing.import_process",
+            MOSAIC if may_name_several(settings) else "cbt_terrain.importing.import_process",
             store,
             {"settings": dataclasses.asdict(settings), "part": part and [part.step, sorted(part.numbers)]},
             what=f"The import of {settings.name}",
@@ -77,7 +77,7 @@ def import_source(
 
 def child_main() -> None:
     """Import the source in the request on stdin, and report on stdout."""
-    serve(_import, lambda request: f"The import of {request['settings']['source']}")
+    serve(import_one, lambda request: f"The import of {request['settings']['source']}")
 
 
 def part_of(request: dict) -> ImportPart | None:
@@ -85,7 +85,7 @@ def part_of(request: dict) -> ImportPart | None:
     return ImportPart(request["part"][0], frozenset(request["part"][1])) if request["part"] else None
 
 
-def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
+def import_one(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     """Import one file in the child process, sandboxed, and return the report. Raises TerrainError.
 
     request: settings, part, store and folder of ImportJob. begin: says that the child is ready, so threads may start.

@@ -62,10 +62,10 @@ def child_main() -> None:
 def _answer(request: dict, *_: object) -> dict:
     """Return the summary of a height map, or GDAL's versions without settings."""
     settings = request["settings"]
-    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings))
+    return _gdal_versions() if settings is None else describe_alone(ImportSettings(**settings))
 
 
-def _describe(settings: ImportSettings) -> dict:
+def describe_alone(settings: ImportSettings) -> dict:
     """Return the facts of a height map, in a child process that first gives up its rights.
 
     Lengths are metres, except `middle`, in the unit of the file's coordinate system. An archive is unpacked into the

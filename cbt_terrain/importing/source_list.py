@@ -13,14 +13,11 @@ from ..field.store_folder import JSON_NAME
 from ..rasters.coded_heights import HALF_WORLD, tile_of
 from ..rasters.raster import ImportSettings
 from ..rasters.source_formats import FORMATS
+from ..rasters.tile_names import is_archive_name, is_tile, suffix_of
 
 # Tile indexes of GDAL: XML or a database that names files.
 INDEX_SUFFIXES = (".gti", ".gpkg", ".shp")
-# A picture in a folder of tiles is a height map only if one of these files places it.
-PICTURE, WORLD_FILES = ".png", (".pgw", ".pngw", ".wld", ".png.aux.xml")
 WEB_SUFFIXES = (".png", ".webp")  # of web map tiles
-# In a folder these would name the same heights again.
-NOT_IN_FOLDERS = (".vrt",)
 MAX_FILES = 1_000_000
 
 
@@ -30,6 +27,14 @@ def names_several(settings: ImportSettings) -> bool:
     if settings.more_sources:
         return True
     return source not in LANDS and (_is_folder(source) or _is_pattern(source) or _is_index(source))
+
+
+def may_name_several(settings: ImportSettings) -> bool:
+    """Return whether an import may have several files: as of `names_several`, or tiles in its one archive.
+
+    Nothing is opened. Only the import's child process looks into an archive.
+    """
+    return names_several(settings) or suffix_of(settings.source) == ".zip"
 
 
 def files_of(settings: ImportSettings) -> list[Path]:
@@ -89,7 +94,7 @@ def absolute_source(source: str) -> str:
 
 def has_archives(settings: ImportSettings) -> bool:
     """Return whether one of the files that the sources name is an archive."""
-    return any(_is_archive(_suffix(path.name)) for path in files_of(settings))
+    return any(is_archive_name(path.name) for path in files_of(settings))
 
 
 def _files_of_one(source: str, step: float | None) -> list[Path]:
@@ -111,7 +116,7 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
     if _is_pattern(source):
         _check_right(Path(*itertools.takewhile(lambda part: not glob.has_magic(part), Path(source).parts)))
         names = sorted(glob.glob(whole, recursive=True))
-        files = [Path(name) for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
+        files = [Path(name) for name in names if os.path.isfile(name) and suffix_of(name) in FORMATS]
         if not files:
             what = f"No height map matches the pattern {shown(source)}"
             raise TerrainError(what, fix="check the folder and the suffix")
@@ -129,11 +134,11 @@ def _files_in(folder: Path, step: float | None) -> list[Path]:
     _check_right(folder)
     try:
         with os.scandir(folder) as entries:
-            names = {entry.name for entry in entries if _suffix(entry.name) and os.path.isfile(entry.path)}
+            names = {entry.name for entry in entries if suffix_of(entry.name) and os.path.isfile(entry.path)}
     except OSError as reason:
         raise _unreadable(folder, reason.strerror or str(reason)) from reason
     lower = {name.lower() for name in names}
-    return [folder / name for name in sorted(names) if _is_tile(name, lower)] or _web_tiles(folder, step)
+    return [folder / name for name in sorted(names) if is_tile(name, lower)] or _web_tiles(folder, step)
 
 
 def _check_right(folder: Path) -> None:
@@ -166,41 +171,6 @@ def _web_tiles(folder: Path, step: float | None) -> list[Path]:
     return [path for *_, path in sorted(levels.get(chosen, ()))]
 
 
-def _is_tile(name: str, lower: set[str]) -> bool:
-    """Return whether a file of a folder may hold a part of the terrain. lower: names of all files in small letters.
-
-    A picture needs a file that places it. An archive does not count if its content is there, too.
-    """
-    suffix = _suffix(name)
-    stem = name.lower().removesuffix(suffix)
-    if _is_archive(suffix):
-        return (suffix != ".gz" or _has_driver(stem)) and not _is_beside(stem, lower)
-    if not _has_driver(name):
-        return False
-    return suffix != PICTURE or any(stem + world in lower for world in WORLD_FILES)
-
-
-def _is_archive(suffix: str) -> bool:
-    """Return whether files with this suffix are archives of rasters."""
-    return suffix in FORMATS and FORMATS[suffix].is_archive
-
-
-def _has_driver(name: str) -> bool:
-    """Return whether a file may be a raster with a position, and is none of NOT_IN_FOLDERS, by its name."""
-    suffix = _suffix(name)
-    return suffix in FORMATS and bool(FORMATS[suffix].driver) and suffix not in NOT_IN_FOLDERS
-
-
-def _is_beside(stem: str, lower: set[str]) -> bool:
-    """Return whether a folder holds the height map of an archive unpacked, by the archive's name without its suffix."""
-    return stem in lower or any(_has_driver(stem + suffix) and stem + suffix in lower for suffix in FORMATS)
-
-
-def _suffix(name: str) -> str:
-    """Return the suffix of a file's name in lower case, "" without one."""
-    return os.path.splitext(name)[1].lower()
-
-
 def _is_folder(source: str) -> bool:
     """Return whether a source is a folder; a name that no file can have is none."""
     try:
@@ -216,4 +186,4 @@ def _is_pattern(source: str) -> bool:
 
 def _is_index(source: str) -> bool:
     """Return whether a source is a file that lists other files, by its suffix."""
-    return _suffix(source) in INDEX_SUFFIXES
+    return suffix_of(source) in INDEX_SUFFIXES

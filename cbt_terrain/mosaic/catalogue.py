@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Transform, without_rounded_skew
 from ..field.store_folder import named_folder
-from ..formats.archives import UnpackedFiles
+from ..formats.archives import UnpackedFiles, archive_of, files_of_tile, height_maps, is_archive, is_inside
 from ..formats.sources import check_named, open_source
 from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
 from ..rasters.coded_heights import tile_of
@@ -44,7 +44,8 @@ class SourceTile:
 
     Attributes:
         path: absolute path.
-        files: path, size and modification time (ns) of the file and of those that belong to it.
+        files: path, size and modification time (ns) of the file and of those that belong to it; of a tile in a .zip,
+            those of members (archives.files_of_tile).
         width: columns.
         height: rows.
         transform: from columns and rows of cells' corners to x and y of the CRS.
@@ -90,10 +91,15 @@ class SourceTile:
         column, row = column + 0.5, row + 0.5
         return a * column + b * row + c, d * column + e * row + f
 
+    def files_now(self) -> Sequence[tuple[str, int, int] | None]:
+        """Return `files` as they are now, None for a missing one. Raises TerrainError for a damaged archive."""
+        path = Path(self.path)
+        return files_of_tile(path) if is_inside(path) else [_stat(entry[0]) for entry in self.files]
+
     def check_unchanged(self) -> None:
         """Raise TerrainError if one of the files is another than when its header was read."""
-        for entry in self.files:
-            if _stat(entry[0]) != entry:
+        for entry, now in zip(self.files, self.files_now(), strict=False):
+            if entry != now:
                 raise TerrainError(
                     f"{shown(entry[0])} has changed while it was imported",
                     expected="the file as it was at the beginning",
@@ -130,15 +136,15 @@ def build_catalogue(
     unpacked = unpacked or UnpackedFiles()
     paths: dict[Path, None] = {}  # a file that is named twice has its last place
     for path in files_of(settings):
-        for file in paths_in(path) if path.suffix.lower() in INDEX_SUFFIXES else [path]:
+        for file in _tiles_in(path):
             paths.pop(file, None)
             paths[file] = None
     stored = _stored_tiles(store, settings) if store is not None else {}
     tiles = []
     for number, path in enumerate(paths):
         tile = stored.get(str(path))
-        now = tuple(map(_stat, _with_sidecars(path)))  # a new sidecar changes the header, too
-        if tile is None or now != tile.files[: len(now)] or any(_stat(entry[0]) != entry for entry in tile.files):
+        now = tuple(_with_sidecars(path))  # a new sidecar changes the header, too
+        if tile is None or now != tile.files[: len(now)] or list(tile.files) != list(tile.files_now()):
             tile = _read_tile(path, settings, unpacked)
         tiles.append(tile)
         on_progress((number + 1) / len(paths))
@@ -179,9 +185,16 @@ def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
     return {absolute_source(path): path for path in written if ".." in Path(path).parts}
 
 
-def _with_sidecars(path: Path) -> list[Path]:
-    """Return a file and its sidecars."""
-    return [path, *sidecars(path)]
+def _tiles_in(path: Path) -> list[Path]:
+    """Return the height maps that a tile index or an archive holds; any other file itself. Raises TerrainError."""
+    if path.suffix.lower() in INDEX_SUFFIXES:
+        return paths_in(path)
+    return height_maps(path) if is_archive(path) else [path]
+
+
+def _with_sidecars(path: Path) -> list[tuple[str, int, int] | None]:
+    """Return path, size and modification time of a tile and of its sidecars; None for a file that cannot be read."""
+    return [*files_of_tile(path)] if is_inside(path) else [*map(_stat, [path, *sidecars(path)])]
 
 
 def _stat(path: str | Path) -> tuple[str, int, int] | None:
@@ -194,8 +207,8 @@ def _stat(path: str | Path) -> tuple[str, int, int] | None:
 
 def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> SourceTile:
     """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic."""
-    check_named(path)
-    files = tuple(map(file_stat, _with_sidecars(path)))
+    check_named(archive_of(path))
+    files = filter(None, _with_sidecars(path))
     raster = open_tile(unpacked.path_of(path), settings)
     try:
         grid = raster.grid

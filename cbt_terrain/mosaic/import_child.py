@@ -7,11 +7,12 @@ from pathlib import Path
 
 from ...kernels.mosaic import resample
 from ..field import store_folder
-from ..formats.archives import UnpackedFiles, unpacking
+from ..formats.archives import UnpackedFiles, height_maps, unpacking
+from ..formats.sources import check_file
 from ..importing.build_store import import_raster
 from ..importing.earlier_import import finished_import
-from ..importing.import_process import part_of
-from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
+from ..importing.import_process import import_one, part_of
+from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives, may_name_several, names_several
 from ..importing.tile_crew import serve_tasks, start_crew
 from ..importing.tile_import import Crew, ImportPart
 from ..rasters.raster import ImportSettings, Raster
@@ -28,6 +29,15 @@ SCANNED = 0.05  # of the progress: headers are read
 def child_main() -> None:
     """Import the sources in the request on stdin, and report on stdout."""
     serve(_import, lambda request: f"The import of {ImportSettings(**request['settings']).name}")
+
+
+def has_several(settings: ImportSettings) -> bool:
+    """Return whether the sources are several files or one archive of several tiles. Raises TerrainError."""
+    path = Path(settings.source)
+    if names_several(settings) or not may_name_several(settings):
+        return names_several(settings)
+    check_file(path)
+    return len(height_maps(path)) > 1
 
 
 def paths_of(settings: ImportSettings) -> list[Path]:
@@ -102,6 +112,8 @@ def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict
     on_progress: raises to cancel the import. begin: starts the thread that waits for the end of the parent (`serve`).
     """
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
+    if not has_several(settings):
+        return import_one(request, on_progress, begin)
     # Before the guard, because a sandboxed process starts none. Archives are unpacked once, for this process alone.
     crew = Crew() if has_archives(settings) else start_crew(settings, "cbt_terrain.mosaic.import_child")
     try:

@@ -9,19 +9,23 @@ from typing import Any
 from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..formats.archives import UnpackedFiles
+from ..importing.source_info import describe_alone
 from ..importing.source_list import files_of, has_archives
 from ..rasters.raster import ImportSettings
 from ..run import child
 from ..sandbox.guard import guard_import
 from ..sandbox.store_job import READING, Tell, ask, serve
-from .import_child import SCANNED, paths_of, unpacked_sources
+from .import_child import SCANNED, has_several, paths_of, unpacked_sources
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic
 
 
 def describe_sources(settings: ImportSettings) -> dict:
-    """Return the report on a mosaic of the settings' sources. Raises TerrainError for files that cannot form one."""
-    check_settings(settings)
+    """Return the report on a mosaic of the settings' sources, for an archive of one height map that on this.
+
+    Raises TerrainError for files that cannot form a mosaic.
+    """
+    settings.check()
     files_of(settings)  # raises for sources that are not there, before a process starts
     return ask("cbt_terrain.mosaic.mosaic_info", {"settings": dataclasses.asdict(settings)}, settings.name)
 
@@ -34,6 +38,9 @@ def child_main() -> None:
 def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights."""
     settings, scratch = ImportSettings(**request["settings"]), Path(tempfile.gettempdir())
+    if not has_several(settings):
+        return describe_alone(settings)
+    check_settings(settings)
     guard_import(settings, scratch if has_archives(settings) else None, paths_of(settings), (resample,))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:

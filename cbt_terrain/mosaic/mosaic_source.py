@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
-from ..formats.archives import UnpackedFiles
+from ..formats.archives import UnpackedFiles, archive_of
 from ..importing.thinning import FROM_OVERVIEWS, WORTHWHILE
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
@@ -100,7 +100,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
             *mirror_warnings(file_grid, grid.width, grid.height),
         ],
         details=_surface_entry(composite),
-        sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
+        sources=(*(archive_of(Path(entry[0])) for tile in composite.tiles for entry in tile.files), *grids),
         method=BLENDING if composite.insets else 0,
         inputs=composite.inputs_of,
         close=composite.close,

@@ -12,7 +12,7 @@ from ..field.build import from_array
 from ..field.codes import steps_of
 from ..field.finer_tiles import TILE_BYTES
 from ..field.lattice import fit
-from ..formats.archives import MAX_UNPACKED_BYTES, is_archive
+from ..formats.archives import MAX_UNPACKED_BYTES, is_packed
 from ..importing.drafts import store_bytes, work_bytes
 from ..importing.tile_import import TILED_SAMPLES
 from ..rasters.file_grid import unit_of
@@ -153,7 +153,7 @@ def _expected_bytes(composite: Composite) -> int:
     unpacked = sum(
         int(tile.width * tile.height * np.dtype(tile.stored).itemsize)
         for tile in composite.tiles
-        if is_archive(Path(tile.path))
+        if is_packed(Path(tile.path))
     )
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
     sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..errors import TerrainError, shown, unwritable
 from ..field import store_folder
-from ..formats.format_choice import inner_format
+from ..formats.format_choice import inner_formats
 from ..formats.gdal_source import keep_only_drivers
 from ..rasters.coded_heights import PLAIN, may_be_coded
 from ..rasters.raster import ImportSettings
@@ -35,10 +35,7 @@ def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> 
 
     forms: dict[str, tuple[SourceFormat, Path]] = {}
     drivers: set[str] = set()
-    for path in paths:
-        form = inner_format(path)
-        if form is None:
-            continue
+    for path, form in [(each, form) for each in paths for form in inner_formats(each)]:
         forms[form.title] = form, path
         if form.driver and may_be_coded(path, encoding):
             drivers.add("GTiff")  # for decoded heights

@@ -116,9 +116,9 @@ def _described(arguments, is_store: bool) -> dict:
 
 def describe_heights(settings) -> dict:
     """Return the description of a height map or of a mosaic of several."""
-    from ...cbt_terrain.importing.source_list import names_several
+    from ...cbt_terrain.importing.source_list import may_name_several
 
-    if names_several(settings):
+    if may_name_several(settings):
         from ...cbt_terrain.mosaic.mosaic_info import describe_sources
 
         return describe_sources(settings)

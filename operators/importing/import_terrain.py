@@ -11,7 +11,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import changed_ns, read_json
 from ...cbt_terrain.formats.header_files import lacks_header
-from ...cbt_terrain.importing.source_list import names_several
+from ...cbt_terrain.importing.source_list import may_name_several, names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
@@ -55,7 +55,7 @@ def settings_of(obj) -> ImportSettings:
     files = _files_of(settings)
     several = names_several(files)
     mosaic = {}
-    if several:
+    if may_name_several(files):
         mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
     raw = {}
     if is_raw(settings.source_path):
@@ -87,6 +87,11 @@ def settings_of(obj) -> ImportSettings:
 def has_several_files(settings) -> bool:
     """Return whether a terrain's source is several files, a folder, a pattern or a tile index."""
     return bool(settings.source_path) and names_several(_files_of(settings))
+
+
+def may_hold_several(settings) -> bool:
+    """Return whether a terrain's source is several files, or an archive that may hold several."""
+    return bool(settings.source_path) and may_name_several(_files_of(settings))
 
 
 def _files_of(settings) -> ImportSettings:

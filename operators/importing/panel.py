@@ -74,6 +74,8 @@ class SourcePanel(TerrainSubpanel):
             row = column.row(align=True)
             row.operator("adaptive_terrain.add_tiles", icon="ADD")
             row.operator("adaptive_terrain.join", icon="AUTOMERGE_ON")
+            if import_terrain.may_hold_several(settings):
+                _draw_overlaps(column, settings)
             (_draw_mosaic if several else _draw_file)(column, settings)
         else:
             column.prop(settings, "island_size")
@@ -103,6 +105,12 @@ def is_stale(obj) -> bool:
         return True
 
 
+def _draw_overlaps(column, settings) -> None:
+    """Draw how several files form one terrain."""
+    for name in ("priority", "blend", "sample_step"):
+        column.prop(settings, name)
+
+
 def _draw_file(column, settings) -> None:
     """Draw the options of one file: those that its format has, its missing values and holes."""
     if import_terrain.is_raw(settings.source_path):
@@ -122,8 +130,8 @@ def _draw_file(column, settings) -> None:
 
 
 def _draw_mosaic(column, settings) -> None:
-    """Draw the settings of a terrain with several sources."""
-    for name in ("priority", "blend", "sample_step", "band", "project"):
+    """Draw the options of several files that one file has, too."""
+    for name in ("band", "project"):
         column.prop(settings, name)
     draw_switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")

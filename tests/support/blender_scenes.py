@@ -106,10 +106,10 @@ def imports_here(monkeypatch):
     """Let operators import a file in this process, which saves the second that a child takes to start."""
     from adaptive_terrain.cbt_terrain.importing.build_store import run_import
     from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
-    from adaptive_terrain.cbt_terrain.importing.source_list import names_several
+    from adaptive_terrain.cbt_terrain.mosaic.import_child import has_several
 
     def finished_job(settings, store):
-        if not names_several(settings):
+        if not has_several(settings):
             run_import(settings, store)
         return ImportJob(settings, store)  # it has nothing left to do, except for several files
 

@@ -12,19 +12,22 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.formats import archives
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
+from adaptive_terrain.cbt_terrain.mosaic import catalogue
 from adaptive_terrain.cbt_terrain.mosaic.catalogue import FILE_NAME
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
+from rasterio.crs import CRS
 from rasters import write_raster
 
 
 def zipped(path, files):
+    """Write an archive whose members all have the date 1980-01-01."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
-            archive.writestr(name, content)
+            archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
     return path
 
 
@@ -83,7 +86,8 @@ def test_a_bad_archive_among_tiles_is_one_error_about_it(packed, tmp_path, monke
     tif = (tmp_path / "plain" / "t1.tif").read_bytes()
     bad = tmp_path / "packed" / "t1.zip"
     for files, said in (
-        ({"a.tif": tif, "b.tif": tif}, "t1.zip holds 2 height maps"),
+        ({"a.npy": b"", "b.npy": b""}, "t1.zip holds 2 height maps .a.npy, b.npy.; expected one .* or tiles"),
+        ({"a.tif": tif, "b.tif": tif[:-500]}, "t1.zip/b.tif is damaged or incomplete"),
         ({"../a.tif": tif}, "whose name leads out"),
         ({"a.tif": tif[:-500]}, "t1.zip/a.tif is damaged or incomplete"),
         ({"a.npy": b"\x93NUMPY"}, "t1.zip/a.npy is not a whole .npy"),
@@ -97,6 +101,68 @@ def test_a_bad_archive_among_tiles_is_one_error_about_it(packed, tmp_path, monke
     with pytest.raises(TerrainError, match="unpacks '.*' to more than 0 MB"):
         run_mosaic_import(ImportSettings(str(tmp_path / "packed")), tmp_path / "store")
     assert not (tmp_path / "store").exists()
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """Write four tiles plain and as one archive, in two folders of it, with a preview and a sidecar; return its files.
+
+    The last tile has its coordinate system in the sidecar alone.
+    """
+    whole, files = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 80, 20), {"readme.txt": b"a", "view.png": b"no picture"}
+    for n in range(4):
+        path = tmp_path / "plain" / f"t{n}.tif"
+        whole.write(path, first_column=20 * n, columns=20, **({"crs": None} if n == 3 else {}))
+        files[f"{'north' if n < 2 else 'south'}/t{n}.tif"] = path.read_bytes()
+    files["south/t3.prj"] = CRS.from_string(UTM32).to_wkt().encode()
+    (tmp_path / "plain" / "t3.prj").write_bytes(files["south/t3.prj"])
+    zipped(tmp_path / "all" / "a.zip", files)
+    return files
+
+
+def digest_of(store):
+    return open_store(store).raster.digest
+
+
+def test_an_archive_of_several_tiles_is_imported_as_its_folder(archive, tmp_path, monkeypatch):
+    plain, packed = ImportSettings(str(tmp_path / "plain")), ImportSettings(str(tmp_path / "all" / "a.zip"))
+    run_mosaic_import(plain, tmp_path / "one")
+    report = import_source(packed, tmp_path / "two")
+    assert report["files"] == 4 and digest_of(tmp_path / "two") == digest_of(tmp_path / "one")
+    assert import_source(packed, tmp_path / "two")["unchanged"]
+    monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1)
+    run_mosaic_import(ImportSettings(str(tmp_path / "all")), tmp_path / "three")
+    assert digest_of(tmp_path / "three") == digest_of(tmp_path / "one")
+    assert {entry.suffix for entry in (tmp_path / "three").glob("*/*")} == {".npy", ".json"}
+    info, alone = describe_sources(packed), describe_sources(plain)
+    assert {key for key in info if info[key] != alone.get(key)} <= {"expected_disk_mb", "expected_seconds"}
+
+
+def test_options_of_several_files_hold_for_one_archive(archive, tmp_path):
+    packed = ImportSettings(str(tmp_path / "all" / "a.zip"), step=20.0, priority="newest")
+    assert import_source(packed, tmp_path / "store")["step_m"] == [20.0, 20.0]
+    assert describe_sources(packed)["step_m"] == [20.0, 20.0]
+    one = zipped(tmp_path / "one.zip", {"t0.tif": archive["north/t0.tif"], "view.png": b"no picture"})
+    assert import_source(ImportSettings(str(one)), tmp_path / "store")["raster"] == [20, 20]
+    assert describe_sources(ImportSettings(str(one)))["raster"] == [20, 20]
+    with pytest.raises(TerrainError, match="A step and a priority are of several files"):
+        import_source(ImportSettings(str(one), step=20.0), tmp_path / "store")
+
+
+def test_a_changed_member_changes_its_tile_alone(archive, tmp_path, monkeypatch):
+    """The date and the size of the member stay, so that only its checksum differs."""
+    settings = ImportSettings(str(tmp_path / "all" / "a.zip"))
+    run_mosaic_import(settings, tmp_path / "store")
+    read, real = [], catalogue._read_tile
+    monkeypatch.setattr(catalogue, "_read_tile", lambda path, *more: read.append(path) or real(path, *more))
+    path = tmp_path / "plain" / "t1.tif"
+    with rasterio.open(path, "r+") as file:
+        file.write(file.read(1) + np.float32(8.0), 1)
+    zipped(tmp_path / "all" / "a.zip", archive | {"north/t1.tif": path.read_bytes()})
+    report = run_mosaic_import(settings, tmp_path / "store")
+    assert "unchanged" not in report and read == [tmp_path / "all" / "a.zip" / "north" / "t1.tif"]
+    run_mosaic_import(ImportSettings(str(tmp_path / "plain")), tmp_path / "one")
+    assert digest_of(tmp_path / "store") == digest_of(tmp_path / "one")
 
 
 SIDE = 16

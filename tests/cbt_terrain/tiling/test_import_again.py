@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
 from adaptive_terrain.cbt_terrain.tiling.tile_records import MEASURED, READ, line_of, record_of
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasters import hills
-from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
+from tiled_stores import assert_same, content, tiled, write_tiles  # noqa: F401
 
 MODULES = {"file": "cbt_terrain.importing.tile_crew", "mosaic": "cbt_terrain.mosaic.import_child"}
 
@@ -247,6 +248,31 @@ def test_a_replaced_file_is_read_and_measured_alone(tmp_path, tiled):  # noqa: F
     assert crew.read == [1 * 5 + 2, 2 * 5 + 2]
     margin = 96
     assert len(crew.measured) == 20 and margin > 32, "the windows of all tiles of this size meet it"
+
+
+def test_an_archive_goes_on_and_its_changed_member_is_read_alone(tmp_path, tiled):  # noqa: F811
+    def pack():
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            for file in sorted((tmp_path / "tiles").iterdir()):
+                archive.writestr(zipfile.ZipInfo(f"in/{file.name}"), file.read_bytes())  # all of one date
+
+    write_tiles(tmp_path / "tiles", gap=None)
+    patch(tmp_path, shift=1.0)
+    pack()
+    settings, crew = ImportSettings(str(tmp_path / "a.zip")), CountingCrew()
+    tiled(5)
+    with pytest.raises(KeyboardInterrupt):
+        run_mosaic_import(settings, tmp_path / "store", crew=CountingCrew(13))
+    run_mosaic_import(settings, tmp_path / "store", crew=crew)
+    assert (len(crew.read), len(crew.measured)) == (7, 20)
+    patch(tmp_path, shift=-2.0)
+    pack()
+    run_mosaic_import(settings, tmp_path / "store", crew=crew)
+    assert crew.read[7:] == [1 * 5 + 2, 2 * 5 + 2]
+    tiled(None)
+    run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "whole")
+    (arrays, _), (wanted, _) = content(tmp_path / "store"), content(tmp_path / "whole")
+    assert arrays.keys() == wanted.keys() and all(np.array_equal(arrays[name], wanted[name]) for name in wanted)
 
 
 @pytest.mark.thorough

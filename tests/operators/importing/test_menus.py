@@ -2,6 +2,7 @@
 """Terrain from File, and the menu with every operator."""
 
 import re
+import zipfile
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -16,6 +17,7 @@ from adaptive_terrain.operators.importing.add_terrain import AddTerrain
 from adaptive_terrain.operators.importing.add_tiles import AddTiles, ImportTiles
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, info_lines
+from adaptive_terrain.operators.importing.panel import SourcePanel
 from adaptive_terrain.operators.session.polls import remember_object
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
 from drawn_panels import DrawnLayout
@@ -132,6 +134,25 @@ def test_a_folder_becomes_one_terrain(scene, tmp_path):
     assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "tiles") + "/") == {"FINISHED"}
     assert bpy.context.object.name == "tiles"
     assert imported_of(bpy.context.object.adaptive_terrain).raster == (60, 20)
+
+
+def test_an_archive_of_tiles_becomes_one_terrain(scene, tmp_path):
+    """Its panel has the options of one file and of several, since nothing in Blender looks into an archive."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    with zipfile.ZipFile(tmp_path / "valley.zip", "w") as archive:
+        for file in write_tiles(tmp_path / "tiles"):
+            archive.write(file, file.name)
+    assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "valley.zip")) == {"FINISHED"}
+    terrain = bpy.context.object
+    settings = terrain.adaptive_terrain
+    assert terrain.name == "valley" and imported_of(settings).raster == (60, 20)
+    layout = DrawnLayout()
+    SourcePanel.draw(SimpleNamespace(layout=layout, _columns=layout.column), bpy.context)
+    assert {"<priority>", "<sample_step>", "<band>", "<first_row_south>"} <= set(layout.texts)
+    settings.sample_step = 20.0
+    assert changed_settings(settings_of(terrain), imported_of(settings)) == ["step"]
+    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+    assert imported_of(settings).step_m == pytest.approx((20.0, 20.0))
 
 
 def test_tiles_are_added_to_a_terrain(scene, tmp_path):

@@ -17,7 +17,7 @@ from xml.parsers import expat
 from ..errors import TerrainError, shown
 from ..field.lattice import lattice_for
 from ..run.named_file import read_start
-from ..run.owned_files import real_path
+from ..run.owned_files import real_path, without_dots
 
 MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
 MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
@@ -142,7 +142,7 @@ def _within_float32(text: str) -> str:
 
 
 def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:
-    """Return the file that a SourceFilename in the VRT `path` names, an absolute path.
+    """Return the file that a SourceFilename in the VRT `path` names, an absolute path without `..` (without_dots).
 
     Raises TerrainError unless it is a regular file with one of the suffixes and holds XML only as a VRT, since GDAL
     would open any other as one.
@@ -161,7 +161,7 @@ def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> P
         raise TerrainError(what, expected=f"one of {', '.join(sorted(suffixes))}")
     if source.suffix.lower() != ".vrt" and read_start(source, 4096).lstrip().startswith(b"<"):
         raise TerrainError(f"{what}, which holds XML", expected="samples by its suffix")
-    return source
+    return without_dots(source)
 
 
 def _is_local(source: Path, path: Path) -> bool:

@@ -43,14 +43,14 @@ def import_before(path: str | os.PathLike, settings: ImportSettings, raster: Ras
 
     Older versions had the sources in a digest as they were written, often relative to an unknown folder. The paths of
     the files are in it, too, so the recorded texts may stand for the sources. Paths of several files had the `..` of
-    the sources. raster: as of `finished_import`.
+    the sources, of tile indexes and of VRTs. raster: as of `finished_import`.
     """
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     report = finished_before(path, source_digest(settings, files, method))
     if report is None and (names := _recorded_sources(Path(path))) is not None:
-        if len(names) == len(settings.sources) and list(map(absolute_source, settings.sources)) != names:
-            is_climbing = raster is not None and any(".." in Path(name).parts for name in names)
-            paths = raster.earlier_paths() if raster is not None and is_climbing else {}
+        paths = raster.earlier_paths() if raster is not None else {}
+        is_other = paths or list(map(absolute_source, settings.sources)) != names
+        if len(names) == len(settings.sources) and is_other:
             report = finished_before(path, source_digest(settings, files, method, names, paths))
     return report
 

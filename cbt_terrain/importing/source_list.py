@@ -14,6 +14,7 @@ from ..rasters.coded_heights import HALF_WORLD, tile_of
 from ..rasters.raster import ImportSettings
 from ..rasters.source_formats import FORMATS
 from ..rasters.tile_names import is_archive_name, is_tile, suffix_of
+from ..run.owned_files import without_dots
 
 # Tile indexes of GDAL: XML or a database that names files.
 INDEX_SUFFIXES = (".gti", ".gpkg", ".shp")
@@ -78,18 +79,7 @@ def absolute_source(source: str) -> str:
 
     An import thus has one path for a file, from whatever folder it is named.
     """
-    if source in LANDS:
-        return source
-    path = Path(source).absolute()
-    parts = path.parts
-    if ".." not in parts:
-        return os.path.normpath(path)
-    last = len(parts) - parts[::-1].index("..")
-    before = Path(*parts[:last])
-    try:
-        return os.path.normpath(path) if os.path.samefile(before, os.path.normpath(before)) else str(path)
-    except (OSError, ValueError):
-        return str(path)
+    return source if source in LANDS else str(without_dots(Path(source).absolute()))
 
 
 def has_archives(settings: ImportSettings) -> bool:

@@ -7,6 +7,7 @@ the same. A damaged catalogue is built again.
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -28,6 +29,7 @@ from ..rasters.raster import ORDER, ImportSettings, Raster
 from ..rasters.rounding import SourceRounding
 from ..rasters.sidecars import sidecars
 from ..run.named_file import read_regular
+from ..run.owned_files import without_dots
 from .index_files import paths_in
 from .systems import names_of
 
@@ -182,7 +184,14 @@ def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder
 def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
     """Return the paths with `..` in the catalogue of a store, which older versions wrote, by their paths without."""
     written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
-    return {absolute_source(path): path for path in written if ".." in Path(path).parts}
+    paths = {absolute_source(path): path for path in written if ".." in Path(path).parts}
+    # The catalogue has no tile indexes, but files that they named by their own folder.
+    indexes = [path for path in files_of(settings) if paths and path.suffix.lower() in INDEX_SUFFIXES]
+    folders = [folder for path in paths.values() for folder in Path(path).parents] if indexes else []
+    for index in indexes:
+        is_its = (folder for folder in folders if ".." in folder.parts and without_dots(folder) == index.parent)
+        paths |= {str(index): str(folder / index.name) for folder in itertools.islice(is_its, 1)}
+    return paths
 
 
 def _tiles_in(path: Path) -> list[Path]:

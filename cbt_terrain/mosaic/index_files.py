@@ -2,7 +2,7 @@
 """Paths in a tile index (GTI): a GeoPackage or SQLite database, a shapefile, or XML that names one of these.
 
 GDAL would open whatever an index names, so it never gets one. Only the column of paths is read, and each must lead to a
-regular file of a known kind, as in a VRT.
+regular file of a known kind, as in a VRT. As with GDAL, relative paths begin at the folder of the index that is opened.
 """
 
 import sqlite3
@@ -14,6 +14,7 @@ from ..errors import TerrainError, shown
 from ..importing.source_list import MAX_FILES
 from ..rasters.source_formats import FORMATS
 from ..run.named_file import cause, open_regular, read_regular, read_start
+from ..run.owned_files import without_dots
 
 MAX_XML_BYTES = 1 << 20
 SQLITE, XML = b"SQLite format 3\0", b"<"
@@ -22,13 +23,13 @@ MAX_FIELDS, FIELD_BYTES = 2048, 32
 
 
 def paths_in(path: Path) -> list[Path]:
-    """Return the files that a tile index names, in its order and once each. Raises TerrainError."""
+    """Return the files that a tile index names, in its order and once each, without `..`. Raises TerrainError."""
     try:
-        names, base, column = _names_in(path, "")
+        names, column = _names_in(path, "")
     except (OSError, ValueError, sqlite3.Error, struct.error, ElementTree.ParseError) as reason:
         what = f"{shown(path)} cannot be read as a tile index ({cause(reason)})"
         raise TerrainError(what, expected="a GeoPackage, a shapefile or XML of GDAL's gti format") from reason
-    sources = dict.fromkeys(base.parent / name for name in names if name)
+    sources = dict.fromkeys(without_dots(path.parent / name) for name in names if name)
     for source in sources:
         _check(path, source)
     if not sources:
@@ -37,15 +38,15 @@ def paths_in(path: Path) -> list[Path]:
     return list(sources)
 
 
-def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
-    """Return the paths in an index as texts, the file that they are relative to, and the name of their column.
+def _names_in(path: Path, column: str) -> tuple[list[str], str]:
+    """Return the paths in an index as texts, and the name of their column.
 
     column: the name of the column of paths, "" for one of the usual names. Raises OSError, ValueError, and the errors
     of the modules that parse the index.
     """
     start = read_start(path, len(SQLITE))
     if start == SQLITE:
-        return _names_in_database(path, column), path, column
+        return _names_in_database(path, column), column
     if start.lstrip().startswith(XML):
         root = ElementTree.fromstring(_plain_xml(path))
         inner = path.parent / (root.findtext("IndexDataset") or "").strip()
@@ -55,7 +56,7 @@ def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
     table = path.with_suffix(".dbf") if path.suffix.lower() == ".shp" else path
     if not table.exists():
         raise ValueError(f"its table {shown(table.name)} is not beside it")
-    return _names_in_table(table, column), path, column
+    return _names_in_table(table, column), column
 
 
 def _plain_xml(path: Path) -> bytes:

@@ -183,6 +183,20 @@ def real_path(path: str | os.PathLike) -> Path:
     return Path(os.path.realpath(path))
 
 
+def without_dots(path: Path) -> Path:
+    """Return an absolute path without `..`, unless these follow a link, whose target may be in another folder."""
+    parts = path.parts
+    if ".." not in parts:
+        return Path(os.path.normpath(path))
+    last = len(parts) - parts[::-1].index("..")
+    before = Path(*parts[:last])
+    try:
+        is_same = os.path.samefile(before, os.path.normpath(before))
+    except (OSError, ValueError):
+        return path
+    return Path(os.path.normpath(path)) if is_same else path
+
+
 def is_real_folder(path: str | os.PathLike) -> bool:
     """Return whether a path is a folder and no link."""
     status = _lstat(path)

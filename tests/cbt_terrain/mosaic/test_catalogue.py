@@ -12,10 +12,11 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
+from adaptive_terrain.cbt_terrain.formats import vrt_source
 from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import, source_list
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
-from adaptive_terrain.cbt_terrain.mosaic import catalogue
+from adaptive_terrain.cbt_terrain.mosaic import catalogue, index_files
 from adaptive_terrain.cbt_terrain.mosaic.catalogue import build_catalogue, keep_catalogue
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.index_files import paths_in
@@ -56,6 +57,12 @@ def geopackage(path, names, column="location"):
     base.close()
 
 
+VRT = """<VRTDataset rasterXSize="20" rasterYSize="20"><SRS>EPSG:32632</SRS>
+<GeoTransform>572000, 10, 0, 5540500, 0, -10</GeoTransform><VRTRasterBand dataType="Float32" band="1"><SimpleSource>
+<SourceFilename relativeToVRT="1">{}</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand>
+</VRTDataset>"""
+
+
 def shapefile(path, names):
     """Write the table of a shapefile with one column of texts."""
     field = b"location".ljust(11, b"\0") + b"C" + bytes(4) + bytes([80, 0]) + bytes(14)
@@ -84,6 +91,32 @@ def test_tile_indexes_give_paths_only(tmp_path, kind):
     assert paths_in(index) == files[::-1]
     report = import_source(ImportSettings(str(index)), tmp_path / "store")
     assert report["raster"] == [60, 20] and report["filled"] == 0
+
+
+def test_paths_in_an_index_begin_at_its_folder(tmp_path):
+    """As with GDAL 3.10 the folder of the XML counts, not that of the database that it names."""
+    files = tiles(tmp_path / "tiles")
+    names = [f"../tiles/{file.name}" for file in files]
+    for folder in ("xml", "other/bases"):
+        (tmp_path / folder).mkdir(parents=True)
+    geopackage(tmp_path / "other" / "bases" / "index.gpkg", names)
+    with pytest.raises(TerrainError, match=r"index.gpkg names the source '\S+other/tiles/t0.tif', which is no regular"):
+        paths_in(tmp_path / "other" / "bases" / "index.gpkg")
+    text = "<GDALTileIndexDataset><IndexDataset>../other/bases/index.gpkg</IndexDataset></GDALTileIndexDataset>"
+    (tmp_path / "xml" / "index.gti").write_text(text)
+    assert paths_in(tmp_path / "xml" / "index.gti") == files
+    both = build_catalogue(settings_of(tmp_path / "tiles", tmp_path / "xml" / "index.gti"), None)
+    assert [tile.path for tile in both] == list(map(str, files)), "a file that is named in two ways counts once"
+
+
+def test_dots_after_a_link_lead_from_its_target(tmp_path):
+    files = tiles(tmp_path / "away" / "tiles")
+    (tmp_path / "away" / "index").mkdir()
+    geopackage(tmp_path / "away" / "index" / "index.gpkg", [f"../tiles/{file.name}" for file in files])
+    os.symlink(tmp_path / "away" / "index", tmp_path / "link")
+    found = paths_in(tmp_path / "link" / "index.gpkg")
+    assert found == [tmp_path / "link" / ".." / "tiles" / file.name for file in files]
+    assert [path.resolve() for path in found] == [path.resolve() for path in files]
 
 
 @pytest.mark.parametrize("name", ["/vsicurl/http://a/b.tif", "missing.tif", "secret.txt", ".", "https://a/b.tif"])
@@ -175,6 +208,34 @@ def test_an_older_store_of_a_path_with_dots_is_found(tmp_path, monkeypatch, kind
     assert run_mosaic_import(settings_of(*sources), tmp_path / "store").get("unchanged")
     os.utime(tmp_path / "maps" / names[1], (0, 0))
     assert not run_mosaic_import(settings_of(*sources), tmp_path / "store").get("unchanged")
+
+
+@pytest.mark.parametrize(("kind", "source"), [("vrt", "maps"), ("index", "maps"), ("index", "../inner/maps")])
+def test_an_older_store_of_files_that_name_others_is_found(tmp_path, monkeypatch, kind, source):
+    """Older versions recorded the paths in a tile index or a VRT with their dots."""
+    names = [path.name for path in tiles(tmp_path / "tiles", 2)]
+    other = tiles(tmp_path / "other", 3)[2]
+    (tmp_path / "inner" / "maps").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "inner")
+    if kind == "vrt":
+        (tmp_path / "inner" / "maps" / "a.vrt").write_text(VRT.format(f"../../tiles/{names[0]}"))
+    else:
+        geopackage(tmp_path / "inner" / "maps" / "a.gpkg", [f"../../tiles/{name}" for name in names])
+    named = "a.vrt" if kind == "vrt" else "a.gpkg"
+    with monkeypatch.context() as older:
+        for module in (earlier_import, build_store):
+            older.setattr(module, "absolute_source", lambda source: source)
+        older.setattr(source_list, "absolute_source", lambda source: str(Path(source).absolute()))
+        for module in (index_files, vrt_source):
+            older.setattr(module, "without_dots", lambda path: path)
+        run_mosaic_import(settings_of(f"{source}/{named}", other), tmp_path / "store")
+    written = (tmp_path / "store" / "store.json").read_text()
+    settings = settings_of(tmp_path / "inner" / "maps" / named, other)
+    assert run_mosaic_import(settings, tmp_path / "store").get("unchanged")
+    assert (tmp_path / "store" / "store.json").read_text() == written
+    os.utime(tmp_path / "tiles" / names[0], (0, 0))
+    assert not run_mosaic_import(settings, tmp_path / "store").get("unchanged")
+    assert run_mosaic_import(settings, tmp_path / "store").get("unchanged")
 
 
 def test_a_damaged_catalogue_is_built_again(tmp_path):

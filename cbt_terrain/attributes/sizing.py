@@ -45,26 +45,28 @@ def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_of
     return corners.reshape(-1, 2, 3)
 
 
-def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False) -> np.ndarray:
+def footprints(
+    boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False, nearest: float = 0.0
+) -> np.ndarray:
     """Return the finest pixel footprint of any view on each tile, float64 [tiles] metres in the terrain's space.
 
     `boxes`: float64 [tiles, 2, 3], lowest and highest corner of each tile's ground, metres. `placement`: float64 [4,
     4], maps the terrain's space to the world. `only_seen`: a tile outside of every view's frame has an infinite
-    footprint; otherwise only the distance counts.
+    footprint; otherwise only the distance counts. `nearest`: shorter distances count as this, metres.
     """
     finest = np.full(len(boxes), np.inf)
     seen = np.zeros(len(boxes), bool)
     for view in views:
-        finest = np.minimum(finest, _footprints(boxes, view, placement))
+        finest = np.minimum(finest, _footprints(boxes, view, placement, nearest))
         seen |= _in_frame(boxes, view, placement)
     return np.where(seen, finest, np.inf) if only_seen else finest
 
 
-def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
+def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: float) -> np.ndarray:
     """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres.
 
     boxes: lowest and highest corners in the terrain's space, float64 [tiles, 2, 3] metres. placement: matrix from there
-    to the world. The distance does not matter in an orthographic view.
+    to the world. nearest: shortest distance that counts. The distance does not matter in an orthographic view.
     """
     to_camera = product(view.world_to_camera, placement)
     linear = to_camera[:3, :3]
@@ -76,6 +78,7 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndar
         away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0) * stretch
         # As in local_view.py: shear may make a distance shorter than its components suggest.
         distance = min_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
+        distance = np.maximum(distance, nearest * stretch.min())
     return distance / (view.pixels_per_unit * max(stretch[0], stretch[1]))
 
 

@@ -44,6 +44,20 @@ def rectangle_ranges(
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         ranges = np.stack([low, high], axis=-1)
+    return _heights(field, ranges)
+
+
+def cell_ranges(field: HeightField, bits: int, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return ranges of heights, metres before vertical scaling, of some cells of 2^bits samples a side.
+
+    The result is float64 [..., 2] for integer arrays of columns and rows, from the south-west, that broadcast to [...].
+    bits: FINEST_BITS to lattice.levels.
+    """
+    return _heights(field, _stored(field, bits, columns, rows).astype(np.float64))
+
+
+def _heights(field: HeightField, ranges: np.ndarray) -> np.ndarray:
+    """Return stored ranges [..., 2] as metres, with the largest change of finer tiles."""
     change = field.finer.max_change if field.finer is not None else 0.0
     return field.range_base + ranges * field.range_step + (-change, change)
 
@@ -51,12 +65,20 @@ def rectangle_ranges(
 def _cells(field: HeightField, bits: int) -> np.ndarray:
     """Return the stored ranges, uint16 [rows, columns, 2], row 0 south, of all cells of 2^bits samples a side.
 
-    bits: FINEST_BITS to lattice.levels. A range is that of the diamond in the cell's centre, which encloses its box.
+    bits: FINEST_BITS to lattice.levels.
     """
-    lattice = field.lattice
-    depth = ranges_at(lattice, 2 * (lattice.levels - bits) + 1)
-    x = depth.first + np.arange(-(-lattice.cells_x >> bits), dtype=np.int64) * depth.step
-    y = (depth.first + np.arange(-(-lattice.cells_y >> bits), dtype=np.int64) * depth.step)[:, None]
+    columns, rows = (np.arange(-(-cells >> bits)) for cells in (field.lattice.cells_x, field.lattice.cells_y))
+    return _stored(field, bits, columns, rows[:, None])
+
+
+def _stored(field: HeightField, bits: int, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the stored ranges, uint16 [..., 2], of cells of 2^bits samples a side.
+
+    columns, rows: integers that broadcast to [...]. A range is that of the diamond in the cell's centre, which encloses
+    its box.
+    """
+    depth = ranges_at(field.lattice, 2 * (field.lattice.levels - bits) + 1)
+    x, y = (depth.first + places.astype(np.int64) * depth.step for places in (columns, rows))
     page = (y >> 5) * depth.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
     in_page = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
     return field.ranges[depth.base + (page << 10 | in_page)]

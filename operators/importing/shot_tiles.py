@@ -21,7 +21,6 @@ from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.read_ahead import remove_ahead, share_of
 from ...cbt_terrain.importing.refining import (
     SeenLand,
-    all_missing_tiles,
     are_all_samples,
     are_loaded_enough,
     first_picture,
@@ -29,6 +28,7 @@ from ...cbt_terrain.importing.refining import (
     is_large,
     loaded_tiles,
     missing_squares,
+    needed_tiles,
     neediest_tile,
     picture_tiles,
     with_loaded,
@@ -84,17 +84,22 @@ def job_store(obj, stores: Path) -> Path:
     return stores.absolute() / f"{bpy.path.clean_name(obj.name)}{SUFFIX}"
 
 
-def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, list[SeenLand], tuple[int, ...]]:
-    """Return the store into which tiles are loaded, the SeenLand of each frame, and the tiles that they need.
+def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, list[SeenLand], frozenset[int]]:
+    """Return the store into which tiles are loaded, the SeenLand of each frame, and all tiles that they need.
 
-    Tiles that the store has are left out. stores: the folder of the job's stores, in which that store is made; None for
-    the terrain's own store. Raises TerrainError.
+    stores: the folder of the job's stores, in which that store is made; None for the terrain's own store. Raises
+    TerrainError.
     """
     scene_store = Path(store_path(obj))
     store = scene_store if stores is None else _copied(first_picture(scene_store), job_store(obj, stores))
     requests = visit_requests(obj, bpy.context.scene, frames, about_middle=True)
     lands = [seen_land(request) for request in requests if not obj.hide_render]
-    return store, lands, all_missing_tiles(store, lands)
+    return store, lands, needed_tiles(store, lands)
+
+
+def _lacking(store: Path, tiles: frozenset[int]) -> tuple[int, ...]:
+    """Return those of some tiles that a store lacks, in ascending order. Raises TerrainError."""
+    return tuple(sorted(tiles - loaded_tiles(read_json(store)["provenance"])))
 
 
 def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
@@ -107,7 +112,8 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     if is_begun(obj, stores, frames):
         return ALL_SAMPLES
     forget_import(obj, stores)
-    store, lands, tiles = find_tiles(obj, frames, stores)
+    store, lands, needed = find_tiles(obj, frames, stores)
+    tiles = _lacking(store, needed)
     if not tiles:
         remove_ahead(store)
         return "no further tiles are in view"
@@ -115,7 +121,7 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
         discard_store(store)
         return ""
     import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
-    _write_wanted(store, all_missing_tiles(store, lands))
+    _write_wanted(store, _lacking(store, needed))
     return f"{len(tiles):,} further tiles of {num_tiles(store):,} are in view"
 
 
@@ -189,9 +195,11 @@ def read_tiles(obj, store: Path, part: tuple[int, int], on_progress: Callable[[f
 def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Callable[[float], None]) -> str:
     """Load the tiles that frames need; return a text about the store, or "" if the frames need all samples.
 
+    The text counts all tiles that the frames need, also those that `plan_tiles` or an earlier call has loaded.
     stores: as of `find_tiles`; a store of the job is removed if the frames need all samples. Raises TerrainError.
     """
-    store, lands, tiles = find_tiles(obj, frames, stores)
+    store, lands, needed = find_tiles(obj, frames, stores)
+    tiles = _lacking(store, needed)
     if _needs_nearly_all(store, tiles, stores):
         discard_store(store)
         return ""
@@ -203,7 +211,7 @@ def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Cal
     if is_fine_enough(store, lands):
         finest = f" and {len(squares):,} squares with finer files" if squares else ""
         text = loaded_text(read_json(store)["provenance"])
-        return f"{len(tiles):,} further tiles in view{finest} are loaded, {text}"
+        return f"{len(needed):,} tiles in view{finest} are loaded, {text}"
     if stores is not None:
         discard_store(store)
     return ""

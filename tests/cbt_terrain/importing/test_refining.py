@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.attributes import sizing
+from adaptive_terrain.cbt_terrain.attributes.tiling import Tiling
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import hierarchy
 from adaptive_terrain.cbt_terrain.field.holes import refine_borders
@@ -251,6 +253,93 @@ def test_views_need_the_tiles_below_them(tmp_path, small_tiles):
     assert seen(camera_at(0.0, 0.0, 6000.0), error_px=1e9) == () and seen() == ()
     wanted = refining.SeenLand([above], np.eye(4))
     assert refining.seen_tiles(field, wanted, frozenset(below[:1])) == below[1:], "loaded ones are left out"
+
+
+@pytest.fixture
+def field(tmp_path, small_tiles, monkeypatch):
+    """Return a first picture of a slope of 2,400 m. Its squares are looked at as a whole and in cells of 4 samples."""
+    heights = rough(505, 401) + np.linspace(0.0, 2400.0, 505, dtype=np.float32)
+    source = str(write_raster(tmp_path / "a.tif", heights, transform=from_origin(0, 0, 10, 10)))
+    run_import(ImportSettings(source, quick=QUICK), tmp_path / "store")
+    monkeypatch.setattr(refining, "SQUARES", 1)
+    monkeypatch.setattr(refining, "NEAR_BITS", 2)
+    return open_store(tmp_path / "store")
+
+
+def ground_at(field, x, y):
+    """Return the height of the sample that is nearest to a point."""
+    west, south, _, _ = field.lattice.rectangle()
+    row, column = round((y - south) / field.lattice.step_y), round((x - west) / field.lattice.step_x)
+    return float(field.heights(slice(None), slice(None))[row, column])
+
+
+def needs_from(field, views, placement):
+    [needs] = refining.errors_in_view(field, 16, [refining.SeenLand(views, placement)])
+    return needs
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_needs_near_an_eye_are_by_the_distance_of_the_ground(field, monkeypatch, scale):
+    """Needs are at most those of whole squares, and at least those of boxes half as large as the cells."""
+    rng, lattice = np.random.default_rng(3), field.lattice
+    west, south, east, north = lattice.rectangle()
+    counts = -(-lattice.cells_x // 2), -(-lattice.cells_y // 2)
+    boxes = sizing.boxes(Tiling(*counts, west, south, 2 * lattice.step_x, 2 * lattice.step_y, 0.0), field, 1.0, 0.0)
+    errors = refining._largest_errors(field, refining._centre_codes(field), 2).ravel()
+    lower, placement = 0, np.diag([scale, scale, scale, 1.0])
+    for _ in range(40):
+        x, y = rng.uniform((west, south), (east, north))
+        view = camera_at(x * scale, y * scale, scale * (ground_at(field, x, y) + rng.uniform(-50.0, 700.0)))
+        needs = needs_from(field, [view], placement)
+        with monkeypatch.context() as patch:
+            patch.setattr(refining, "NEAR_BITS", 30)
+            whole = needs_from(field, [view], placement)
+        pixels = sizing.footprints(boxes, [view], placement, only_seen=True, nearest=10.0)
+        found = np.zeros_like(needs)
+        rows, columns = np.divmod(np.arange(len(boxes)), counts[0])
+        np.maximum.at(found, (rows // 8, columns // 8), np.nan_to_num(errors / pixels))
+        assert np.isfinite(whole).all() and (needs <= whole).all() and (needs >= found * (1 - 1e-9)).all()
+        lower += int((needs < 0.5 * whole).sum())
+    assert lower > 30, "the box of a square encloses much air"
+
+
+def test_an_eye_in_a_square_has_the_need_of_the_finest_step(field):
+    """The need there is that at a distance of 10 m, the step of all samples."""
+    west, south, east, north = field.lattice.rectangle()
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    view = camera_at(x, y, ground_at(field, x, y) + 0.01)
+    needs, largest = needs_from(field, [view], np.eye(4)), refining._centre_codes(field)
+    per_pixel = 10.0 / view.pixels_per_unit
+    assert 0.0 < needs.max() <= field.table[0][largest.max()] / per_pixel * (1 + 1e-9)
+    assert needs.max() > 0.1 * field.table[0][largest.max()] / per_pixel
+
+
+def test_an_eye_high_above_a_slope_needs_few_tiles(field):
+    """It is 600 m above the ground, and in the box of a square that is 1,280 m long and rises by 600 m and more."""
+    west, south, east, north = field.lattice.rectangle()
+    x, y = west + 0.4 * (east - west), 0.5 * (south + north)
+    seen = refining.SeenLand([camera_at(x, y, ground_at(field, x, y) + 600.0)], np.eye(4))
+    highest = max(needs.max() for needs in refining.errors_in_view(field, 16, [seen]))
+    exact = refining._centre_codes(field).max()
+    assert highest <= field.table[0][exact] / (300.0 / seen.views[0].pixels_per_unit), (
+        "the ground is 300 m away or more"
+    )
+
+
+def test_tiles_with_all_samples_need_no_complete_import(tmp_path, small_tiles):
+    """A step of four samples is that of the tiles: a camera on the ground then needs its tiles only."""
+    source = str(write_raster(tmp_path / "a.tif", rough(505, 401), transform=from_origin(0, 0, 10, 10)))
+    settings, store = ImportSettings(source, quick=13_000), tmp_path / "store"
+    run_import(settings, store)
+    picture = open_store(store)
+    assert refining.are_all_samples(picture)
+    land = refining.SeenLand([camera_at(0.0, 0.0, ground_at(picture, 0.0, 0.0) + 2.0)], np.eye(4))
+    wanted = refining.missing_tiles(store, land)
+    assert 0 < len(wanted) < refining.picture_tiles(picture) / 4
+    assert not refining.is_fine_enough(store, [land])
+    run_import(replace(settings, loaded_tiles=wanted), store)
+    assert refining.is_fine_enough(store, [land]) and refining.are_loaded_enough(store, [land])
+    assert refining.needed_tiles(store, [land]) == set(wanted)
 
 
 def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):

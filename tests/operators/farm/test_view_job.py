@@ -148,7 +148,7 @@ def test_workers_load_the_tiles_in_view_of_a_shot(shot, start, capsys, two_share
     code, report = ended(start("Verify", "--run-dependencies"))
     assert code == 0 and "4 frames are whole" in report, report
     assert f"Terrain: {len(wanted)} further tiles of {total} are in view" in report, "View is done again"
-    assert f"Terrain: {len(wanted)} further tiles in view are loaded" in report
+    assert f"Terrain: {len(wanted) + 1} tiles in view are loaded" in report, "with that of View"
     job = shot / "job" / "frames"
     assert json.loads((job / "frame_0001.json").read_text())["terrains"][0]["loaded"].startswith(
         "to 79.6 m of 10 m, in"

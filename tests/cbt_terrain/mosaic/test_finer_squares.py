@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import refining
@@ -127,6 +128,26 @@ def test_a_flight_over_loaded_squares_has_no_cracks(country, loaded):
         update = terrain.update(Criterion(error_px=1.0), [view])
         assert_invariants(update.surface, field.lattice)
         assert update.bound_px <= 1.0 + 1e-6
+
+
+def test_a_bicubic_surface_follows_the_loaded_squares(country, loaded, tmp_path):
+    """Each import makes it of new arrays, and removes the old ones."""
+    folder, _, settings = country
+    store = tmp_path / "store"
+    shutil.copytree(folder / "tiles", store)
+    assert interpolated(open_store(store), "bicubic").finer is None
+    squares = sorted(finer_squares(open_store(store)).there)
+    counts = []
+    for some in (squares[:1], squares):
+        run_mosaic_import(with_loaded(settings, store, (), some), store)
+        field = interpolated(open_store(store), "bicubic")
+        counts.append(len(field.finer.heights))
+        assert len(list(store.glob("data-*"))) == 1 and field.finer.off > 0.0
+        assert Terrain(field).update(Criterion(error_px=1.0), above(field, 300.0).views).bound_px <= 1.0 + 1e-6
+    whole = interpolated(open_store(loaded[0]), "bicubic")
+    assert counts[0] < counts[1] == len(whole.finer.heights) and field.key == whole.key
+    assert all(np.array_equal(*pair) for pair in zip(field.finer.arrays, whole.finer.arrays, strict=True))
+    assert np.array_equal(field.error, whole.error) and field.finer.entry == whole.finer.entry
 
 
 @pytest.mark.thorough

@@ -16,6 +16,7 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH, mean_ramp
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, View
 from fields import mesh_heights, rough, scattered
+from finer_fields import finer_field
 from horizon_scenes import behind_a_ridge
 from invariants import arrays
 from morphs import mean_of_meshes, mean_ratio, risen_points
@@ -26,6 +27,7 @@ SHARP = (4000, 3000)
 AHEAD = View.look((0, -350, 125), (0, 0, 0), resolution=SHARP)
 ASIDE = View.look((260, 150, 100), (0, 0, 0), fov_deg=30, resolution=(3000, 2000))
 NEAR = View.look((0, -150, 40), (0, 0, 0), fov_deg=30, resolution=SHARP)
+OVER_TILES = View.look((-500, -800, 350), (-250, -200, 0), resolution=SHARP)
 TURNED = np.array([[0.8, -0.9, 0, 10], [0.6, 1.2, 0, 20], [0, 0, 2, 30], [0, 0, 0, 1.0]])
 
 
@@ -44,6 +46,7 @@ def cases() -> list:
         return pytest.param(field, Criterion(**criterion), views, placed, id=name)
 
     placed = {"placement": TURNED, "vertical_scale": -1.5, "vertical_offset": 7.0}
+    tiled = interpolated(finer_field(33, 40, 4, ((0, 0), (1, 0)), relief=20.0), "bicubic")
     detailed = with_detail(rough(9, 9, relief=10.0), Detail(amplitude=1.0, wavelength=16.0))
     return [
         case("error", {"error_px": 12, "morph": 1.5}),
@@ -51,6 +54,7 @@ def cases() -> list:
         case("meshlets", {"error_px": 8, "morph": 2, "meshlet": 1}),
         case("finer meshlets", {"error_px": 12, "morph": 2, "meshlet": 2}),
         case("bicubic", {"error_px": 16, "morph": 2}, field=interpolated(rough(17, 17, relief=30.0), "bicubic")),
+        case("bicubic tiles", {"error_px": 16, "morph": 2}, (OVER_TILES,), field=tiled),
         case("two views", {"error_px": 16, "morph": 1.5}, (AHEAD, ASIDE)),
         case("edges", {"error_px": 24, "edge_px": 400, "morph": 1.5}),
         case("areas", {"error_px": 0, "area_px": 60000, "morph": 2}, (ASIDE,)),

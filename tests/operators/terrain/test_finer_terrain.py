@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.attributes.folder import read_index
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.store import Draft
@@ -101,6 +102,53 @@ def test_a_bicubic_mesh_in_blender_has_the_finer_heights(scene, add_terrain, cit
     vertices = np.array([vertex.co for vertex in obj.data.vertices])
     assert np.abs(vertices[:, 2] - reference_heights(field, vertices[:, :2])).max() < 1e-3
     assert (np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0).sum() > 500
+
+
+def add_position_material(obj):
+    """Give an object a material that shows the position of its surface in the world as a color."""
+    material = bpy.data.materials.new("Position")
+    tree = tree_of_new(material)
+    geometry, emission = tree.nodes.new("ShaderNodeNewGeometry"), tree.nodes.new("ShaderNodeEmission")
+    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    tree.links.new(geometry.outputs["Position"], emission.inputs["Color"])
+    tree.links.new(emission.outputs["Emission"], output.inputs["Surface"])
+    obj.data.materials.append(material)
+
+
+def rendered_positions(scene, path):
+    """Return the positions that `add_position_material` shows in a picture by Cycles, float64 [n, 3]."""
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+    scene.view_settings.view_transform, scene.world = "Raw", None
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    positions = pixels.reshape(-1, 4)[:, :3].astype(np.float64)
+    return positions[(positions != 0.0).any(axis=1)]
+
+
+def test_a_render_shows_the_bicubic_surface_within_its_bound(scene, add_terrain, city, tmp_path):
+    obj, place = add_terrain(), np.array([2000.0, 2000.0, 500.0])  # so that all colors are above 0
+    obj.adaptive_terrain.store, obj.adaptive_terrain.interpolation = city, "bicubic"
+    obj.location = place
+    obj.adaptive_terrain.render.error_px, obj.adaptive_terrain.render.smooth_transitions = 1.0, False
+    scene.camera.location, scene.camera.rotation_euler = (1700.0, 1600.0, 750.0), (1.15, 0.0, -0.7)
+    add_position_material(obj)
+    positions = rendered_positions(scene, tmp_path / "a.exr") - place
+    assert len(positions) > 100_000
+    field = session.record_of(obj).field
+    eye = np.array(scene.camera.location) - place
+    off = np.abs(positions[:, 2] - reference_heights(field, positions[:, :2]))
+    pixel = scene.camera.data.sensor_width / scene.camera.data.lens / scene.render.resolution_x
+    distance = np.linalg.norm(positions - eye, axis=1)
+    across = np.linalg.norm(positions[:, :2] - eye[:2], axis=1) / distance  # of an error, how much is seen
+    assert (off * across / (distance * pixel)).max() < 1.1
+    from_middle = np.abs(positions[:, :2] - 256.0).max(axis=1)  # of the known tile
+    outside = from_middle > 260.0
+    flat = reference_heights(interpolated(field, "bilinear"), positions[outside, :2])
+    assert (from_middle < 250.0).sum() > 5000 and np.abs(positions[outside, 2] - flat).max() > 2.0 * off[outside].max()
 
 
 def read_pixels(path):

@@ -10,7 +10,13 @@ b and l of the bicubic and the bilinear surface. In the ring of tiles around the
 The tiles hold these heights, and the errors and limits of the differences, which is their change. In a finer cell the
 surface is the bilinear one between the heights plus the bicubic surface minus its bilinear interpolation between the
 corners. The latter is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side h, in raster cells, and so h^2
-times the curvature of the patch (bicubic.py). Its largest bound in any tile widens the ranges of heights.
+times the curvature of the patch (bicubic.py). Its largest bound in any tile, `off`, widens the ranges of heights.
+
+A diamond's error is that of the raster's bicubic surface plus that of the differences. Both bend, and the sum is too
+large where one bends against the other. Inside tiles the error of the bilinear surface between the heights plus `off`
+bounds it, too. It is stored as a *bound* for diamonds of cells of 2 to 64 finer cells, and the smaller number counts.
+Where tiles do not cover a diamond's box, or a hole is in it, there is no bound. Then there is none above it either. And
+a bound is not below the sum in any finer cell. So the smaller number is nested.
 """
 
 from functools import partial
@@ -22,9 +28,9 @@ from ..view.linear import add_up
 from . import codes, derived_arrays, hierarchy
 from .blocks import halvings
 from .codes import MAX_EXPONENT, MIN_EXPONENT
-from .finer_build import corners_of_squares, outward, rectangle_around, tiles_of
+from .finer_build import corners_of_squares, rectangle_around, tiles_of
 from .finer_heights import border_margin, border_weights, extend_beyond, raster_heights
-from .finer_measures import fill_errors, fill_ranges, limits_of
+from .finer_measures import MeasuredRectangle, fill_bounds, fill_errors, fill_ranges, limits_of, outward
 from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
 from .heightfield import HeightField, HeightRaster
 from .hierarchy import ranges_at
@@ -42,8 +48,12 @@ def bicubic_tiles(smooth: HeightField) -> tuple[FinerTiles, float, float]:
     shapes = bicubic_shapes(smooth.lattice, finer.bits, len(finer.heights))
     arrays = derived_arrays.derive(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
     exponent, base, step, low, high, off = arrays["finer_values_c"].tolist()
-    heights, errors, ranges, limits = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits"))
-    tiles = FinerTiles(finer.bits, finer.numbers, heights, errors, ranges, base, step, int(exponent), limits, off=off)
+    heights, errors, ranges, limits, bounds = (
+        arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits", "bounds")
+    )
+    tiles = FinerTiles(
+        finer.bits, finer.numbers, heights, errors, ranges, base, step, int(exponent), limits, off=off, bounds=bounds
+    )
     return tiles, low, high
 
 
@@ -58,13 +68,13 @@ def _are_valid(arrays: Arrays) -> bool:
 def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     """Fill the zeroed arrays of `bicubic_shapes`, by name; the same bytes for any number of threads."""
     lattice, bits, numbers, threads = smooth.lattice, finer.bits, finer.numbers, launch.default_threads()
-    heights, errors, ranges = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges"))
+    heights, errors, ranges, bounds = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "bounds"))
     steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
     off = _max_distance(smooth, finer)  # of the surface from the bilinear one between the tiles' heights
     low, high = _fill_heights(smooth, finer, heights)
-    bounds = outward(np.array([low, high], np.float32), off)
-    low, high = float(bounds[0].min()), float(bounds[1].max())
-    around = partial(rectangle_around, smooth, bits, numbers, heights, surface=bicubic_heights, off=off)
+    lows, highs = outward(np.array([low, high], np.float32), off)
+    low, high = float(lows.min()), float(highs.max())
+    around = partial(rectangle_around, smooth, bits, numbers, heights, surface=bicubic_heights)
     corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners:
         tiles = list(tiles_of(corner, numbers))
@@ -78,8 +88,31 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         tiles = list(tiles_of(corner, numbers))
         rectangle = around(tiles)
         fill_errors(rectangle, tiles, errors, threads, steps=steps, table=table)
-        fill_ranges(rectangle, tiles, ranges, threads, steps=steps, scale=scale)
+        fill_ranges(rectangle, tiles, ranges, threads, steps=steps, scale=scale, off=off)
+        without_holes = rectangle._replace(heights=_known_heights(smooth, bits, rectangle))
+        fill_bounds(without_holes, tiles, bounds, threads, steps=steps, exponent=exponent, off=off)
     arrays["finer_values_c"][:] = exponent, *scale, low, high, off
+
+
+def _known_heights(smooth: HeightField, bits: int, rectangle: MeasuredRectangle) -> np.ndarray:
+    """Return the heights of a rectangle, float32 metres; NaN outside of tiles and in raster cells that are holes.
+
+    The borders of holes are refined by the errors of the raster, which no bound may replace.
+    """
+    if smooth.valid is None:
+        return rectangle.heights
+    lattice, sides = smooth.lattice, []
+    for first, count, cells in zip(
+        (rectangle.row, rectangle.column), rectangle.heights.shape, (lattice.cells_y, lattice.cells_x), strict=True
+    ):
+        at = np.clip(SIDE * first + np.arange(count), 0, cells << bits)
+        sides.append((np.maximum(at - 1, 0) >> bits, np.minimum(at >> bits, cells - 1)))  # the cells that meet there
+    (south, north), (west, east) = sides
+    valid = smooth.valid[south[0] : north[-1] + 2, west[0] : east[-1] + 2] != 0
+    is_hole = ~(valid[1:, 1:] & valid[1:, :-1] & valid[:-1, 1:] & valid[:-1, :-1])
+    by_row = is_hole[south - south[0]] | is_hole[north - south[0]]
+    in_hole = by_row[:, west - west[0]] | by_row[:, east - west[0]]
+    return np.where(in_hole, np.float32(np.nan), rectangle.heights)
 
 
 def _fill_heights(smooth: HeightField, finer: FinerTiles, heights: np.ndarray) -> tuple[float, float]:

@@ -146,7 +146,6 @@ def rectangle_around(
     heights: np.ndarray,
     tiles: list[MeasuredFinerTile],
     surface: SurfaceAt = raster_heights,
-    off: float = 0.0,
 ) -> MeasuredRectangle:
     """Return the smallest rectangle of tiles around some of them, with a margin of one tile on each side.
 
@@ -156,7 +155,6 @@ def rectangle_around(
         plain: the raster; bits: a raster cell has 2^bits finer cells a side.
         numbers, heights: of all tiles (`FinerTiles`). tiles: those to enclose, at least one.
         surface: returns the heights of the raster's surface, as `raster_heights`.
-        off: largest distance of the surface, metres, from the bilinear one between the heights.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     row, column = (min(tile[axis] for tile in tiles) - 1 for axis in (0, 1))
@@ -164,7 +162,7 @@ def rectangle_around(
         SIDE * (max(tile[axis] for tile in tiles) + 2 - first) + 1 for axis, first in ((0, row), (1, column))
     )
     near = numbers[max(row, 0) : row + rows // SIDE, max(column, 0) : column + columns // SIDE]
-    change, low, high = (np.zeros((rows, columns), np.float32) for _ in range(3))
+    change, all_heights = np.zeros((rows, columns), np.float32), np.full((rows, columns), np.nan, np.float32)
     for down, across in np.argwhere(near >= 0):
         y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
         finer = heights[near[down, across], 1:-1, 1:-1]
@@ -173,21 +171,12 @@ def rectangle_around(
         difference = np.where(finer == coarse.astype(np.float32), 0.0, finer - coarse)
         i, j = x - SIDE * column, y - SIDE * row  # the tile's first sample in the rectangle
         area = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
-        change[area], low[area] = difference, finer
-        if off:
-            low[area], high[area] = outward(finer, off)
+        change[area], all_heights[area] = difference, finer
     # Repeat the values of the raster's border beyond it.
     for axis, count, first, end in ((1, columns, SIDE * column, last[0]), (0, rows, SIDE * row, last[1])):
         clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
-        change, low, high = (np.take(values, clamped, axis) for values in (change, low, high))
-    change, low, high = map(np.ascontiguousarray, (change, low, high))
-    return MeasuredRectangle(column, row, low, high if off else low, change)
-
-
-def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
-    low, high = (np.float32(heights - np.float64(off)), np.float32(heights + np.float64(off)))
-    return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
+        change, all_heights = (np.take(values, clamped, axis) for values in (change, all_heights))
+    return MeasuredRectangle(column, row, np.ascontiguousarray(all_heights), np.ascontiguousarray(change))
 
 
 def _measured(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import codes, hierarchy
-from .finer_tiles import SIDE, TILE_BITS
+from .finer_tiles import SIDE, TILE_BITS, bounds_table
 from .lattice import PAGE, Lattice
 
 GROUPS = 3  # of depths with stored errors
@@ -27,14 +27,13 @@ class MeasuredRectangle(NamedTuple):
 
     Attributes:
         column, row: its first tile, of the margin.
-        low, high: bounds of the surface at its finer samples, float32 metres; a bilinear surface has one array.
+        heights: of its finer samples, float32 metres; NaN outside of tiles.
         change: the surface minus that of the raster at its finer samples, float32 metres; all are 0 outside of tiles.
     """
 
     column: int
     row: int
-    low: np.ndarray
-    high: np.ndarray
+    heights: np.ndarray
     change: np.ndarray
 
     def lattice(self, steps: tuple[float, float]) -> Lattice:
@@ -68,6 +67,61 @@ def fill_errors(
         codes.encode_part(stored, table, errors[tile.number], threads)
 
 
+def fill_bounds(
+    rectangle: MeasuredRectangle,
+    tiles: list[MeasuredFinerTile],
+    bounds: np.ndarray,
+    threads: int,
+    *,
+    steps: tuple[float, float],
+    exponent: int,
+    off: float,
+) -> None:
+    """Fill the bounds of a bicubic surface's own errors in some tiles of a rectangle.
+
+    steps: of finer samples, metres. exponent: of the codes of the errors of the change. off: largest distance of the
+    surface, metres, from the bilinear one between heights.
+    """
+    small, table = rectangle.lattice(steps), codes.tables([exponent])[0]
+    cells = hierarchy.stored_at(small, small.cell_depth)
+    of_change, metres = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
+    hierarchy.build_twists(rectangle.change, cells, of_change, threads)
+    hierarchy.build_twists(rectangle.heights, cells, metres, threads)
+    # In finer cells the errors of raster and change are added, and no diamond has a smaller bound than those below it.
+    coded = table[np.minimum(np.searchsorted(table, of_change[cells.base :] * UP), len(table) - 1)]
+    np.maximum(metres[cells.base :], coded, out=metres[cells.base :])
+    filled = np.nan_to_num(rectangle.heights)
+    hierarchy.measure_triangles(filled, small, metres, threads, measured=rectangle.heights)
+    missing = np.pad(np.isnan(rectangle.heights).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
+    images = []
+    for image, shift in _images(small.layout(), metres, with_cells=False):
+        rows, columns = image.shape
+        bound = (image + np.float32(off)) * UP * UP * UP
+        images.append((np.where(_are_covered(missing, (rows, columns), shift), bound, np.float32(np.inf)), shift))
+    for tile in tiles:
+        stored = np.concatenate([_pages(image, rectangle.samples_of(tile), shift) for image, shift in images])
+        bounds[tile.number] = 0
+        codes.encode_part(stored, bounds_table(exponent), bounds[tile.number], threads)
+
+
+def _are_covered(missing: np.ndarray, shape: tuple[int, int], shift: int) -> np.ndarray:
+    """Return whether heights are known in the whole box of each diamond of a group, bool of `shape`.
+
+    missing: number of unknown finer samples south and west of each sample. shift: log2 of the finer cells between two
+    vertices of the group. A box has 3 halves of a cell's side, or 2 halves of an edge, on each side of its vertex.
+    """
+    j, i = np.indices(shape, np.int32, sparse=True)
+    odd_x, odd_y = i & 1, j & 1
+    is_larger = (odd_x | odd_y) == 0  # the two coarser depths of the group
+    parity = np.where(is_larger, (i ^ j) >> 1 & 1, odd_x ^ odd_y)
+    reach = np.where(is_larger, 2, 1) * (3 - parity) << shift
+    ends = []
+    for at, count in ((j, missing.shape[0] - 1), (i, missing.shape[1] - 1)):
+        ends.append((np.clip((at << shift) - reach, 0, count), np.clip((at << shift) + reach + 1, 0, count)))
+    (south, north), (west, east) = ends
+    return missing[north, east] - missing[north, west] - missing[south, east] + missing[south, west] == 0
+
+
 def fill_ranges(
     rectangle: MeasuredRectangle,
     tiles: list[MeasuredFinerTile],
@@ -76,20 +130,32 @@ def fill_ranges(
     *,
     steps: tuple[float, float],
     scale: tuple[float, float],
+    off: float = 0.0,
 ) -> None:
-    """Fill the ranges of heights of some tiles of a rectangle. steps: as of `fill_errors`. scale: metres of codes."""
-    small = rectangle.lattice(steps)
+    """Fill the ranges of heights of some tiles of a rectangle.
+
+    steps: as of `fill_errors`. scale: metres of codes. off: largest distance of the surface, metres, from the bilinear
+    one between heights.
+    """
+    small, heights = rectangle.lattice(steps), np.nan_to_num(rectangle.heights)
+    low, high = outward(heights, off) if off else (heights, heights)
     low_ranges = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(rectangle.low, small, *scale, low_ranges, threads)
-    if rectangle.high is not rectangle.low:
+    hierarchy.build_ranges(low, small, *scale, low_ranges, threads)
+    if off:
         high_ranges = np.zeros_like(low_ranges)
-        hierarchy.build_ranges(rectangle.high, small, *scale, high_ranges, threads)
+        hierarchy.build_ranges(high, small, *scale, high_ranges, threads)
         low_ranges[:, 1] = high_ranges[:, 1]  # now the ranges of the surface between both
     images = list(_images(small.range_layout(), low_ranges, False))
     for tile in tiles:
         area = rectangle.samples_of(tile)
         # Ranges are those of a lattice of every other sample.
         ranges[tile.number] = np.concatenate([_pages(image, area, shift + 1) for image, shift in images])
+
+
+def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return `heights` - `off` and `heights` + `off`, float32 metres, rounded outwards."""
+    low, high = (np.float32(heights - np.float64(off)), np.float32(heights + np.float64(off)))
+    return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
 
 
 def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float32, np.float32]:

@@ -12,7 +12,7 @@ height changes there. Larger diamonds take twice the largest change in their box
 with the raster's errors.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from .blocks import level_shapes
 from .lattice import Lattice
 from .store_arrays import map_array
 
+BOUNDS = int(kernels.CELLS)  # codes of a tile
 TILE_BITS, SIDE, STRIDE = int(kernels.TILE_BITS), int(kernels.SIDE), int(kernels.STRIDE)
 MAX_BITS = TILE_BITS  # a raster cell is not larger than a tile
 REACH = 3 << int(kernels.STORED_BITS) - 1  # finer cells from a diamond's vertex to its box's border, at most
@@ -53,6 +54,8 @@ class FinerTiles:
             `numbers`, of 2 x 2 places, and so on to all.
         digest: identifies the content; "" for those of a store.
         off: largest distance, metres, of the surface from the bilinear one between heights: 0 for a bilinear surface.
+        bounds: uint8 [tiles, BOUNDS], codes of the errors of a bicubic surface itself (finer_bicubic.py); empty for a
+            bilinear one.
     """
 
     bits: int
@@ -66,6 +69,7 @@ class FinerTiles:
     limits: np.ndarray
     digest: str = ""
     off: float = 0.0
+    bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, BOUNDS), np.uint8))
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -118,6 +122,7 @@ class FinerTiles:
         tiles.heights = codes.pack_samples(self.heights.reshape(-1, STRIDE), None)
         tiles.errors = flat(self.errors, wp.uint8)
         tiles.table = shared(codes.tables([self.exponent])[0], wp.float32)
+        tiles.bounds, tiles.bounds_table = flat(self.bounds, wp.uint8), shared(bounds_table(self.exponent), wp.float32)
         tiles.ranges = flat(self.ranges, wp.uint16)
         tiles.range_base, tiles.range_step, tiles.off = self.range_base, self.range_step, self.off
         tiles.limits = shared(self.limits, wp.vec2f)
@@ -125,6 +130,16 @@ class FinerTiles:
         packed = wp.array([tiles], dtype=kernels.PackedTiles, device="cpu")
         packed.parts = tiles  # its arrays live as long
         return packed
+
+
+def bounds_table(exponent: int) -> np.ndarray:
+    """Return the metres of the codes of `FinerTiles.bounds`, float32 [256]; the last one stands for no bound.
+
+    exponent: of the table of the errors of the change. A bound above the fourfold of the largest one counts as none.
+    """
+    table = codes.tables([exponent + 1])[0]
+    table[-1] = np.inf
+    return table
 
 
 def array_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
@@ -171,7 +186,7 @@ def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[t
     """
     shapes = array_shapes(lattice, bits, tiles)
     arrays = {f"{name}_c": shapes[name] for name in ("finer_heights", "finer_errors", "finer_ranges", "finer_limits")}
-    return arrays | {"finer_values_c": ((6,), np.float64)}
+    return arrays | {"finer_bounds_c": ((tiles, BOUNDS), np.uint8), "finer_values_c": ((6,), np.float64)}
 
 
 def pyramid_sides(bits: int) -> list[int]:

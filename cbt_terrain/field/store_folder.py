@@ -32,7 +32,7 @@ _ARRAY_FILE = re.compile(
     r"|(read|measured)-[0-9]{1,12}\.part"  # of tiling/part_files.py
     r"|(effect_[a-z_]+|masks|mask_maxima)_[0-9a-f]{16}\.npy"
     r"|layer_[a-z][a-z0-9_]{0,40}\.npy|finer_(numbers|heights|errors|ranges|limits|pyramid)\.npy"
-    r"|finer_(heights|errors|ranges|limits|values)_c\.npy"
+    r"|finer_(heights|errors|bounds|ranges|limits|values)_c\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0
     rf"|{partial_files.LOCK}"
 )

@@ -33,6 +33,9 @@ class PackedTiles:
     heights: Samples  # of all tiles, one above the other: STRIDE rows of STRIDE samples each
     errors: wp.array(dtype=wp.uint8)  # ERRORS codes a tile, of the change
     table: wp.array(dtype=wp.float32)  # metres of the codes
+    # CELLS codes a tile, of the errors of a bicubic surface itself, without the raster's; the last one is infinity.
+    bounds: wp.array(dtype=wp.uint8)
+    bounds_table: wp.array(dtype=wp.float32)
     ranges: wp.array(dtype=wp.uint16)  # two codes of each of the RANGES of a tile; a height is base + code * step
     range_base: wp.float64
     range_step: wp.float64
@@ -80,14 +83,36 @@ def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
     if tile >= 0:
-        x = (i & (SIDE - 1)) >> (2 * group)
-        y = (j & (SIDE - 1)) >> (2 * group)
-        # Entries of the groups before: 256 x 256 and 64 x 64. The last 16 x 16 have a whole page.
-        first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
-        entry = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
-        code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + entry)
+        code = item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + entry_in_tile(i, j, group))
         error = item_at(finer.table, wp.int32(code))
     return error
+
+
+@wp.func
+def entry_in_tile(i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
+    """Return the number of an error in its tile: that of the diamond with its vertex at finer sample (i, j).
+
+    group: of depths, 0 for the finest cells of 2 x 2.
+    """
+    x = (i & (SIDE - 1)) >> (2 * group)
+    y = (j & (SIDE - 1)) >> (2 * group)
+    # Entries of the groups before: 256 x 256 and 64 x 64. The last 16 x 16 have a whole page.
+    first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
+    return wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
+
+
+@wp.func
+def stored_bound(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.float32:
+    """Return the stored error, metres, of a bicubic surface at the diamond with its vertex at finer sample (i, j).
+
+    It is infinite where tiles do not cover the diamond's box. group: of depths, 0 for the finest cells of 2 x 2.
+    """
+    tile = tile_at(finer, i, j)
+    bound = wp.float32(wp.inf)
+    if tile >= 0:
+        code = item_at(finer.bounds, wp.int64(tile) * wp.int64(CELLS) + entry_in_tile(i, j, group))
+        bound = item_at(finer.bounds_table, wp.int32(code))
+    return bound
 
 
 @wp.func

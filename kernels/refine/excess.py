@@ -21,7 +21,7 @@ from ..leb.halfway import halfway, middle_between
 from ..tree.bitfield import Bitfield, is_leaf
 from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
 from .pixels import CriterionArrays, sizes
-from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
+from .stored_errors import bicubic_missed, detail_missed, halvings_at, is_beyond, raster_error_at
 from .tight_box import MARGIN, NEARLY_EQUAL, box_between, finest_seen_in
 
 # Quantities to search for.
@@ -108,6 +108,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
     error = error * domain.error_scale
     if domain.detailed == 1 and not is_beyond(domain, x, y, t.depth):
         error += wp.float64(detail_missed(domain, x, y, t.depth, deepest)) * domain.error_scale
+        error = smaller(error, wp.float64(bicubic_missed(domain, x, y, t.depth, deepest)) * domain.error_scale)
     return error
 
 

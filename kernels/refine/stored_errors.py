@@ -8,7 +8,7 @@ import warp as wp
 
 from ..field.codes import corners_of, error_of, twist_of
 from ..field.domain import Domain
-from ..field.finer import STORED_BITS, cell_change, limits_over, stored_change
+from ..field.finer import STORED_BITS, cell_change, limits_over, stored_bound, stored_change
 from ..field.hierarchy import round_up
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
@@ -259,12 +259,11 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
 
 
 @wp.func
-def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
-    """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
+def layers_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """Bound the displacement layers, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
-    For finer tiles the bound is for leaves at the diamond's own depth, where it is not less. (x, y): where the diamond
-    is split. Beyond the raster's border the surface is level, so a triangle that crosses the border may miss all
-    displacement.
+    (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
+    border may miss all displacement.
     """
     table_entry = leaf_depth
     if leaf_depth <= domain.border_depth:
@@ -277,9 +276,37 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
         missed += weight * domain.detail[64 * (k + 1) + table_entry][0]
     if domain.masked > 0:
         missed = missed * UP_MASKS
+    return missed
+
+
+@wp.func
+def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
+
+    For finer tiles the bound is for leaves at the diamond's own depth, where it is not less. (x, y): where the diamond
+    is split.
+    """
+    missed = layers_missed(domain, x, y, depth, leaf_depth)
     if domain.has_finer == 1:
         missed = (missed + change_missed(domain, x, y, depth)) * UP
     return missed
+
+
+@wp.func
+def bicubic_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
+    """Bound the error, metres before scaling, of leaves at `leaf_depth` in a diamond on a bicubic surface with tiles.
+
+    It includes the raster's error and the displacement, and is infinite where no bound is stored. (x, y): where the
+    diamond is split.
+    """
+    bound = wp.float32(wp.inf)
+    if domain.bicubic == 1 and domain.has_finer == 1:
+        levels = domain.levels + domain.finer[0].bits
+        if depth > 2 * (levels - STORED_BITS) and depth <= 2 * levels:
+            shift = domain.unit_bits - levels
+            bound = stored_bound(domain.finer[0], x >> shift, y >> shift, group_of(levels, depth))
+            bound = (bound + layers_missed(domain, x, y, depth, leaf_depth)) * UP_MASKS
+    return bound
 
 
 @wp.func
@@ -291,6 +318,7 @@ def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
         error = (error + detail_missed(domain, x, y, depth, depth)) * UP
+        error = wp.min(error, bicubic_missed(domain, x, y, depth, depth))
     return error
 
 

@@ -75,6 +75,18 @@ def test_bound_in_metres_holds_over_the_whole_mesh(field):
         assert_invariants(update.surface, field.lattice)
 
 
+def test_a_view_of_tiles_takes_few_more_triangles_than_bilinear():
+    """Bounds of the raster's bicubic surface and of the differences would add up to 1.7 times as many."""
+    plain = finer_field()
+    x, y = np.array(plain.lattice.rectangle()[:2]) + SIDE * 2.0 * 3.3  # in a known tile, with others around
+    view = View.look((x, y, 320.0), (x, y + 1.0, 0.0), fov_deg=60.0)
+    counts = [
+        Terrain(interpolated(plain, name)).update(Criterion(error_px=1.0), [view]).triangles
+        for name in ("bilinear", "bicubic")
+    ]
+    assert counts[0] > 5000 and counts[1] < 1.15 * counts[0], counts
+
+
 def test_edges_and_areas_have_no_cracks(field):
     step = field.lattice.step_x / (1 << field.raster.finer.bits)
     at = np.array(field.lattice.rectangle()[:2]) + SIDE * step * np.array([0.6, 0.9])
@@ -154,6 +166,6 @@ def test_threads_change_no_byte_of_the_tiles(field):
         one = bicubic(plain.with_raster(path=None))
     with mock.patch.object(launch, "default_threads", return_value=3):
         three = bicubic(plain.with_raster(path=None))
-    for name in ("heights", "errors", "ranges", "limits"):
+    for name in ("heights", "errors", "bounds", "ranges", "limits"):
         assert getattr(one.finer, name).tobytes() == getattr(three.finer, name).tobytes()
     assert one.finer.entry == three.finer.entry and one.finer.off == three.finer.off

@@ -271,6 +271,6 @@ def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarra
     for area in owned_areas(grid, box):
         table = tables[area.group].tobytes()
         target, entries = (area.paged(whole), None) if area.is_paged else (whole, area.positions())
-        values = target if entries is None else target[entries]
+        values = np.ascontiguousarray(target if entries is None else target[entries])  # `tobytes` of a view is slow
         values = np.frombuffer(values.tobytes().translate(table), np.uint8).reshape(values.shape)
         target[... if entries is None else entries] = values

@@ -15,6 +15,7 @@ at or above its children's.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -119,11 +120,23 @@ def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threa
     from ...kernels import wp
     from ...kernels.field import codes as kernels
 
-    arrays = [flat(values, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
-    inputs = [BLOCK, wp.int64(0), wp.int64(len(errors)), 0, *arrays]
+    arrays = [flat(array, wp.float32) for array in (values, errors)]
+    first = flat(_first_codes(values.tobytes(), kernels.CODE_BITS), wp.uint8)
+    inputs = [BLOCK, wp.int64(len(errors)), arrays[0], first, arrays[1], flat(codes, wp.uint8)]
     launch.spread(
         kernels.encode_errors, -(-len(errors) // BLOCK), inputs, step="error codes", threads=threads, cost=BLOCK
     )
+
+
+@lru_cache(maxsize=64)
+def _first_codes(values: bytes, bits: int) -> np.ndarray:
+    """Return the codes, uint8, of the float32 numbers whose lowest `bits` bits are 0, from 0 to infinity.
+
+    values: the group's table, float32 [256] metres, rising.
+    """
+    numbers = np.arange(0, np.float32(np.inf).view(np.int32) + 1, 1 << bits, np.int32).view(np.float32)
+    found = np.searchsorted(np.frombuffer(values, np.float32), numbers, side="left")
+    return np.minimum(found, 255).astype(np.uint8)
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:

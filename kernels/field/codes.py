@@ -5,6 +5,8 @@ import warp as wp
 
 from ..unchecked import item_at, prefetch, put
 
+CODE_BITS = wp.constant(17)  # bits of a float32 that do not choose the first code to be compared: all but 64 an octave
+
 
 @wp.struct
 class Samples:
@@ -115,22 +117,26 @@ def code_of(table: wp.array(dtype=wp.float32), group: wp.int32, error: wp.float3
 def encode_errors(
     offset: int,
     block: int,
-    first: wp.int64,
     end: wp.int64,
-    group: int,
     table: wp.array(dtype=wp.float32),
+    first_codes: wp.array(dtype=wp.uint8),
     errors: wp.array(dtype=wp.float32),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Write the codes of block `offset + tid`, of `block` errors, among errors first .. end - 1.
+    """Encode block `offset + tid` of `block` errors, metres, of one group of depths: the first code not below each.
 
-    A code is the first that stands for at least the error. errors: metres, one group of depths (`group`). table:
-    errors of the codes, metres, of all groups. Zeros are not written: `codes` are zero, and holes of a sparse file
-    stay.
+    end: number of errors. table: errors of the group's codes, metres. first_codes: codes of the smallest number with
+    each value of the upper bits, without the lowest CODE_BITS. An error above the table gets the last code. Zeros are
+    not written: `codes` are zero, and holes of a sparse file stay.
     """
-    begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
+    begin = wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):
         i = begin + wp.int64(k)
         error = item_at(errors, i)
         if error > wp.float32(0.0):
-            put(codes, i, code_of(table, group, error))
+            code = wp.int32(item_at(first_codes, wp.int64(wp.cast(error, wp.int32) >> CODE_BITS)))
+            # without a jump, because it is the next code for every other error
+            code = wp.min(code + wp.where(item_at(table, wp.int64(code)) < error, 1, 0), 255)
+            while code < 255 and item_at(table, wp.int64(code)) < error:
+                code += 1
+            put(codes, i, wp.uint8(code))

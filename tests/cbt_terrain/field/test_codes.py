@@ -114,6 +114,20 @@ def test_a_byte_is_never_less_than_the_error_and_little_more(kind):
         assert (errors[first:end][near] <= part[near] * 2 ** (1 / 28) * (1 + 1e-6)).all()
 
 
+@pytest.mark.parametrize("exponent", [codes.MIN_EXPONENT, 3, codes.MAX_EXPONENT])
+@pytest.mark.parametrize("shape", ["used", "even steps"])
+def test_each_error_gets_the_first_code_not_below_it(exponent, shape):
+    """The codes are those of a binary search, at the table's entries and beside them, too."""
+    table = codes.tables([exponent])[0]
+    table = table if shape == "used" else np.ldexp(np.linspace(0.0, 1.0, 256), exponent).astype(np.float32)
+    beside = [np.nextafter(table, np.float32(end)) for end in (0.0, np.inf)]
+    spread = np.float32(2.0) ** np.random.default_rng(1).uniform(-149, 127, 20_000).astype(np.float32)
+    errors = np.concatenate([table, *beside, spread, np.float32([np.inf, 3e38])])
+    found = np.zeros(len(errors), np.uint8)
+    codes.encode_part(errors, table, found, 1)
+    assert np.array_equal(found, np.minimum(np.searchsorted(table, errors), 255))
+
+
 def test_the_table_holds_twice_every_entry():
     assert codes.SHAPE[0] == 0 and codes.SHAPE[-1] == 1 and codes.SHAPE.shape == (256,)
     assert (np.diff(codes.SHAPE) > 0).all()

@@ -189,17 +189,25 @@ def climbs(samples: np.ndarray) -> tuple[float, float]:
 
 
 def build_ranges(
-    samples: np.ndarray, lattice: Lattice, base: float, step: float, ranges: np.ndarray, threads: int
+    samples: np.ndarray,
+    lattice: Lattice,
+    base: float,
+    step: float,
+    ranges: np.ndarray,
+    threads: int,
+    before: tuple[int, int] = (0, 0),
 ) -> None:
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
 
     The two finest depths, three quarters of all, are not stored: the walk intersects the ranges of their parents, which
-    is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser ones.
+    is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser ones. before: columns and
+    rows of `samples` before the lattice's first ones.
     """
     if lattice.range_depth == 0:
         return
     finest = ranges_at(lattice, lattice.range_depth)
-    inputs = [pack_samples(samples, None), wp.float64(base), wp.float64(step), finest, flat(ranges, wp.uint16)]
+    scale = wp.float64(base), wp.float64(step)
+    inputs = [pack_samples(samples, None), *before, *scale, finest, flat(ranges, wp.uint16)]
     cost = 6.0 * lattice.width
     launch.spread(
         range_kernels.finest_ranges, finest.rows + 1, inputs, step="height ranges", threads=threads, cost=cost

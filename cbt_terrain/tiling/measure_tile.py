@@ -4,23 +4,24 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
-from ...kernels.field.layout import Depth
-from ...kernels.field.ranges import finest_ranges
-from ...kernels.field.window_errors import Corner, window_errors
+from ...kernels.field import window_errors as kernels
+from ...kernels.field.window_errors import Corner
 from ..field import codes, hierarchy
 from ..field.holes import refine_borders
 from ..field.lattice import PAGE
 from ..run import launch
 from ..run.buffers import flat
-from .tile_grid import TileBox, TileGrid, entries_of, exist, pages_of, rows_of
+from .tile_grid import TileBox, TileGrid, entries_of, exist
 
 Height = Callable[[int, int], float]
 RANGE_MARGIN = 8  # samples around a tile that its ranges cover
+COLUMN_BLOCK = 128  # columns of cells that are saturated together
 
 
 class LargeError(NamedTuple):
@@ -144,31 +145,24 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, thr
 
     measured: heights of the window, NaN where samples do not count.
     """
-    local, box, window = tile.grid.local(tile.box), tile.box, tile.window
-    base, pages = local.layout()
-    cells = _rows_depth(measured.shape[1] - 1, measured.shape[0] - 1)
-    image = np.zeros(cells.pages * -(-cells.rows // PAGE) * PAGE * PAGE, np.float32)
-    hierarchy.build_twists(measured, cells, image, threads)
-    rows = rows_of(image, cells.pages)
-    rows = rows[box.y0 - window.y0 : box.y1 - window.y0, box.x0 - window.x0 : box.x1 - window.x0]
-    target = rows_of(np.zeros(int(base[-1] - base[-2]), np.float32), int(pages[-1]))
-    target[: rows.shape[0], : rows.shape[1]] = rows
+    local = tile.grid.local(tile.box)
+    cells = hierarchy.stored_at(local, local.cell_depth)
+    west, south = tile.box.x0 - tile.window.x0, tile.box.y0 - tile.window.y0
     # A raster's last tile has a column or row of cells beyond its border, which saturation reaches.
-    extent = local.extent(local.cell_depth)
-    for axis, count in enumerate(extent):
-        end = rows.shape[1 - axis]
-        if end < count:
-            line = np.moveaxis(target, 1 - axis, 0)
-            line[end] = 0.25 * line[end - 1]  # saturated: a quarter of the neighbour
-    errors[base[-2] :] = pages_of(target)
-
-
-def _rows_depth(columns: int, rows: int) -> Depth:
-    """Return the layout of a tile's image of `columns` x `rows` cells, as the kernels read one depth of a hierarchy."""
-    depth = Depth()
-    depth.columns, depth.rows, depth.sides, depth.base = columns, rows, 0, 0
-    depth.pages, depth.first, depth.step = -(-columns // PAGE), 0, 1
-    return depth
+    count, columns = (
+        max(samples - 1, before + inside)
+        for samples, before, inside in zip(measured.shape, (south, west), (cells.rows, cells.columns), strict=True)
+    )
+    groups, blocks, quarter = -(-count // kernels.ROWS), -(-columns // COLUMN_BLOCK), wp.float32(0.25)
+    rows = flat(np.zeros(groups * kernels.ROWS * columns, np.float32), wp.float32)
+    inputs: list = [codes.pack_samples(measured, None), columns, rows]
+    spread = partial(launch.spread, step="error hierarchy", threads=threads)
+    spread(kernels.window_twists, measured.shape[0] - 1, inputs, cost=0.1 * columns)
+    spread(kernels.saturate_window_rows, groups, [quarter, columns, rows], cost=0.8 * columns)
+    inputs = [COLUMN_BLOCK, quarter, columns, count, rows]
+    spread(kernels.saturate_window_columns, blocks, inputs, cost=0.1 * COLUMN_BLOCK * count)
+    inputs = [columns, west, south, cells, rows, flat(errors, wp.float32)]
+    spread(kernels.store_cells, cells.rows, inputs, cost=0.1 * columns)
 
 
 def measure_ranges(tile: TileSamples, scale: tuple[float, float], threads: int) -> np.ndarray:
@@ -176,34 +170,10 @@ def measure_ranges(tile: TileSamples, scale: tuple[float, float], threads: int) 
 
     They cover samples up to RANGE_MARGIN around it. scale: base and step of the ranges of the raster, metres.
     """
-    grid, box = tile.grid, tile.box
-    local = grid.local(box)
+    local, around = tile.grid.local(tile.box), tile.grid.window(tile.box, RANGE_MARGIN)
     ranges = np.zeros((local.range_count, 2), np.uint16)
-    if local.range_depth == 0:
-        return ranges
-    around, wide = grid.window(box, RANGE_MARGIN), tile.inner(tile.samples, RANGE_MARGIN)
-    finest = hierarchy.ranges_at(local, local.range_depth)
-    west, south = (box.x0 - around.x0) // 2, (box.y0 - around.y0) // 2
-    # the kernel's image begins in the corner of the margin, and the tile is shifted in it
-    shifted = _rows_depth(finest.columns + west, finest.rows + south)
-    shifted.pages = (finest.columns + west) // PAGE + 1
-    image = np.zeros((shifted.pages * ((finest.rows + south) // PAGE + 1) * PAGE * PAGE, 2), np.uint16)
-    inputs = [
-        codes.pack_samples(wide, None),
-        wp.float64(scale[0]),
-        wp.float64(scale[1]),
-        shifted,
-        flat(image, wp.uint16),
-    ]
-    launch.spread(
-        finest_ranges, shifted.rows + 1, inputs, step="height ranges", threads=threads, cost=6.0 * shifted.columns
-    )
-    rows = rows_of(image, shifted.pages)[south : south + finest.rows + 1, west : west + finest.columns + 1]
-    base, pages = local.range_layout()
-    target = rows_of(ranges[: base[1]], int(pages[0]))
-    target[: rows.shape[0], : rows.shape[1]] = rows[: target.shape[0], : target.shape[1]]
-    ranges[: base[1]] = pages_of(target)
-    hierarchy.unite_ranges(local, ranges, threads)
+    before = tile.box.x0 - around.x0, tile.box.y0 - around.y0
+    hierarchy.build_ranges(tile.inner(tile.samples, RANGE_MARGIN), local, *scale, ranges, threads, before)
     return ranges
 
 
@@ -234,12 +204,12 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
     diamonds: position, level and triangles of each.
     """
     counted, errors = tile.inner(tile.measured), []
+    spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=0.1 * counted.shape[1])
     for x, y, level, corners in diamonds:
         largest = np.zeros(len(counted), np.float64)
-        cost = 0.1 * counted.shape[1]
         for corner in corners:
             inputs = [codes.pack_samples(counted, None), tile.box.x0, tile.box.y0, corner, flat(largest, wp.float64)]
-            launch.spread(window_errors, len(counted), inputs, step="error hierarchy", threads=threads, cost=cost)
+            spread(kernels.window_errors, len(counted), inputs)
         errors.append(LargeError(x, y, level, _rounded_up(float(largest.max()))))
     return errors
 

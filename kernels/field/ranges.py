@@ -9,10 +9,10 @@ up, so the range encloses. `ranges` are flat: lower and upper of a diamond are a
 import warp as wp
 
 from ..unchecked import item_at, put
-from .codes import Samples, sample_index
+from .codes import Samples
 from .layout import Depth, child, diamond, entry, holds
 
-# Samples from the middle of a side of 4 x 4 cells to the border of its diamond's box.
+# Samples from the middle of a side of 4 x 4 cells to the border of its diamond's box; a snippet of C depends on it.
 REACH = wp.constant(4)
 
 
@@ -41,35 +41,26 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
 
 
 @wp.func_native("""
-    typedef float lanes __attribute__((vector_size(32)));
-    const float* row = h.data + first;
-    float low = *row, high = *row;
-    if (width >= 8) {
-        lanes lows = lanes{} + low, highs = lows;
-        for (int j = 0; j < height; ++j, row += columns)
-            for (int k = 0; k < 2; ++k) {  // the first eight and the last eight samples of the row
-                lanes z;
-                __builtin_memcpy(&z, row + k * (width - 8), sizeof(z));
-                lows = z < lows ? z : lows;
-                highs = z > highs ? z : highs;
-            }
-        for (int k = 0; k < 8; ++k) {
-            low = wp::min(low, lows[k]);
-            high = wp::max(high, highs[k]);
-        }
-    } else {
-        for (int j = 0; j < height; ++j, row += columns)
-            for (int i = 0; i < width; ++i) {
-                low = wp::min(low, row[i]);
-                high = wp::max(high, row[i]);
-            }
+    typedef float lanes __attribute__((vector_size(16)));
+    const float* rows = raster.floats.data + (long long)south * raster.columns;
+    lanes lows = lanes{} + __builtin_inff(), highs = -lows;
+    for (int j = south; j <= north; ++j, rows += raster.columns) {
+        lanes z;
+        if (west >= 0 && west + 4 <= raster.columns)
+            __builtin_memcpy(&z, rows + west, sizeof(z));
+        else
+            for (int i = 0; i < 4; ++i)
+                z[i] = rows[wp::max(0, wp::min(west + i, raster.columns - 1))];
+        lows = z < lows ? z : lows;
+        highs = z > highs ? z : highs;
     }
-    return wp::vec2f(low, high);
+    return wp::vec4f(lows[0], highs[0], wp::min(wp::min(lows[0], lows[1]), wp::min(lows[2], lows[3])),
+                     wp::max(wp::max(highs[0], highs[1]), wp::max(highs[2], highs[3])));
 """)
-def limits_of_box(h: wp.array(dtype=wp.float32), first: wp.int64, columns: int, width: int, height: int) -> wp.vec2f:
-    """Return the lowest and the highest of `width` x `height` samples of a raster.
+def limits_of_columns(raster: Samples, west: int, south: int, north: int) -> wp.vec4f:
+    """Return the lowest and the highest sample of column `west`, and those of REACH columns from there on.
 
-    first: index of the south-western one. columns: samples in a row of the raster.
+    south, north: first and last row. A column beyond the border has the samples of the border.
     """
     ...
 
@@ -78,6 +69,8 @@ def limits_of_box(h: wp.array(dtype=wp.float32), first: wp.int64, columns: int, 
 def finest_ranges(
     offset: int,
     raster: Samples,
+    west: int,
+    south: int,
     base: wp.float64,
     step: wp.float64,
     finest: Depth,
@@ -85,22 +78,28 @@ def finest_ranges(
 ):
     """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
-    A range covers all samples in the diamond's box, REACH samples around the middle: the finer diamonds below it extend
-    so far. Of a box beyond the raster it covers the nearest samples. Code q stands for base + q step metres. finest:
-    layout of `ranges`.
+    A range covers all samples in the diamond's box, or the nearest to a box beyond the raster, and so the finer
+    diamonds that overlap the next cell. Code q stands for base + q step metres. west, south: columns and rows of
+    `raster` before the first vertex. finest: layout of `ranges`.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
-    south = wp.clamp(2 * y - REACH, 0, raster.rows - 1)
-    north = wp.min(2 * y + REACH, raster.rows - 1)
-    for x in range(1 - (y & 1), finest.columns + 1, 2):
-        west = wp.clamp(2 * x - REACH, 0, raster.columns - 1)
-        east = wp.min(2 * x + REACH, raster.columns - 1)
-        first = sample_index(raster, west, south)
-        limits = limits_of_box(raster.floats, first, raster.columns, east + 1 - west, north + 1 - south)
-        lower_index = wp.int64(2) * entry(finest, x, y)
-        put(ranges, lower_index, quantise_down(wp.float64(limits[0]), base, step, per_step))
-        put(ranges, lower_index + wp.int64(1), quantise_up(wp.float64(limits[1]), base, step, per_step))
+    first_row = wp.clamp(south + 2 * y - REACH, 0, raster.rows - 1)
+    last_row = wp.clamp(south + 2 * y + REACH, 0, raster.rows - 1)
+    # Boxes have 2 REACH + 1 columns, and the next one begins REACH columns further on.
+    begin = wp.vec4f()
+    middle = wp.vec4f()
+    first = 1 - (y & 1)
+    for x in range(first - REACH, finest.columns + 1, 2):
+        end = limits_of_columns(raster, west + 2 * x + REACH, first_row, last_row)
+        if x >= first:
+            low = wp.min(wp.min(begin[2], middle[2]), end[0])
+            high = wp.max(wp.max(begin[3], middle[3]), end[1])
+            lower_index = wp.int64(2) * entry(finest, x, y)
+            put(ranges, lower_index, quantise_down(wp.float64(low), base, step, per_step))
+            put(ranges, lower_index + wp.int64(1), quantise_up(wp.float64(high), base, step, per_step))
+        begin = middle
+        middle = end
 
 
 @wp.func

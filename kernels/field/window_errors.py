@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The error of a triangle that is larger than a window of the raster, over that window.
+"""Errors of a window of the raster: of its cells, and over it of triangles that are larger.
 
-The plane of the triangle is evaluated with the same operations as in `hierarchy.py`, so the largest result of all
-windows is the result for the whole raster, bit by bit. Heights and errors are metres before vertical scaling.
+The plane of such a triangle is evaluated with the same operations as in `hierarchy.py`, so the largest result of all
+windows is the result for the whole raster, bit by bit. So are the twists of cells. Heights and errors are metres before
+vertical scaling.
 """
 
 import warp as wp
 
-from ..unchecked import item_at
+from ..unchecked import item_at, put
 from .codes import Samples
+from .layout import Depth, entry
+
+ROWS = wp.constant(8)  # of cells that are saturated together; a snippet of C depends on it
 
 
 @wp.struct
@@ -27,6 +31,47 @@ class Corner:
     plane: wp.float64
     slope_x: wp.float64
     slope_y: wp.float64
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    typedef double lanes __attribute__((vector_size(64)));
+    typedef float heights __attribute__((vector_size(32)));
+    const float* row = measured.data + first;
+    const lanes numbers = {0, 1, 2, 3, 4, 5, 6, 7};
+    lanes largest = lanes{} + known;
+    int i = 0;
+    for (; i + 8 <= count; i += 8) {
+        heights z;
+        __builtin_memcpy(&z, row + i, sizeof(z));
+        const lanes over = __builtin_convertvector(z, lanes) - (plane + slope * (numbers + (steps + i)));
+        const lanes distance = over < 0 ? -over : over;
+        largest = distance > largest ? distance : largest;
+    }
+    double result = known;
+    for (int k = 0; k < 8; ++k)
+        result = wp::max(result, largest[k]);
+    for (; i < count; ++i) {
+        const double distance = wp::abs(row[i] - (plane + slope * (steps + i)));
+        result = distance > result ? distance : result;
+    }
+    return result;
+""")
+def distance_of_row(
+    measured: wp.array(dtype=wp.float32),
+    first: int,
+    count: int,
+    plane: wp.float64,
+    slope: wp.float64,
+    steps: wp.float64,
+    known: wp.float64,
+) -> wp.float64:
+    """Return the largest distance, metres, of `count` samples of a row from a plane, or `known` if it is less.
+
+    first: index of the first sample. The plane has the height `plane` in the row's column that is `steps` samples
+    before it, and the slope `slope`, metres a sample. Samples that are NaN do not count.
+    """
+    ...
 
 
 @wp.kernel
@@ -51,10 +96,8 @@ def window_errors(
         first = c.x + wp.min(c.right, 0) * (c.legs - j)
         begin = wp.max(first, west)
         end = wp.min(first + c.legs + 1 - j, west + width)
-        for x in range(begin, end):
-            height = wp.float64(item_at(h, start + x - west))
-            distance = wp.abs(height - (plane + c.slope_x * wp.float64(x - c.x)))
-            max_distance = wp.where(distance > max_distance, distance, max_distance)
+        steps = wp.float64(begin - c.x)
+        max_distance = distance_of_row(h, start + begin - west, end - begin, plane, c.slope_x, steps, max_distance)
     # The longest edge runs from (x, y + up * legs) along (right, -up); cell i of it is between its rows i and i + 1.
     i = c.legs - c.up * (south + row - c.y)
     if c.up > 0:  # the edge begins in the north: the cell above this row comes before it
@@ -81,3 +124,110 @@ def window_errors(
             rest = twist - (e1 - e0)
             max_distance = wp.max(max_distance, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
     largest[row] = max_distance
+
+
+@wp.func_native("""
+#pragma clang fp contract(off)
+    const float *south = measured.floats.data + (long long)y * measured.columns, *north = south + measured.columns;
+    float* __restrict to = rows.data + (long long)y * columns;
+#pragma clang loop vectorize(enable)
+    for (int x = 0; x < measured.columns - 1; ++x) {
+        const double south_difference = (double)south[x] - (double)south[x + 1];
+        const double north_difference = (double)north[x + 1] - (double)north[x];
+        const double quarter_twist = wp::abs(south_difference + north_difference) * 0.25;
+        const float single = (float)quarter_twist;
+        int bits;
+        __builtin_memcpy(&bits, &single, sizeof(bits));
+        bits = quarter_twist > 0.0 ? bits + ((double)single < quarter_twist) : 0;  // rounded up; NaN is 0
+        __builtin_memcpy(to + x, &bits, sizeof(bits));
+    }
+""")
+def twist_row(measured: Samples, y: int, columns: int, rows: wp.array(dtype=wp.float32)):
+    """Write a quarter of the twist of each cell of row y to `rows`, which has `columns` cells in a row."""
+    ...
+
+
+@wp.func_native("""
+    float* first = rows.data + (long long)y * columns;
+    const int from[] = {0, columns - 1}, step[] = {1, -1};
+    for (int pass = 0; pass < 2; ++pass) {
+        float last[8] = {};  // one value of each row: they do not wait for each other
+        float* cell = first + from[pass];
+        for (int x = 0; x < columns; ++x, cell += step[pass])
+            for (int j = 0; j < 8; ++j) {
+                last[j] = wp::max(cell[(long long)j * columns], last[j] * part);
+                cell[(long long)j * columns] = last[j];
+            }
+    }
+""")
+def saturate_eight_rows(y: int, part: wp.float32, columns: int, rows: wp.array(dtype=wp.float32)):
+    """Raise each cell of ROWS rows from row y on to at least `part` of its western and eastern neighbours."""
+    ...
+
+
+@wp.func_native("""
+    const float* neighbour = rows.data + (long long)from_row * columns;
+    float* __restrict row = rows.data + (long long)to * columns;
+#pragma clang loop vectorize(enable)
+    for (int x = begin; x < end; ++x)
+        row[x] = wp::max(row[x], neighbour[x] * part);
+""")
+def raise_row(
+    from_row: int, to: int, begin: int, end: int, part: wp.float32, columns: int, rows: wp.array(dtype=wp.float32)
+):
+    """Raise the cells `begin` to `end` of row `to` to at least `part` of those in row `from_row`."""
+    ...
+
+
+@wp.kernel
+def window_twists(offset: int, measured: Samples, columns: int, rows: wp.array(dtype=wp.float32)):
+    """Write to `rows` a quarter of the twist, metres, of each cell of row `offset + tid`; 0 if a sample is NaN.
+
+    columns: cells in a row of `rows`.
+    """
+    twist_row(measured, offset + wp.tid(), columns, rows)
+
+
+@wp.kernel
+def saturate_window_rows(offset: int, part: wp.float32, columns: int, rows: wp.array(dtype=wp.float32)):
+    """Raise each cell of ROWS rows from row `(offset + tid) * ROWS` on to at least `part` of its neighbours in the row.
+
+    columns: cells in a row of `rows`, which has a multiple of ROWS of them.
+    """
+    saturate_eight_rows((offset + wp.tid()) * ROWS, part, columns, rows)
+
+
+@wp.kernel
+def saturate_window_columns(
+    offset: int, block: int, part: wp.float32, columns: int, count: int, rows: wp.array(dtype=wp.float32)
+):
+    """Raise each cell to at least `part` of its southern and northern neighbours, in block `offset + tid` of columns.
+
+    block: columns of a block. columns, count: cells in a row of `rows`, and rows.
+    """
+    begin = (offset + wp.tid()) * block
+    end = wp.min(begin + block, columns)
+    for y in range(1, count):
+        raise_row(y - 1, y, begin, end, part, columns, rows)
+    for i in range(1, count):
+        raise_row(count - i, count - 1 - i, begin, end, part, columns, rows)
+
+
+@wp.kernel
+def store_cells(
+    offset: int,
+    columns: int,
+    west: int,
+    south: int,
+    cells: Depth,
+    rows: wp.array(dtype=wp.float32),
+    errors: wp.array(dtype=wp.float32),
+):
+    """Copy row `offset + tid` of a tile's cells from `rows`, with `columns` cells in a row, to `errors`.
+
+    west, south: columns and rows of `rows` before the tile. cells: layout of its cells in `errors`.
+    """
+    y = offset + wp.tid()
+    first = wp.int64(south + y) * wp.int64(columns) + wp.int64(west)
+    for x in range(cells.columns):
+        put(errors, entry(cells, x, y), item_at(rows, first + wp.int64(x)))

@@ -200,7 +200,7 @@ def test_kernels_write_the_last_entries_of_a_large_hierarchy(tmp_path):
         inputs = [raster, raster, patches, 2, 0, *depths[1:], target]
         launch_last(hierarchy.centre_errors, 10, depths[2].columns * depths[2].rows - 10, inputs)
         finest = ranges_at(one, down + near.range_depth)
-        inputs = [raster, wp.float64(0.0), wp.float64(2.0**-16), finest, flat(spans, wp.uint16)]
+        inputs = [raster, 0, 0, wp.float64(0.0), wp.float64(2.0**-16), finest, flat(spans, wp.uint16)]
         launch_last(ranges.finest_ranges, 1, finest.rows, inputs)
     assert lattice.cells_x * lattice.cells_y > 2**31
     for depth in range(near.cell_depth - 2, near.cell_depth + 1):

@@ -111,6 +111,31 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
             }
         }
     };
+    const auto measure_edge = [&](int legs, int first, int end) __attribute__((always_inline)) {
+        const double top = plane + slope[1] * legs, across = slope[0] - slope[1];
+        const float* near = corner + first * step_x + (legs - first) * step_y;
+        double e0 = *near - (top + across * first);
+        for (int i = first; i < end; ++i) {
+            const float* far = near + step_x - step_y;
+            const double e1 = *far - (top + across * (i + 1));
+            const double twist = (double)*near + *far - near[step_x] - near[-step_y];
+            const double rest = twist - (e1 - e0), turned = wp::abs(e0 - rest * rest / (4.0 * twist));
+            const bool turns = wp::abs(e1 - e0) < wp::abs(twist);  // a jump would often be predicted wrongly
+            largest = (turns & (turned > largest)) ? turned : largest;
+            near = far;
+            e0 = e1;
+        }
+    };
+    if (legs == 2 && begin_x == 0 && begin_y == 0 && end_x >= 2 && end_y >= 2) {  // most triangles: ends are known
+        for (int j = 0; j < 2; ++j)
+            for (int i = 0; i <= 2 - j; ++i) {
+                const double on_plane = plane + slope[1] * j + slope[0] * i;
+                const double distance = wp::abs(corner[j * step_y + i * step_x] - on_plane);
+                largest = distance > largest ? distance : largest;
+            }
+        measure_edge(2, 0, 2);
+        return largest;
+    }
     const int size = 8, blocks = legs / size;
     if (blocks < 2)
         measure(0, 0, legs, legs, true);
@@ -137,23 +162,8 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
             }
     // Along the longest edge.
     const int first = wp::max(begin_x, legs - end_y), end = wp::min(legs - begin_y, end_x);
-    if (first < end) {
-        const double top = plane + slope[1] * legs, across = slope[0] - slope[1];
-        const float* near = corner + first * step_x + (legs - first) * step_y;
-        double e0 = *near - (top + across * first);
-        for (int i = first; i < end; ++i) {
-            const float* far = near + step_x - step_y;
-            const double e1 = *far - (top + across * (i + 1));
-            const double twist = (double)*near + *far - near[step_x] - near[-step_y];
-            // The distance is a parabola between the samples; it counts if it turns there.
-            if (wp::abs(e1 - e0) < wp::abs(twist)) {
-                const double rest = twist - (e1 - e0);
-                largest = wp::max(largest, wp::abs(e0 - rest * rest / (4.0 * twist)));
-            }
-            near = far;
-            e0 = e1;
-        }
-    }
+    if (first < end)
+        measure_edge(legs, first, end);
     return largest;
 """)
 def corner_error(

@@ -285,8 +285,8 @@ def errors_in_view(
     """Yield for each land the largest errors of the finest vertices, pixels, in squares of side x side cells.
 
     Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance;
-    None: SQUARES parts along a side. Those out of every view have 0. Near an eye, cells of 2^NEAR_BITS samples are looked at, since a part's box also
-    encloses air.
+    None: SQUARES parts along a side. Those out of every view have 0. Near an eye, cells of 2^NEAR_BITS samples are
+    looked at, since a part's box also encloses air.
     """
     lattice, part = field.lattice, part or max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()

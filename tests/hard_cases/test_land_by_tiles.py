@@ -72,6 +72,7 @@ def test_case_57_tile_by_tile_equals_the_whole(monkeypatch, name):
     assert change > 0.05 and error <= BOUNDS[name] * change + ROUNDING
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("waves", "noise", "part"), [("samples", 2.0, np.s_[:, 256:1281]), ("metres", 0.3, np.s_[:513, :1025])]
 )
@@ -84,6 +85,7 @@ def test_case_57_rivers_on_young_land_full_of_pits(waves, noise, part):
     assert_tiles_close(field, Stack((Entry("rivers", {"years": 3e5}),)), 0.05, 0.1, min_change=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("noise", "bound"), [(0.05, 0.05), (0.002, 0.03)])
 def test_case_57_rivers_on_a_plain_that_rises(noise, bound):
     """Rivers on a plain lifted by 60 m: tiles within 5 % at a slope of 1e-4, within 3 % at 1e-3, the worst 10 %."""
@@ -94,6 +96,7 @@ def test_case_57_rivers_on_a_plain_that_rises(noise, bound):
     assert_tiles_close(field, Stack((Entry("rivers", {"rise": 2e-4}),)), bound, 0.1, min_change=0.2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("noise", "step_y"), [(8.0, 11.0), (1.0, 10.0)])
 def test_case_57_rivers_from_lakes_with_similar_outlets(noise, step_y):
     """Rivers out of bowls, a quarter of which change their outlet with the level: tiles within 4 %, the worst 5 %."""
@@ -108,6 +111,7 @@ def always_tiles(monkeypatch):
     monkeypatch.setattr(LevelPlan, "doubt", lambda _plan, _number: None)
 
 
+@pytest.mark.thorough
 def test_case_57_rivers_on_land_that_is_worn_nearly_flat(always_tiles):
     """Rivers in rock so soft that they erode 200 m: tiles within 3 %, the worst within 5 %."""
     field = from_array(rolling_hills(8.0, 7).astype(np.float32), 10.0, 10.0)
@@ -152,6 +156,7 @@ def waves(power: float, seed: int, relief: float, shape: tuple[int, int] = (545,
     return relief / 4 * land / land.std()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("ground", "parameters"),
     [(sinkholes, {}), (scarps, {"years": 2e6, "rise": 3e-4}), (plateaus, {"erodibility": 1e-4})],
@@ -163,6 +168,7 @@ def test_case_57_rivers_on_three_unseen_terrains(ground, parameters, always_tile
     assert_tiles_close(field, Stack((Entry("rivers", parameters, seed=5),)), 0.05, 0.1, min_change=0.4)
 
 
+@pytest.mark.thorough
 def test_case_57_rivers_that_leave_a_tile_and_come_back():
     """A stream that leaves a tile and returns within a river from outside: tiles within 3 %, the worst 6 %."""
     _, x = np.indices((914, 545))

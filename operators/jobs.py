@@ -28,6 +28,7 @@ POLL_S = 0.1
 CALL_S = 0.02  # between looks for calls that a thread waits for
 TURN_S = 0.05  # for which frames are visited before the window has its turn
 STARTING, LOOKING, CHECKING = "Starting", "Looking at frames", "Checking the shaped land"
+CANCELLING = "Cancelling"
 PREPARING = "Preparing kernels (first use)"
 SHOWN_STEPS = 200  # a progress bar is redrawn when it has grown by one
 Steps = Generator[None, None, object]
@@ -97,8 +98,8 @@ class BackgroundJob:
     @property
     def text(self) -> str:
         """Return the name and the current step of the job, for places that show jobs of all kinds."""
-        title = phrase(self.kind.title)
-        return f"{title}: {phrase(self.message)}" if self.message else title
+        title, step = phrase(self.kind.title), CANCELLING if self.stopped else self.message
+        return f"{title}: {phrase(step)}" if step else title
 
     def terrain(self):
         """Return the job's object, None if it is gone."""
@@ -205,13 +206,15 @@ def is_rendering() -> bool:
 def draw_progress(layout, job: BackgroundJob, text: str = ""):
     """Draw a row with the progress bar of a job and its cancel button; return the row.
 
-    text: in the bar, by default the job's message. While the job renders there is no button, since only Esc ends a
-    render at once.
+    text: in the bar, by default the job's message; a cancelled job, which may end seconds later, has another.
+    While the job renders there is no button, since only Esc ends a render at once.
     """
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
+    row.progress(factor=job.fraction, text=CANCELLING if job.stopped else text or job.message or job.kind.title)
     if job.kind is not MAP or not is_rendering():
-        row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
+        button = row.row(align=True)
+        button.enabled = not job.stopped
+        button.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
     return row
 
 

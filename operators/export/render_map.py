@@ -25,7 +25,7 @@ from ..importing.imported import imported_of
 from ..job_operator import FileJobOperator
 from ..session import session, stale_renders
 from ..text.translations import phrase
-from .exporting import check_target
+from .exporting import named_failures
 from .file_outputs import escape_braces
 from .map_camera import EXTENT, extent_of, is_unchanged
 
@@ -77,14 +77,14 @@ def map_steps(
         y = [size[1] * k // tiles[1] for k in (row, row + 1)]
         name = path.name if tiles == (1, 1) else f"{path.stem}_x{column}_y{row}{path.suffix}"
         picture = path.with_name(name)
-        check_target(picture)
         geotiff = picture if form == "TIFF" else picture.with_suffix(".tif")
         _check_keeps_sources(scene, {picture, geotiff} if with_geotiff else {picture})
         if job is not None:
             job.progress(number / total, phrase("Picture {} of {}; Esc: cancel", number + 1, total))
-        yield from _render_part(scene, picture, size, x, y, job)
         transform = extent.transform(size, x[0], y[0])
-        written += [picture, write_world_file(picture, transform)]
+        with named_failures(picture):
+            yield from _render_part(scene, picture, size, x, y, job)
+            written += [picture, write_world_file(picture, transform)]
         geotiffs.append((picture, geotiff, transform))
     if with_geotiff:
         write = partial(write_geotiffs, geotiffs, extent.crs)

@@ -9,6 +9,7 @@ import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import jobs
+from drawn_panels import DrawnLayout
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +54,17 @@ def test_cancel_ends_the_job_of_the_active_terrain(scene, add_terrain):
     assert bpy.ops.adaptive_terrain.cancel_job(kind="PACK") == {"CANCELLED"}, "nothing is packed any more"
     imports[0].close()
     assert not bpy.ops.adaptive_terrain.cancel_job.poll()
+
+
+def test_a_cancelled_job_says_so_until_it_ends():
+    job = jobs.BackgroundJob(jobs.BAKE, None, endless)
+    job.advance()
+    for is_stopped, text in ((False, "Baking maps: Starting"), (True, "Baking maps: Cancelling")):
+        layout = DrawnLayout()
+        jobs.draw_progress(layout, job, "Loaded to 80 m here")
+        assert ("Cancelling" in layout.texts) is is_stopped and job.text == text
+        job.stop()
+    job.advance()
 
 
 @pytest.mark.parametrize("kind", jobs.KINDS)

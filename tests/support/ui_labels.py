@@ -184,7 +184,7 @@ def _labels_of_catalogues() -> list[str]:
     lands = [operator.label for operator in HEIGHT_OPERATORS.values()]
     notes = (*shaped_land.NOTES.values(), shaped_land.DOUBTFUL, shaped_land.LEFT_OUT, shaped_land.LEFT_OUT_BUT)
     shown = (shaped_land.SOURCE, shaped_land.PREVIEW, shaped_land.SHAPED, NO_BOUND, *LIMITS.values())
-    messages = (jobs.CHECKING, jobs.LOOKING, jobs.STARTING, jobs.PREPARING, CHOOSING, READING)
+    messages = (jobs.CANCELLING, jobs.CHECKING, jobs.LOOKING, jobs.STARTING, jobs.PREPARING, CHOOSING, READING)
     presets = [
         text for heading, group in SHIPPED.items() for text in (heading, *(label for label, _ in group.values()))
     ]

@@ -120,6 +120,7 @@ LABELS = {
     "Finer levels are left out, except {}, whose tiles would not fit: about {} m, {} m at most": (
         "省略了更细的级别 (图块无法衔接的{}除外): 约 {} m, 最多 {} m"
     ),
+    "Cancelling": "正在取消",
     "Finer levels are left out: about {} m, {} m at most": "省略了更细的级别: 约 {} m, 最多 {} m",
     "Finest Error": "最小误差",
     "Finest error that fits: {}": "可满足的最小误差: {}",

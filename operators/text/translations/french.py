@@ -288,6 +288,7 @@ LABELS = {
     "Refined in view while nothing changes; a render has all of it": (
         "S’affine dans la vue tant que rien ne change ; un rendu contient tout"
     ),
+    "Cancelling": "Annulation en cours",
     "Refining": "Affinage",
     "Refining effects": "Affinage des effets",
     "Release": "Libérer",

@@ -288,6 +288,7 @@ LABELS = {
     "Refined in view while nothing changes; a render has all of it": (
         "Wird in der Ansicht feiner, solange sich nichts ändert; ein Rendering zeigt alles"
     ),
+    "Cancelling": "Wird abgebrochen",
     "Refining": "Wird verfeinert",
     "Refining effects": "Effekte werden verfeinert",
     "Release": "Lösen",

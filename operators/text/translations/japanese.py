@@ -286,6 +286,7 @@ LABELS = {
     "Reading": "読み込み中",
     "Refined in view while nothing changes; a render has all of it": "変化がない間はビュー内で細かくなり、"
     "レンダーではすべて含まれます",
+    "Cancelling": "キャンセル中",
     "Refining": "細分化中",
     "Refining effects": "エフェクトを細分化中",
     "Release": "解除",

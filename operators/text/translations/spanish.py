@@ -288,6 +288,7 @@ LABELS = {
     "Refined in view while nothing changes; a render has all of it": (
         "Se refina en la vista mientras nada cambia; un render lo incluye todo"
     ),
+    "Cancelling": "Cancelando",
     "Refining": "Refinando",
     "Refining effects": "Refinando efectos",
     "Release": "Liberar",

@@ -216,6 +216,17 @@ def test_a_map_in_a_window_is_that_of_a_script(in_window, tmp_path):
             assert (ours.read() == expected.read()).all() and ours.transform == expected.transform
 
 
+def test_a_map_in_a_folder_that_refuses_files_names_the_file(in_window, tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(render_map, "private_folder", refuse)
+    operator = in_window[0]()
+    assert operator.began == {"CANCELLED"}
+    problem = f"{tmp_path / 'map_x0_y0.png'} cannot be written (Permission denied): check the disk, or choose another"
+    assert operator.report.call_args.args == ({"ERROR"}, f"{problem} folder.")
+
+
 @pytest.mark.parametrize("how", ["escape", "blender"])
 def test_a_cancelled_map_keeps_complete_pictures(in_window, tmp_path, how):
     """Blender reports that the user has ended its render; Escape in a test's window does not reach it."""

@@ -285,7 +285,7 @@ def test_what_was_wrong_without_heights_is_not_said_of_new_ones(scene, add_terra
     store, terrain.adaptive_terrain.store = terrain.adaptive_terrain.store, ""
     with pytest.raises(TerrainError, match="has no height field"):
         session.update_object(terrain)
-    importing = SimpleNamespace(before=None, baked="", _bring_into_view=Mock(), _report_and_update=Mock())
+    importing = SimpleNamespace(before=None, baked="", _show_in_viewports=Mock(), _report_and_update=Mock())
     import_terrain.ImportOperator.finish(importing, bpy.context, terrain, ({}, store))
     assert session.record_of(terrain).status.error == "" and terrain.adaptive_terrain.store == store
 

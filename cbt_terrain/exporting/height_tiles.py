@@ -381,20 +381,32 @@ def _tiles_json(samples: _Samples, names: dict[tuple, str], placing: Placing, se
             for layer in samples.layers[1:]
         ],
     }
-    if heights.form.is_integer and not settings.is_flipped:
-        # Unreal Engine measures in centimetres, and its y axis points south.
-        index["unreal"] = {
-            "scale_x": 100.0 * axes[0].spacing,
-            "scale_y": 100.0 * axes[1].spacing,
-            "scale_z": UNREAL_STEP * heights.scale,
-            "location_x": 100.0 * float(samples.x[0]),
-            "location_y": -100.0 * float(samples.y[0]),
-            "location_z": 100.0 * (heights.offset + UNREAL_MIDDLE * heights.scale),
-        }
     index["tiles"] = [
         {"x": x, "y": y, "column": axes[0].first(x), "row": axes[1].first(y), "file": names[0, x, y]}
         | {"masks": {layer.name: names[k, x, y] for k, layer in enumerate(samples.layers) if k}}
         for y in range(axes[1].tiles)
         for x in range(axes[0].tiles)
     ]
+    if heights.form.is_integer and not settings.is_flipped:
+        _add_unreal(index, samples)
     return index
+
+
+def _add_unreal(index: dict, samples: _Samples) -> None:
+    """Add Unreal's numbers to the content of the JSON file: those of all tiles together, and the place of each tile.
+
+    Unreal Engine measures in centimetres, and its y axis points south. A landscape is located by its first sample.
+    Locations count from the anchor, the origin of the terrain's space.
+    """
+    scale, heights = [100.0 * axis.spacing for axis in samples.axes], samples.layers[0]
+    first = 100.0 * float(samples.x[0]), -100.0 * float(samples.y[0])
+    index["unreal"] = {
+        "scale_x": scale[0],
+        "scale_y": scale[1],
+        "scale_z": UNREAL_STEP * heights.scale,
+        "location_x": first[0],
+        "location_y": first[1],
+        "location_z": 100.0 * (heights.offset + UNREAL_MIDDLE * heights.scale),
+    }
+    for tile in index["tiles"]:
+        tile["unreal_location"] = [first[0] + scale[0] * tile["column"], first[1] + scale[1] * tile["row"]]

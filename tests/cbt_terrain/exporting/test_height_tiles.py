@@ -124,6 +124,28 @@ def test_unreal_numbers_give_the_heights_in_centimetres(make, tmp_path):
     assert (unreal["location_x"], unreal["location_y"]) == (-99 * 30 * 100 / 2, -74 * 20 * 100 / 2)
 
 
+def test_each_tile_has_its_location_in_unreal(make):
+    """Landscapes of single tiles meet: each begins where the one before ends, at the sample that both have."""
+    _, index = make(HeightTiles("r16", size=40))
+    assert len(index["tiles"]) == 6
+    for tile in index["tiles"]:
+        west, north = index["unreal"]["location_x"], index["unreal"]["location_y"]
+        assert tile["unreal_location"] == [west + 39 * 3000 * tile["x"], north + 39 * 2000 * tile["y"]]
+
+
+def test_locations_in_unreal_count_from_the_anchor(tmp_path):
+    """Vertices of a mesh, which count from there, too, then fit to the landscape."""
+    field, _ = imported(
+        tmp_path, write_raster(tmp_path / "in.tif", hills(100, 75), transform=Affine(9, 0, 0, 0, -9, 0))
+    )
+    found = []
+    for name, exported in (("plain", field), ("moved", anchored(field, 256.0, -64.0))):
+        (tmp_path / name).mkdir()
+        index = export_height_tiles(exported, tmp_path / name, HeightTiles("r16", size=40))
+        found.append([index["unreal"][f"location_{axis}"] for axis in "xyz"] + index["tiles"][-1]["unreal_location"])
+    assert np.subtract(*found).tolist() == pytest.approx([25_600.0, 6_400.0, 0.0, 25_600.0, 6_400.0])
+
+
 def test_geotiff_tiles_lie_where_their_samples_are(make, tmp_path):
     heights, index = make(HeightTiles("tif", size=40))
     assert index["crs"] == "EPSG:32632" and index["origin"] == [500_015.0, 5_199_990.0] and index["step"] == [30, -20]

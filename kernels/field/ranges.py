@@ -23,8 +23,9 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
     z is not below base. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
-    while q > 0 and base + wp.float64(q) * step > z:
-        q = q - 1
+    if q > 0 and base + wp.float64(q) * step > z:  # rarely; the compiler makes many steps of the loop at once
+        while q > 0 and base + wp.float64(q) * step > z:
+            q = q - 1
     return wp.uint16(q)
 
 
@@ -35,8 +36,10 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
     z is not above base + 65535 step. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
-    while q < 65535 and base + wp.float64(q) * step < z:
-        q = q + 1
+    q = wp.min(q + wp.where(base + wp.float64(q) * step < z, 1, 0), 65535)
+    if q < 65535 and base + wp.float64(q) * step < z:
+        while q < 65535 and base + wp.float64(q) * step < z:
+            q = q + 1
     return wp.uint16(q)
 
 

@@ -30,7 +30,8 @@ class ValueCheck:
 
         Other values extend the range.
         """
-        values = rows[np.isfinite(rows)] if rows.dtype.kind == "f" else rows.ravel()
+        finite = np.isfinite(rows)
+        values = rows.ravel() if finite.all() else rows[finite]
         for end in (np.min, np.max):
             while values.size and self._is_mark(value := float(end(values))):
                 others = values[values != end(values)]

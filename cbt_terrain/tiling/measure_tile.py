@@ -4,7 +4,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,12 +74,22 @@ class TileSamples:
     samples: np.ndarray
     valid: np.ndarray | None
 
-    @property
+    @cached_property
     def measured(self) -> np.ndarray:
         """Return the samples, NaN where they do not count."""
         if self.valid is None:
             return self.samples
         return np.where(self.valid == 0, np.float32(np.nan), self.samples)
+
+    @cached_property
+    def inner_samples(self) -> np.ndarray:
+        """Return the samples of the tile alone."""
+        return self.inner(self.samples)
+
+    @cached_property
+    def inner_measured(self) -> np.ndarray:
+        """Return the samples of the tile alone, NaN where they do not count."""
+        return self.inner_samples if self.valid is None else self.inner(self.measured)
 
     def inner(self, values: np.ndarray, margin: int = 0) -> np.ndarray:
         """Return a contiguous copy of the samples of the tile and `margin` samples around it.
@@ -107,12 +117,13 @@ def exact_errors(tile: TileSamples, threads: int) -> tuple[np.ndarray, np.ndarra
     and larger are `large_errors`.
     """
     grid = tile.grid
-    local, measured = grid.local(tile.box), tile.measured
+    local = grid.local(tile.box)
     errors = np.zeros(local.node_count, np.float32)
-    _fill_cells(errors, tile, measured, threads)
-    inner, counted = tile.inner(tile.samples), tile.inner(measured)
+    _fill_cells(errors, tile, threads)
     coarsest = 1 if grid.holds_roots else 2
-    hierarchy.measure_triangles(inner, local, errors, threads, measured=counted, coarsest=coarsest)
+    hierarchy.measure_triangles(
+        tile.inner_samples, local, errors, threads, measured=tile.inner_measured, coarsest=coarsest
+    )
     return errors, None if tile.valid is None else refine_borders(tile.inner(tile.valid), local, errors, threads)
 
 
@@ -140,12 +151,9 @@ def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None,
     return TileErrors(stored, near_values(stored), None if kinds is None else near_values(kinds), largest)
 
 
-def _fill_cells(errors: np.ndarray, tile: TileSamples, measured: np.ndarray, threads: int) -> None:
-    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice.
-
-    measured: heights of the window, NaN where samples do not count.
-    """
-    local = tile.grid.local(tile.box)
+def _fill_cells(errors: np.ndarray, tile: TileSamples, threads: int) -> None:
+    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice."""
+    local, measured = tile.grid.local(tile.box), tile.measured
     cells = hierarchy.stored_at(local, local.cell_depth)
     west, south = tile.box.x0 - tile.window.x0, tile.box.y0 - tile.window.y0
     # A raster's last tile has a column or row of cells beyond its border, which saturation reaches.
@@ -203,7 +211,7 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
 
     diamonds: position, level and triangles of each.
     """
-    counted, errors = tile.inner(tile.measured), []
+    counted, errors = tile.inner_measured, []
     spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=0.1 * counted.shape[1])
     for x, y, level, corners in diamonds:
         largest = np.zeros(len(counted), np.float64)

@@ -12,7 +12,7 @@ final in the tile. Diamonds of cells as large as a tile and larger depend on man
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -138,19 +138,20 @@ def halved(lattice: Lattice) -> Lattice:
 
 def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
     """Return whether the lattice has an entry for each vertex, bool [n]; vertices outside the raster have none."""
-    # of each level: the columns and rows of cells, for their centres, and of half cells, for middles of sides
-    counts = np.array(
-        [
-            (*lattice.extent(2 * (lattice.levels - level) - 1), *lattice.extent(2 * (lattice.levels - level)))
-            for level in range(lattice.levels)
-        ]
-    ).reshape(-1, 4)[vertices.level]
+    counts = _extents(lattice)[vertices.level]
     x, y = vertices.x >> vertices.level, vertices.y >> vertices.level
     is_centre = (x & y & 1) == 1
     is_in_extent = np.where(
         is_centre, (x >> 1 < counts[..., 0]) & (y >> 1 < counts[..., 1]), (x <= counts[..., 2]) & (y <= counts[..., 3])
     )
     return is_in_extent & (vertices.x >= 0) & (vertices.y >= 0)
+
+
+@lru_cache(maxsize=64)
+def _extents(lattice: Lattice) -> np.ndarray:
+    """Return the columns and rows of centres and of middles of sides with entries, int64 [levels, 4]."""
+    depths = [2 * (lattice.levels - level) for level in range(lattice.levels)]
+    return np.array([(*lattice.extent(depth - 1), *lattice.extent(depth)) for depth in depths]).reshape(-1, 4)
 
 
 def entries_of(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:

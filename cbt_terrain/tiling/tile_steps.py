@@ -193,7 +193,7 @@ def measured(
         state |= {
             "errors": errors_digest,
             "largest": tile_errors.largest,
-            "climbs": hierarchy.climbs(tile.inner(tile.samples)),
+            "climbs": hierarchy.climbs(tile.inner_samples),
         }
         state["exponents"] = tile_exponents(work, number, tile_errors.largest)
     if state["ranges"] != ranges_digest and grid.lattice.range_depth:

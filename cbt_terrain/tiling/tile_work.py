@@ -191,7 +191,8 @@ class TileWork:
         shape, dtype = self.arrays()[name]
         if not all(shape):
             return np.zeros(shape, dtype)
-        return np.memmap(self.folder / f"{name}.npy", dtype, "r+", PAGE_BYTES, shape).view(np.ndarray)
+        file = os.fspath(self.folder / f"{name}.npy")  # numpy would resolve all links of a Path, 0.1 ms
+        return np.memmap(file, dtype, "r+", PAGE_BYTES, shape).view(np.ndarray)
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
         """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""

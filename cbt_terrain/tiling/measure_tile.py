@@ -212,11 +212,12 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
     diamonds: position, level and triangles of each.
     """
     counted, errors = tile.inner_measured, []
-    spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=0.1 * counted.shape[1])
+    samples, cost = codes.pack_samples(counted, None), 0.1 * counted.shape[1]
+    spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=cost)
     for x, y, level, corners in diamonds:
         largest = np.zeros(len(counted), np.float64)
         for corner in corners:
-            inputs = [codes.pack_samples(counted, None), tile.box.x0, tile.box.y0, corner, flat(largest, wp.float64)]
+            inputs = [samples, tile.box.x0, tile.box.y0, corner, flat(largest, wp.float64)]
             spread(kernels.window_errors, len(counted), inputs)
         errors.append(LargeError(x, y, level, _rounded_up(float(largest.max()))))
     return errors

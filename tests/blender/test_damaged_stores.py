@@ -11,6 +11,7 @@ FULL = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000
 PARTS, ROUNDS = (10, 200) if FULL else (1, 30)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", range(PARTS))
 def test_damaged_stores_give_a_mesh_or_one_sentence(program, monkeypatch, part):
     """There is no crash, no index out of range and no infinite number; the last mesh stays if a store is refused."""

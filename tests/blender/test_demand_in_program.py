@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+import pytest
 from window_report import run_in_window
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
@@ -14,6 +15,7 @@ def test_the_cases_of_demand_hold(program):
     assert report["held"] >= 58
 
 
+@pytest.mark.thorough
 def test_a_click_that_unlinks_a_node_skips_its_effect(program, tmp_path):
     """A stroke cuts a link in the Shader Editor, and no triangle changes."""
     report = run_in_window(program, "click_unlink.py", tmp_path, ("linked", "unlinked"))

@@ -104,6 +104,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.glob("*.npz")}
 
 
+@pytest.mark.thorough
 def test_meshes_cancelled_resumed_and_made_again(farm):
     """A worker without the extension gets it for this job, and imports the missing store."""
     job = farm.submit("meshes", "--frames", FRAMES, "--chunk", "4", "--extension", "installed")

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Land in the real program: rivers, a preview that never blocks, shaping, Undo and hiding."""
 
+import pytest
 from window_report import run_in_window
 
 
+@pytest.mark.thorough
 def test_esc_cancels_the_land_of_a_render(program, tmp_path):
     report = run_in_window(program, "cancel_render.py", tmp_path)
     assert not report["rendering_while_shaping"] and not report["rendered_after_esc"], "F12 shapes before it renders"

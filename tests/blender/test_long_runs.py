@@ -139,6 +139,7 @@ def test_quit_while_importing(program, shot, number):
     assert len(list(store.glob("data-*"))) == 1
 
 
+@pytest.mark.thorough
 def test_one_program_renders_while_another_imports(program, shot, tmp_path):
     """Frames with motion blur render from a store that another program keeps rewriting."""
     counts = {"render": {"render": times(12, 1000)}, "write": {"write": times(6, 200)}}

@@ -14,6 +14,7 @@ def shown(program, scene, tmp_path_factory):
         return folder, program.scripts(["bake_maps.py", "tile_seams.py"], folder, blend=scene[0], timeout=600)
 
 
+@pytest.mark.thorough
 def test_the_program_bakes_maps_and_both_engines_show_them(shown):
     folder, (report, _) = shown
     [folder] = [path for path in (folder / "maps").iterdir() if path.is_dir()]

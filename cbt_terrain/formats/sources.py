@@ -18,6 +18,7 @@ from .format_choice import format_of
 from .header_files import headless_warning, lacks_header
 
 ORDER_ROWS = 256  # rows that are compared in both byte orders
+BLOCK_ROWS = 64  # of arrays, that are read at once
 SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likelier
 
 
@@ -118,7 +119,7 @@ def _open_land(settings: ImportSettings) -> Raster:
 
     step = land.side / (size - 1)
     place = Georeference(step, step, first_row_south=True)
-    return Raster(size, size, read, stored="float32", format=land.name, georeference=place, block_rows=64)
+    return Raster(size, size, read, stored="float32", format=land.name, georeference=place, block_rows=BLOCK_ROWS)
 
 
 def open_raw(path: Path, settings: ImportSettings) -> Raster:
@@ -187,9 +188,9 @@ def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) 
     """Return an array, [rows, columns] with the north first, as a raster that is read in bands."""
 
     def read(first: int, count: int) -> np.ndarray:
-        """Return `count` rows from row `first` on, in the array's type; NaN for the no-data value."""
+        """Return `count` rows from `first` on, in the array's type, or floats with NaN for the no-data value."""
         rows = np.asarray(values[first : first + count])
         return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)
 
     height, width = values.shape
-    return Raster(width, height, read, stored=values.dtype.name, format=format_name, block_rows=64)
+    return Raster(width, height, read, stored=values.dtype.name, format=format_name, block_rows=BLOCK_ROWS)

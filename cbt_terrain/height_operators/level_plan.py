@@ -31,13 +31,14 @@ class LevelPlan:
         """Plan the levels, finest first; wanted: tiles of each level by index, None for all."""
         self.levels, self.entries = levels, entries
         self.wants_whole = [tiles is None for tiles in wanted]
-        every = zip(levels, wanted, strict=True)
-        self.wanted = [every_tile(level) if tiles is None else tiles for level, tiles in every]
+        self.wanted = [
+            every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)
+        ]
         self.doubted: set[int] = set()
-        self._count()
+        self._plan_work()
 
-    def _count(self) -> None:
-        """Compute the tiles that each level needs for finer ones, and the planned nanoseconds of each entry."""
+    def _plan_work(self) -> None:
+        """Set the tiles that each level needs for finer ones, and the nanoseconds planned for entries and in total."""
         self.needed = add_coarser(self.levels, self.wanted, [self._max_halo(level) for level in self.levels])
         self.costs = [0.0] * len(self.entries)
         for level in self.levels:
@@ -50,7 +51,7 @@ class LevelPlan:
         From the next finer level on the entry is applied to whole levels instead of tiles. number: its index.
         """
         self.doubted.add(number)
-        self._count()
+        self._plan_work()
 
     def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
         """Return the rows and columns that an operator reads beyond a tile of a level, None if it reads all of it."""

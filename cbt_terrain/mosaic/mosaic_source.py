@@ -49,7 +49,9 @@ def open_composite(
     tile_footprints = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
     plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes) if settings.step is None else None
-    if plan is None or (settings.quick and plan.work > WORTHWHILE * settings.quick):
+    # `quick` is the number of samples of a quick import, 0 for a complete one.
+    is_quick_enough = plan is not None and (not settings.quick or plan.work <= WORTHWHILE * settings.quick)
+    if plan is None or not is_quick_enough:
         whole.finest = plan
         return whole
     coarse = Composite(tiles, plan.grid, tile_footprints, settings, unpacked)

@@ -60,8 +60,8 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
 def paired_rows(rows: list[Row]) -> list[tuple[Row, Row]]:
     """Return pairs of rows of the same error, without geomorph and with it, where popping was measured.
 
-    A setting's `morph` of None is that of the swept criterion; another value is the opposite transition (1: no
-    geomorph).
+    A setting whose `morph` is None was measured as the swept criterion has it. One with a number was measured the other
+    way: 1 without geomorph, more with it. A pair has one row of each kind.
     """
     by_setting = {row.setting: row for row in rows if row.popping_px is not None}
     pairs = []

@@ -34,6 +34,7 @@ def copy_group(source, target) -> None:
 
     Properties of `target` that are not set in `source` stay as they are, so it should be new.
     """
+    # A class that defines `name`, as all property groups have, lists it twice.
     for name in dict.fromkeys(source.bl_rna.properties.keys()):
         if name == "rna_type":
             continue

@@ -18,7 +18,7 @@ from .farm import registered as farm
 from .ground import keep_ground
 from .ground import properties as ground_properties
 from .ground import registered as ground
-from .importing import add_terrain, import_terrain, menus, move_stores, store_paths
+from .importing import add_terrain, import_terrain, menus, move_stores, render_loaded, store_paths
 from .importing import registered as importing
 from .land import registered as land
 from .land import render_wait, shape_land
@@ -59,7 +59,7 @@ MENU_ENTRIES = (
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
 # Modules with timers, threads, keys and drawing; they stop before the operators go.
 SERVICES = (
-    *(writing, translations, store_paths, asset_library, render_wait, shape_land, overlay_panel),
+    *(writing, translations, store_paths, asset_library, render_wait, shape_land, render_loaded, overlay_panel),
     *(live, status_bar),
 )
 

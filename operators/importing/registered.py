@@ -8,11 +8,12 @@ from .import_terrain import ImportAdded, ImportTerrain
 from .join_terrains import JoinTerrains
 from .menus import AddTerrainFromFile
 from .pack_store import OfferPack, PackStore
+from .render_loaded import RenderLoaded
 
 CLASSES = (
     *(ImportTerrain, ImportAdded, AddTerrain, AddTiles, ImportTiles, JoinTerrains, AddTerrainFromFile),
     *([menus.HeightMapDropped] if hasattr(menus, "HeightMapDropped") else []),
-    *(PackStore, OfferPack),
+    *(PackStore, OfferPack, RenderLoaded),
 )
 HANDLERS = (
     *store_paths.HANDLERS.items(),

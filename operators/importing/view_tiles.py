@@ -128,6 +128,17 @@ class TileLoader:
             if child.poll().error is not None:
                 return False
 
+    def load_for_render(self, obj, depsgraph) -> bool:
+        """Return whether a render needs no further detail; start `child` for tiles that it lacks unless one runs.
+
+        `turn` looks after the child. Raises TerrainError if the store cannot be read.
+        """
+        from ...cbt_terrain.importing.refining import is_fine_enough
+
+        if self.child is not None or self._has_failed or self.start(obj, depsgraph, request.RENDER) is not None:
+            return False
+        return is_fine_enough(self._store, [_seen_by(obj, depsgraph, request.RENDER)])
+
     def close(self) -> None:
         """End the child."""
         if self.child is not None:
@@ -155,6 +166,15 @@ def suffice(obj, depsgraph) -> bool:
     """
     loader = _loaders.get(obj.session_uid)
     return loader is not None and loader.wait_for(obj, depsgraph)
+
+
+def load_for_render(obj, depsgraph) -> bool:
+    """Return whether a render of an incomplete terrain needs no further detail; if it does, load its tiles beside it.
+
+    False if no import with a TileLoader runs for the terrain. Raises TerrainError if its store cannot be read.
+    """
+    loader = _loaders.get(obj.session_uid)
+    return loader is not None and loader.load_for_render(obj, depsgraph)
 
 
 def _seen_by(obj, depsgraph, mode: str) -> "SeenLand":

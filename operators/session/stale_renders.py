@@ -140,5 +140,15 @@ def _show_popup() -> None:
         for line in lines:
             self.layout.label(text=line)
 
-    with bpy.context.temp_override(window=manager.windows[0]):
+    with bpy.context.temp_override(window=_render_window(manager.windows)):
         manager.popup_menu(draw, title="Adaptive Terrain", icon="ERROR")
+
+
+def _render_window(windows):
+    """Return the first of some windows that shows a render, which may cover the others; without one the first."""
+    for window in windows:
+        for area in window.screen.areas:
+            image = area.spaces.active.image if area.type == "IMAGE_EDITOR" else None
+            if image is not None and image.type == "RENDER_RESULT":
+                return window
+    return windows[0]

@@ -52,10 +52,10 @@ def draw_status(layout, context, obj) -> None:
         row.operator("adaptive_terrain.freeze", text="Release")
     else:
         text, operator, button = sight_notice(context, obj)
-        if not text and (text := loaded_here(context, obj)):
-            operator, button = LOAD_ALL
-        row = row.split(factor=NOTICE_WIDTH) if text else row
         harmless = text in NO_VIEW and follows_viewport(obj, context.scene)
+        if (harmless or not text) and (loaded := loaded_here(context, obj)):
+            text, harmless, (operator, button) = loaded, False, LOAD_ALL
+        row = row.split(factor=NOTICE_WIDTH) if text else row
         icon = "INFO" if harmless else "ERROR" if text else "CHECKMARK"
         row.label(text=text or "In sight", icon=icon)
         if operator:

@@ -24,7 +24,7 @@ from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.export.frame_sources import SceneFrames, loading_note
 from adaptive_terrain.operators.export.rendering import render_frames
 from adaptive_terrain.operators.farm.submit import submit
-from adaptive_terrain.operators.importing import import_terrain, incomplete, view_tiles
+from adaptive_terrain.operators.importing import import_terrain, incomplete, render_loaded, view_tiles
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, loaded_text
 from adaptive_terrain.operators.importing.panel import draw_source
 from adaptive_terrain.operators.importing.store_location import store_folder
@@ -110,7 +110,7 @@ def test_the_land_is_shown_before_it_is_complete(terrain, scene):
     assert again.store == path and imported_of(again).raster == (200, 150), "Undo does not bring the quick one back"
 
 
-def test_a_cancelled_import_keeps_the_first_picture(terrain):
+def test_a_cancelled_import_keeps_the_first_picture(terrain, monkeypatch):
     operator = running(import_terrain.ImportTerrain, terrain)
     until(operator, lambda: loaded_text(terrain.adaptive_terrain))
     jobs.find(jobs.IMPORT, terrain).stop()
@@ -121,6 +121,13 @@ def test_a_cancelled_import_keeps_the_first_picture(terrain):
     layout = DrawnLayout()
     draw_source(layout, terrain)
     assert "Load All" in layout.texts
+    monkeypatch.setattr(status_row, "follows_viewport", lambda *_: True)
+    monkeypatch.setattr(
+        status_row, "sight_notice", lambda *_: ("Camera underground", status_row.CAMERA_TO_VIEW, "To View")
+    )
+    layout = DrawnLayout()
+    status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain)
+    assert layout.texts == [LOADED, "Load All"], "not of a camera that is not placed"
     again = running(import_terrain.ImportTerrain, terrain)
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
     assert imported_of(terrain.adaptive_terrain).raster == (200, 150)
@@ -358,6 +365,41 @@ def test_a_render_loads_the_tiles_that_it_sees(terrain, held):
     until(again, lambda: tiles_of(terrain) > before)
     HeldImport.is_released = True
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
+
+
+@pytest.fixture
+def f12(held, monkeypatch):
+    """Press F12 during the held import; return the operator that waits, and the list of renders."""
+    rendered = []
+    monkeypatch.setattr(render_loaded, "_render_soon", lambda _window: rendered.append("a render"))
+    operator = RunningOperator(operator_class=render_loaded.RenderLoaded, report=Mock())
+    operator.context = SimpleNamespace(**vars(held.context) | {"window_manager": Mock(), "workspace": Mock()})
+    assert render_loaded.unfinished(bpy.context.scene) == [held.context.object]
+    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
+    return operator, rendered
+
+
+def test_f12_during_an_import_waits_until_the_tiles_suffice(terrain, held, f12):
+    waiting, rendered = f12
+    before = tiles_of(terrain)
+    terrain.adaptive_terrain.render.error_px = 1.0  # finer than the tiles
+    look_down(terrain, 700.0, 400.0)
+    until(held, lambda: turn(waiting) == {"PASS_THROUGH"} and tiles_of(terrain) > before)
+    assert turn(waiting, "F12") == {"RUNNING_MODAL"} and rendered == [], "between its samples may be more than a pixel"
+    terrain.adaptive_terrain.render.error_px = open_store(store_of(terrain)).max_height
+    until(held, lambda: turn(waiting) == {"FINISHED"})
+    assert rendered == ["a render"]
+    assert jobs.find(jobs.IMPORT, terrain) is not None and loaded_text(terrain.adaptive_terrain)
+
+
+def test_esc_ends_the_wait_of_f12_alone(terrain, held, f12):
+    waiting, rendered = f12
+    assert turn(waiting, "ESC") == {"CANCELLED"} and rendered == []
+    waiting.context.workspace.status_text_set.assert_called_with(None)
+    job = jobs.find(jobs.IMPORT, terrain)
+    assert not job.stopped, "the import goes on"
+    job.stop()
+    assert to_the_end(held) == {"FINISHED"} and render_loaded.unfinished(bpy.context.scene) == []
 
 
 @pytest.mark.parametrize(("is_placed", "modes"), [(True, ("VIEWPORT", "RENDER")), (False, ("VIEWPORT",))])

@@ -6,13 +6,13 @@ are checked before anything is unpacked. Files with the name of a height map in 
 A .zip of several tiles is a mosaic: each tile has the path of the archive with the tile's name in it, as a.zip/b.tif.
 """
 
+import calendar
 import functools
 import gzip
 import os
 import re
 import shutil
 import stat
-import time
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -100,9 +100,12 @@ def files_of_tile(path: Path) -> list[tuple[str, int, int]]:
 
 
 def _changed_ns(info: zipfile.ZipInfo) -> int:
-    """Return the local date of a member of a .zip in ns, with digits of its checksum below a second."""
+    """Return the date of a member of a .zip in ns, with digits of its checksum below a second.
+
+    The date has no time zone. It counts as UTC, so that it is the same on every computer of a farm.
+    """
     try:
-        seconds = int(time.mktime((*info.date_time, 0, 0, -1)))
+        seconds = calendar.timegm((*info.date_time, 0, 0, 0))
     except (ValueError, OverflowError):  # the archive has an impossible date
         seconds = 0
     return seconds * 10**9 + info.CRC % 10**9

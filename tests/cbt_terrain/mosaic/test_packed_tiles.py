@@ -89,6 +89,7 @@ def test_a_bad_archive_among_tiles_is_one_error_about_it(packed, tmp_path, monke
         ({"a.npy": b"", "b.npy": b""}, "t1.zip holds 2 height maps .a.npy, b.npy.; expected one .* or tiles"),
         ({"a.tif": tif, "b.tif": tif[:-500]}, "t1.zip/b.tif is damaged or incomplete"),
         ({"../a.tif": tif}, "whose name leads out"),
+        ({"a.tif": tif, "b.tif": tif, "../c.txt": b""}, "whose name leads out"),
         ({"a.tif": tif[:-500]}, "t1.zip/a.tif is damaged or incomplete"),
         ({"a.npy": b"\x93NUMPY"}, "t1.zip/a.npy is not a whole .npy"),
     ):
@@ -163,6 +164,24 @@ def test_a_changed_member_changes_its_tile_alone(archive, tmp_path, monkeypatch)
     assert "unchanged" not in report and read == [tmp_path / "all" / "a.zip" / "north" / "t1.tif"]
     run_mosaic_import(ImportSettings(str(tmp_path / "plain")), tmp_path / "one")
     assert digest_of(tmp_path / "store") == digest_of(tmp_path / "one")
+
+
+def test_the_newest_member_is_used_where_tiles_overlap(archive, tmp_path):
+    """Dates in the archive count as those of the unpacked files; impossible ones are the oldest."""
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
+        for name, height, date in (
+            ("a", 5.0, (2024, 5, 1, 0, 0, 0)),
+            ("b", 6.0, (2021, 1, 1, 0, 0, 0)),
+            ("c", 7.0, None),
+        ):
+            with rasterio.open(tmp_path / "plain" / "t0.tif", "r+") as file:
+                file.write(np.full((20, 20), height, np.float32), 1)
+            info = zipfile.ZipInfo(f"{name}.tif", date or (1980, 1, 1, 0, 0, 0))
+            info.date_time = date or (1980, 0, 0, 0, 0, 0)
+            packed.writestr(info, (tmp_path / "plain" / "t0.tif").read_bytes())
+    for priority, height in (("order", 7.0), ("newest", 5.0)):
+        run_mosaic_import(ImportSettings(str(tmp_path / "a.zip"), priority=priority), tmp_path / "store")
+        assert set(np.asarray(open_store(tmp_path / "store").heights(slice(None), slice(None))).ravel()) == {height}
 
 
 SIDE = 16

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..attributes import sizing
 from ..attributes.tiling import Tiling
 from ..errors import TerrainError
 from ..field.cell_ranges import cell_ranges
@@ -288,6 +287,8 @@ def errors_in_view(
     None: SQUARES parts along a side. Those out of every view have 0. Near an eye, cells of 2^NEAR_BITS samples are
     looked at, since a part's box also encloses air.
     """
+    from ..attributes import sizing  # takes a quarter of a start of the processes that import
+
     lattice, part = field.lattice, part or max(side // SQUARES, 2)
     west, south, _, _ = lattice.rectangle()
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))

@@ -117,6 +117,7 @@ def test_a_written_store_holds_the_same_field(rough, tmp_path):
     assert stored.key == rough.key and np.array_equal(stored.error, rough.error)
 
 
+@pytest.mark.thorough
 def test_cold_start_and_import_run_in_child_processes(rough, tmp_path, monkeypatch):
     monkeypatch.setattr(start, "RUNS", 1)
     monkeypatch.setattr(start, "SIZE", 2_000)
@@ -134,6 +135,7 @@ def test_cold_start_and_import_run_in_child_processes(rough, tmp_path, monkeypat
     assert mosaic.ratio > 0 and len(list((tmp_path / "tiles").iterdir())) == 9
 
 
+@pytest.mark.thorough
 def test_a_large_raster_is_imported_and_removed(rough, tmp_path, monkeypatch):
     monkeypatch.setattr(scenes, "SAMPLES", SAMPLES)
     monkeypatch.setattr(files, "LARGE_SAMPLES", 4 * (SAMPLES - 1) + 1)

@@ -82,6 +82,7 @@ def test_a_finer_vertical_error_never_takes_fewer_leaves(asked, errors, meshlet)
         last_leaves, last_bound = update.leaves, update.bound_m
 
 
+@pytest.mark.thorough
 @given(scenarios(criterion=criteria(meshlets=(0,))))
 def test_the_union_of_views_splits_what_each_splits(scenario):
     with to_remember(scenario):

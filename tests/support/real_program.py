@@ -22,7 +22,7 @@ MARK = "RESULT "
 EXTENSION = "bl_ext.user_default.adaptive_terrain"
 # Kernels that the program compiles itself, as in a fresh install: of a requested effect, and in the test
 # of its panel those of a frame, at its start.
-EFFECT, FRAME = "effects.jet", "mesh."
+EFFECT, FRAME = "effects.jet", "mesh.weld"
 
 
 class Program:

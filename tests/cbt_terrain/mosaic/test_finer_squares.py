@@ -190,6 +190,7 @@ def test_damaged_entries_are_no_squares(country, entry):
     assert finer_squares(field.with_raster(provenance=field.provenance | {FINER: entry})) is None
 
 
+@pytest.mark.thorough
 def test_files_of_earlier_squares_are_not_opened_again(tmp_path, monkeypatch):
     """Squares of two towns are loaded one town after the other; nothing of the first town is read with the second."""
     make_small(monkeypatch)  # windows of one tile

@@ -6,35 +6,25 @@ tiles get true samples of the source, as the first picture has; all others keep 
 store keeps the first picture inside, so that further tiles can be loaded; tiles that it has are not made again.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from ..attributes.tiling import Tiling
 from ..errors import TerrainError
-from ..field.cell_ranges import cell_ranges
 from ..field.georeference import Georeference
 from ..field.heightfield import HeightField
 from ..field.store import changed_ns, open_store, read_json
 from ..field.store_folder import FIRST, named_folder
 from ..rasters.raster import ImportSettings, Raster
 from ..tiling.coarse_land import CoarseLand
-from ..tiling.tile_grid import TileGrid, rows_of
-from ..view.linear import product
-from ..view.local_view import eye_of
-from ..view.view import ORTHOGRAPHIC, View
+from ..tiling.tile_grid import TileGrid
 from .finer_squares import finer_source, finer_squares, square_bits
 from .thinning import REFINED, loaded_m, positions, refined_m, stride_of
 
 FACTOR = 8
 BITS = 10  # of the tiles
-MAX_TILES = 64  # that are loaded at once: 0.3 s each, and as long for its neighbours
-SQUARES = 8  # along a side of a tile, of which each is looked at
-NEAR_BITS = 3  # log2 of the samples along a side of a cell that is looked at near an eye
-MAX_SQUARES = 16  # with the finest files that are loaded at once for a viewport: 2 s each
 MAX_READ = 1 << 22  # samples of the source that are read at once
 FEWEST = 1 << 29  # samples of a raster whose complete import takes much longer than this step
 
@@ -112,83 +102,6 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
     return fine
 
 
-class SeenLand(NamedTuple):
-    """Views of a terrain, and what else determines the detail that they need.
-
-    Attributes:
-        placement: float64 [4, 4], maps the terrain's space to the world.
-        error_px: error in pixels beyond which more detail is needed.
-        vertical_scale: factor on heights in the terrain's space.
-        vertical_offset: metres that are added to these.
-    """
-
-    views: Sequence[View]
-    placement: np.ndarray
-    error_px: float = 1.0
-    vertical_scale: float = 1.0
-    vertical_offset: float = 0.0
-
-
-def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
-    """Return the numbers of the tiles that views need and an incomplete store lacks, ascending. Raises TerrainError.
-
-    A tile is needed where the finest stored errors are larger than the allowed pixels.
-    """
-    return seen_tiles(open_store(first_picture(store)), seen, loaded_tiles(read_json(store)["provenance"]))
-
-
-def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]:
-    """Return all tiles that any of several lands needs and an incomplete store lacks, in ascending order.
-
-    Repeated calls of `missing_tiles` for each land find the same. Raises TerrainError.
-    """
-    return tuple(sorted(needed_tiles(store, lands) - loaded_tiles(read_json(store)["provenance"])))
-
-
-def needed_tiles(store: Path, lands: Iterable[SeenLand]) -> frozenset[int]:
-    """Return all tiles that any of several lands needs, loaded or not. Raises TerrainError."""
-    field = open_store(first_picture(store))
-    if not is_large(field):
-        return frozenset()
-    wanted = np.flatnonzero(_ratios_in_view(field, _picture_side(field), list(lands)) > 1.0)
-    return frozenset(map(int, wanted))
-
-
-def neediest_tile(store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> int:
-    """Return that of some tiles whose errors exceed the allowed ones of several lands most. Raises TerrainError."""
-    field = open_store(first_picture(store))
-    ratios = _ratios_in_view(field, _picture_side(field), lands)
-    return max(tiles, key=lambda tile: ratios[tile])
-
-
-def are_loaded_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
-    """Return whether the loaded tiles have the detail that several lands need there, or squares can add what they lack.
-
-    Tiles with all samples of the source have it. It is judged as in `is_fine_enough`, which needs all tiles, too.
-    Raises TerrainError.
-    """
-    field = open_store(store)
-    squares = finer_squares(field)
-    if (squares is not None and squares.is_coarse) or are_all_samples(open_store(first_picture(store))):
-        return True
-    ratios, loaded = _ratios_in_view(field, 1 << BITS, lands), loaded_tiles(field.provenance)
-    return all(ratio <= 1.0 for tile, ratio in enumerate(ratios) if tile in loaded)
-
-
-def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
-    """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
-
-    They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels,
-    because samples in between are about as far from the surface. There are none unless the field `is_large`.
-    """
-    if not is_large(field):
-        return ()
-    [errors_px] = (errors.ravel() for errors in errors_in_view(field, _picture_side(field), [seen]))
-    errors_px[[tile for tile in loaded if tile < len(errors_px)]] = 0.0
-    order = np.argsort(-errors_px, kind="stable")[:MAX_TILES]
-    return tuple(sorted(int(tile) for tile in order if errors_px[tile] > seen.error_px))
-
-
 def is_large(field: HeightField) -> bool:
     """Return whether a field is of a quick import of so large a raster that its tiles in view are loaded first.
 
@@ -196,39 +109,6 @@ def is_large(field: HeightField) -> bool:
     """
     full = _full_raster(field)
     return full is not None and full[0] * full[1] >= FEWEST
-
-
-def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
-    """Return whether several lands need no more detail than an incomplete store has, judged as in `seen_tiles`.
-
-    Loaded tiles with all samples of the source lack none. False for a first picture that is not `is_large`. Raises
-    TerrainError.
-    """
-    field = open_store(store)
-    if not loaded_tiles(field.provenance):
-        return is_large(field) and not all_missing_tiles(store, lands)
-    squares = finer_squares(field)
-    if squares is not None and squares.is_coarse:
-        return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
-    if are_all_samples(open_store(first_picture(store))):
-        return not all_missing_tiles(store, lands)
-    return bool((_ratios_in_view(field, 1 << BITS, lands) <= 1.0).all())
-
-
-def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | None = None) -> tuple[int, ...]:
-    """Return the squares with finer files that views need and a store with loaded tiles lacks, in ascending order.
-
-    A square is needed where the finest stored errors of the raster are larger than the error of a land. max_count:
-    return the most needed ones at most; None for all. Raises TerrainError.
-    """
-    field = open_store(store)
-    squares = finer_squares(field)
-    if squares is None:
-        return ()
-    wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
-    ratios = _ratios_in_view(field, side, lands, side)[wanted]
-    order = np.argsort(-ratios, kind="stable")[:max_count]
-    return tuple(sorted(wanted[index] for index in order if ratios[index] > 1.0))
 
 
 def loaded_tiles(provenance: dict) -> frozenset[int]:
@@ -267,102 +147,9 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
     return tiles[0] if row * grid.columns + column in loaded_tiles(field.provenance) else steps[0]
 
 
-def _ratios_in_view(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
-    """Return the largest error in each square by that which a land allows, of several lands: float64 [squares].
-
-    A square needs more detail above 1. side, part: as of `errors_in_view`, powers of two.
-    """
-    ratios = np.zeros(len(TileGrid(field.lattice, side.bit_length() - 1)))
-    for needs, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
-        np.maximum(ratios, needs.ravel() / seen.error_px, out=ratios)
-    return ratios
-
-
-def errors_in_view(
-    field: HeightField, side: int, lands: Iterable[SeenLand], part: int | None = None
-) -> Iterator[np.ndarray]:
-    """Yield for each land the largest errors of the finest vertices, pixels, in squares of side x side cells.
-
-    Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance;
-    None: SQUARES parts along a side. Those out of every view have 0. Near an eye, cells of 2^NEAR_BITS samples are
-    looked at, since a part's box also encloses air.
-    """
-    from ..attributes import sizing  # takes a quarter of a start of the processes that import
-
-    lattice, part = field.lattice, part or max(side // SQUARES, 2)
-    west, south, _, _ = lattice.rectangle()
-    columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
-    tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, 0.0)
-    codes = _centre_codes(field)
-    errors = _largest_errors(field, codes, part).ravel()
-    for seen in lands:
-        boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
-        needs = _needs(field, boxes, errors, seen)
-        near = np.flatnonzero((needs > seen.error_px) & _is_near(boxes, seen))
-        if len(near) and part >> NEAR_BITS and lattice.levels >= NEAR_BITS:
-            needs[near] = _needs_of_cells(field, codes, near // columns, near % columns, part, seen)
-        needs = needs.reshape(rows, columns)
-        # the largest of the parts of each square
-        for axis in (0, 1):
-            needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
-        yield needs
-
-
-def _needs(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: SeenLand) -> np.ndarray:
-    """Return errors, metres, in pixels of a land's views at boxes, float64 [boxes]; 0 out of every view.
-
-    A distance below the step of all samples counts as this: no import has more detail. boxes: float64 [boxes, 2, 3],
-    lowest and highest corners, metres.
-    """
-    steps = loaded_m(field.provenance)
-    nearest = steps[1] if steps is not None else min(field.lattice.step_x, field.lattice.step_y)
-    pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True, nearest=nearest)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(errors * abs(seen.vertical_scale) / pixels, posinf=np.inf)
-
-
-def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
-    """Return which boxes are nearer to the eye of a land's view than they are long: bool [boxes]."""
-    near, diagonals = np.zeros(len(boxes), bool), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
-    for view in (view for view in seen.views if view.kind != ORTHOGRAPHIC):
-        eye = eye_of(product(view.world_to_camera, seen.placement))
-        away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0)
-        near |= np.linalg.norm(away, axis=1) < diagonals
-    return near
-
-
-def _needs_of_cells(
-    field: HeightField, codes: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: int, seen: SeenLand
-) -> np.ndarray:
-    """Return the largest need in each of some parts by the distances of its cells of 2^NEAR_BITS samples.
-
-    codes: of `_centre_codes`. rows, columns: of the parts, int [parts]. part: number of samples along a side of one.
-    """
-    lattice, count = field.lattice, part >> NEAR_BITS
-    x, y = (
-        np.minimum(places[:, None] * count + np.arange(count), -(-cells >> NEAR_BITS) - 1)
-        for places, cells in ((columns, lattice.cells_x), (rows, lattice.cells_y))
-    )
-    heights = cell_ranges(field, NEAR_BITS, x[:, None, :], y[:, :, None])
-    boxes = np.empty((*heights.shape, 3))
-    sides, (west, south, _, _) = 1 << NEAR_BITS, lattice.rectangle()
-    for end in (0, 1):
-        boxes[..., end, 0] = west + (x + end)[:, None, :] * (sides * lattice.step_x)
-        boxes[..., end, 1] = south + (y + end)[:, :, None] * (sides * lattice.step_y)
-    boxes[..., 2] = np.sort(heights * seen.vertical_scale + seen.vertical_offset, axis=-1)
-    inner = np.arange(sides // 2)
-    v, u = (
-        np.minimum(places[:, :, None] * len(inner) + inner, size - 1)
-        for places, size in zip((y, x), codes.shape, strict=True)
-    )
-    errors = field.table[0][codes[v[:, :, None, :, None], u[:, None, :, None, :]].max(axis=(-2, -1))]
-    needs = _needs(field, boxes.reshape(-1, 2, 3), errors.ravel(), seen)
-    return needs.reshape(len(rows), -1).max(axis=1)
-
-
 def picture_tiles(picture: HeightField) -> int:
     """Return the number of tiles that can be loaded around the heights of a quick import."""
-    side = _picture_side(picture)
+    side = picture_side(picture)
     return -(-picture.lattice.cells_x // side) * -(-picture.lattice.cells_y // side)
 
 
@@ -373,7 +160,7 @@ def are_all_samples(picture: HeightField) -> bool:
     return stride_of(*full, picture.provenance["settings"]["quick"]) <= FACTOR
 
 
-def _picture_side(picture: HeightField) -> int:
+def picture_side(picture: HeightField) -> int:
     """Return the number of cells of a quick import along a side of one of its tiles."""
     full = _full_raster(picture)
     assert full is not None, "it is a first picture"
@@ -396,20 +183,3 @@ def _bits(field: HeightField, full: tuple[int, int]) -> int:
     full: columns and rows of the complete raster.
     """
     return min(FACTOR, stride_of(*full, field.provenance["settings"]["quick"])).bit_length() - 1
-
-
-def _largest_errors(field: HeightField, codes: np.ndarray, side: int) -> np.ndarray:
-    """Return the largest error, metres, in each square of side x side cells, [rows, columns].
-
-    codes: of `_centre_codes`.
-    """
-    for axis in (0, 1):
-        codes = np.maximum.reduceat(codes, np.arange(0, codes.shape[axis], max(side // 2, 1)), axis=axis)
-    return field.table[0][codes]
-
-
-def _centre_codes(field: HeightField) -> np.ndarray:
-    """Return the codes of the errors of the finest vertices, in the centres of 2 x 2 cells: [rows, columns]."""
-    base, pages = field.lattice.layout()
-    codes = rows_of(field.error[base[0] : base[1]], int(pages[0]))
-    return codes[1 : field.lattice.height : 2, 1 : field.lattice.width : 2]

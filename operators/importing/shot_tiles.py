@@ -20,21 +20,23 @@ from ...cbt_terrain.field.store_folder import AHEAD, JSON_NAME, remove_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.read_ahead import remove_ahead, share_of
 from ...cbt_terrain.importing.refining import (
-    SeenLand,
     are_all_samples,
-    are_loaded_enough,
     first_picture,
-    is_fine_enough,
     is_large,
     loaded_tiles,
-    missing_squares,
-    needed_tiles,
-    neediest_tile,
     picture_tiles,
     with_loaded,
 )
 from ...cbt_terrain.importing.thinning import loaded_m, loaded_text
 from ...cbt_terrain.importing.tile_import import READ_TILES, ImportPart
+from ...cbt_terrain.importing.view_needs import (
+    SeenLand,
+    are_loaded_enough,
+    is_fine_enough,
+    missing_squares,
+    needed_tiles,
+    neediest_tile,
+)
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.owned_files import open_folder

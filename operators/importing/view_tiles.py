@@ -26,7 +26,7 @@ from .imported import imported_of, loaded_text
 
 if TYPE_CHECKING:
     from ...cbt_terrain.importing.import_process import ImportJob
-    from ...cbt_terrain.importing.refining import SeenLand
+    from ...cbt_terrain.importing.view_needs import SeenLand
 
 REST_S = 1.0  # without a change of a view, before tiles are loaded for it
 RAY_DISTANCES = np.geomspace(1e-3, 4.0, 128)  # at which a ray may meet the ground, in diagonals of the terrain
@@ -55,7 +55,7 @@ class TileLoader:
         modes: VIEWPORT or RENDER, whose views count. Raises TerrainError if the store cannot be read or the child
         cannot start.
         """
-        from ...cbt_terrain.importing.refining import MAX_SQUARES, missing_squares, missing_tiles
+        from ...cbt_terrain.importing.view_needs import MAX_SQUARES, missing_squares, missing_tiles
 
         tiles: set[int] = set()
         lands = []
@@ -107,7 +107,7 @@ class TileLoader:
         False also if they cannot be found or loaded: only the complete import then helps. Raises TerrainError after
         Esc. depsgraph: the render's.
         """
-        from ...cbt_terrain.importing.refining import is_fine_enough, missing_squares, missing_tiles
+        from ...cbt_terrain.importing.view_needs import is_fine_enough, missing_squares, missing_tiles
 
         if self.child is not None:
             render_wait.wait_for_import(self.child)
@@ -133,7 +133,7 @@ class TileLoader:
 
         `turn` looks after the child. Raises TerrainError if the store cannot be read.
         """
-        from ...cbt_terrain.importing.refining import is_fine_enough
+        from ...cbt_terrain.importing.view_needs import is_fine_enough
 
         if self.child is not None or self._has_failed or self.start(obj, depsgraph, request.RENDER) is not None:
             return False
@@ -187,7 +187,7 @@ def seen_land(found: request.Request) -> "SeenLand":
 
     found: the request of an update, about the raster's middle.
     """
-    from ...cbt_terrain.importing.refining import SeenLand
+    from ...cbt_terrain.importing.view_needs import SeenLand
 
     scale = found.vertical_scale, found.vertical_offset
     return SeenLand(found.views, found.placement, found.criterion.error_px or 1.0, *scale)

@@ -2,6 +2,7 @@
 """Criteria are nested: a finer request splits everything that a coarser one splits, with all ancestors."""
 
 import numpy as np
+import pytest
 from adaptive_terrain.cbt_terrain.leb.bisection import neighbours
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion

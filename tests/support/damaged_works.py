@@ -25,7 +25,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.importing import finer_import, import_work, refining, tile_import
+from adaptive_terrain.cbt_terrain.importing import finer_import, import_work, refining, tile_import, view_needs
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.import_report import describe
@@ -162,7 +162,7 @@ class Project:
         """Import into a store of one kind, and return the undamaged store that has its arrays."""
         if kind in SQUARES:
             if choice % 3 == 1 and kind == "squares":
-                refining.missing_squares(store, [refining.SeenLand([VIEW], np.eye(4))])
+                view_needs.missing_squares(store, [view_needs.SeenLand([VIEW], np.eye(4))])
                 return None
             report = run_mosaic_import(self.squares, store)
             return None if report.get("unchanged") else self.whole("further squares")
@@ -176,9 +176,9 @@ class Project:
             run_import(replace(self.raster, quick=0), store)
             return self.whole("full")
         if choice % 3 == 1 and kind == "loaded":
-            seen = refining.SeenLand([VIEW], np.eye(4))
-            refining.missing_tiles(store, seen)
-            refining.is_fine_enough(store, [seen])
+            seen = view_needs.SeenLand([VIEW], np.eye(4))
+            view_needs.missing_tiles(store, seen)
+            view_needs.is_fine_enough(store, [seen])
             refining.loaded_at(open_store(store), 10.0, 20.0)
             return None
         report = run_import(replace(self.raster, loaded_tiles=FURTHER), store)

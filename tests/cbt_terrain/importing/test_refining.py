@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes import sizing
-from adaptive_terrain.cbt_terrain.attributes.tiling import Tiling
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import hierarchy
 from adaptive_terrain.cbt_terrain.field.holes import refine_borders
@@ -22,13 +20,12 @@ from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.tiling.borders import children_of
 from adaptive_terrain.cbt_terrain.tiling.tile_grid import LatticeVertices, TileGrid, cell_entries, entries_of, exist
-from adaptive_terrain.cbt_terrain.view.view import View
+from loaded_stores import QUICK, loaded_store, make_small_tiles, rough
 from mosaic_files import EAST, NORTH, UTM32, sheet
-from rasterio.transform import Affine, from_origin
+from rasterio.transform import Affine
 from rasters import hills, write_raster
 from tiled_stores import content
 
-QUICK = 4000
 PLACES = {
     "north up": Affine(10, 0, 5e5, 0, -10, 5e6),
     "south first": Affine(10, 0, 5e5, 0, 12, 5e6),
@@ -38,26 +35,7 @@ PLACES = {
 
 @pytest.fixture
 def small_tiles(monkeypatch):
-    """Make tiles of 64 x 64 cells, and four cells of one of the first picture along each side."""
-    monkeypatch.setattr(refining, "BITS", 6)
-    monkeypatch.setattr(refining, "FACTOR", 4)
-    monkeypatch.setattr(refining, "FEWEST", 1)
-    monkeypatch.setattr(tile_import, "TILED_SAMPLES", 10_000)
-
-
-def rough(width, height):
-    """Return hills with noise, so that no error is 0."""
-    noise = np.random.default_rng(5).normal(0.0, 3.0, (height, width))
-    return (hills(width, height) + noise).astype(np.float32)
-
-
-def loaded_store(folder, heights, place, tiles, run=run_import, holes=False, **options):
-    """Return the settings and the store of a raster with some loaded tiles."""
-    source = str(write_raster(folder / "a.tif", heights, crs="EPSG:32632", transform=place, tiled=True))
-    settings = ImportSettings(source, quick=QUICK, holes=holes)
-    run(settings, folder / "store")
-    run(replace(settings, loaded_tiles=tiles), folder / "store", **options)
-    return settings, folder / "store"
+    make_small_tiles(monkeypatch)
 
 
 def interpolated(nodes, factor):
@@ -224,124 +202,6 @@ def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
             run_import(replace(wrong, loaded_tiles=(1,)), folder)
 
 
-def camera_at(x, y, z):
-    """Return the view of a camera that looks down from a point of the world."""
-    to_camera = np.eye(4)
-    to_camera[:3, 3] = -x, -y, -z
-    zoom = np.diag([2.0, 2.0, -1.0, 0.0])
-    zoom[3, 2] = -1.0
-    return View(to_camera, zoom, (640, 640), clip=(0.1, 1e6))
-
-
-def test_views_need_the_tiles_below_them(tmp_path, small_tiles):
-    source = str(write_raster(tmp_path / "a.tif", rough(505, 401), transform=from_origin(0, 0, 10, 10)))
-    run_import(ImportSettings(source, quick=QUICK), tmp_path / "store")
-    field = open_store(tmp_path / "store")
-    west, south, _, _ = field.lattice.rectangle()
-    high = field.max_height + 100.0
-    above = camera_at(west + 700.0, south + 2000.0, high)
-    columns = -(-4 * field.lattice.cells_x // 64)
-
-    def seen(*views, **more):
-        return refining.seen_tiles(field, refining.SeenLand(views, np.eye(4), **more))
-
-    below = seen(above)
-    assert columns in below and len(below) <= 4, "the view is some 100 m wide"
-    assert seen(camera_at(0.0, 0.0, 1e6)) == (), "no error is as large as a pixel"
-    every = seen(camera_at(0.0, 0.0, 6000.0))
-    assert len(every) == columns * -(-4 * field.lattice.cells_y // 64)
-    assert seen(camera_at(0.0, 0.0, 6000.0), error_px=1e9) == () and seen() == ()
-    wanted = refining.SeenLand([above], np.eye(4))
-    assert refining.seen_tiles(field, wanted, frozenset(below[:1])) == below[1:], "loaded ones are left out"
-
-
-@pytest.fixture
-def field(tmp_path, small_tiles, monkeypatch):
-    """Return a first picture of a slope of 2,400 m. Its squares are looked at as a whole and in cells of 4 samples."""
-    heights = rough(505, 401) + np.linspace(0.0, 2400.0, 505, dtype=np.float32)
-    source = str(write_raster(tmp_path / "a.tif", heights, transform=from_origin(0, 0, 10, 10)))
-    run_import(ImportSettings(source, quick=QUICK), tmp_path / "store")
-    monkeypatch.setattr(refining, "SQUARES", 1)
-    monkeypatch.setattr(refining, "NEAR_BITS", 2)
-    return open_store(tmp_path / "store")
-
-
-def ground_at(field, x, y):
-    """Return the height of the sample that is nearest to a point."""
-    west, south, _, _ = field.lattice.rectangle()
-    row, column = round((y - south) / field.lattice.step_y), round((x - west) / field.lattice.step_x)
-    return float(field.heights(slice(None), slice(None))[row, column])
-
-
-def needs_from(field, views, placement):
-    [needs] = refining.errors_in_view(field, 16, [refining.SeenLand(views, placement)])
-    return needs
-
-
-@pytest.mark.parametrize("scale", [1.0, 2.0])
-def test_needs_near_an_eye_are_by_the_distance_of_the_ground(field, monkeypatch, scale):
-    """Needs are at most those of whole squares, and at least those of boxes half as large as the cells."""
-    rng, lattice = np.random.default_rng(3), field.lattice
-    west, south, east, north = lattice.rectangle()
-    counts = -(-lattice.cells_x // 2), -(-lattice.cells_y // 2)
-    boxes = sizing.boxes(Tiling(*counts, west, south, 2 * lattice.step_x, 2 * lattice.step_y, 0.0), field, 1.0, 0.0)
-    errors = refining._largest_errors(field, refining._centre_codes(field), 2).ravel()
-    lower, placement = 0, np.diag([scale, scale, scale, 1.0])
-    for _ in range(40):
-        x, y = rng.uniform((west, south), (east, north))
-        view = camera_at(x * scale, y * scale, scale * (ground_at(field, x, y) + rng.uniform(-50.0, 700.0)))
-        needs = needs_from(field, [view], placement)
-        with monkeypatch.context() as patch:
-            patch.setattr(refining, "NEAR_BITS", 30)
-            whole = needs_from(field, [view], placement)
-        pixels = sizing.footprints(boxes, [view], placement, only_seen=True, nearest=10.0)
-        found = np.zeros_like(needs)
-        rows, columns = np.divmod(np.arange(len(boxes)), counts[0])
-        np.maximum.at(found, (rows // 8, columns // 8), np.nan_to_num(errors / pixels))
-        assert np.isfinite(whole).all() and (needs <= whole).all() and (needs >= found * (1 - 1e-9)).all()
-        lower += int((needs < 0.5 * whole).sum())
-    assert lower > 30, "the box of a square encloses much air"
-
-
-def test_an_eye_in_a_square_has_the_need_of_the_finest_step(field):
-    """The need there is that at a distance of 10 m, the step of all samples."""
-    west, south, east, north = field.lattice.rectangle()
-    x, y = 0.5 * (west + east), 0.5 * (south + north)
-    view = camera_at(x, y, ground_at(field, x, y) + 0.01)
-    needs, largest = needs_from(field, [view], np.eye(4)), refining._centre_codes(field)
-    per_pixel = 10.0 / view.pixels_per_unit
-    assert 0.0 < needs.max() <= field.table[0][largest.max()] / per_pixel * (1 + 1e-9)
-    assert needs.max() > 0.1 * field.table[0][largest.max()] / per_pixel
-
-
-def test_an_eye_high_above_a_slope_needs_few_tiles(field):
-    """It is 600 m above the ground, and in the box of a square that is 1,280 m long and rises by 600 m and more."""
-    west, south, east, north = field.lattice.rectangle()
-    x, y = west + 0.4 * (east - west), 0.5 * (south + north)
-    seen = refining.SeenLand([camera_at(x, y, ground_at(field, x, y) + 600.0)], np.eye(4))
-    highest = max(needs.max() for needs in refining.errors_in_view(field, 16, [seen]))
-    exact = refining._centre_codes(field).max()
-    assert highest <= field.table[0][exact] / (300.0 / seen.views[0].pixels_per_unit), (
-        "the ground is 300 m away or more"
-    )
-
-
-def test_tiles_with_all_samples_need_no_complete_import(tmp_path, small_tiles):
-    """A step of four samples is that of the tiles: a camera on the ground then needs its tiles only."""
-    source = str(write_raster(tmp_path / "a.tif", rough(505, 401), transform=from_origin(0, 0, 10, 10)))
-    settings, store = ImportSettings(source, quick=13_000), tmp_path / "store"
-    run_import(settings, store)
-    picture = open_store(store)
-    assert refining.are_all_samples(picture)
-    land = refining.SeenLand([camera_at(0.0, 0.0, ground_at(picture, 0.0, 0.0) + 2.0)], np.eye(4))
-    wanted = refining.missing_tiles(store, land)
-    assert 0 < len(wanted) < refining.picture_tiles(picture) / 4
-    assert not refining.is_fine_enough(store, [land])
-    run_import(replace(settings, loaded_tiles=wanted), store)
-    assert refining.is_fine_enough(store, [land]) and refining.are_loaded_enough(store, [land])
-    assert refining.needed_tiles(store, [land]) == set(wanted)
-
-
 def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):
     settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (9,))
     field = open_store(store)
@@ -356,24 +216,6 @@ def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):
     assert refining.loaded_at(open_store(tmp_path / "first"), 0.0, 0.0) == coarse
     run_import(replace(settings, quick=0), store)
     assert refining.loaded_at(open_store(store), *middle) is None
-
-
-def test_views_that_tiles_satisfy_need_no_more(tmp_path, small_tiles, monkeypatch):
-    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
-    west, south, _, _ = open_store(store).lattice.rectangle()
-    near = refining.SeenLand([camera_at(west + 700.0, south + 2000.0, 1500.0)], np.eye(4))
-    far = near._replace(error_px=1e4)
-    assert not refining.is_fine_enough(store, [near]) and refining.is_fine_enough(store, [far])
-    assert not refining.is_fine_enough(store, [far, near]), "one of them needs more"
-    assert not refining.missing_tiles(store, far), "none is missing there"
-    wanted = refining.missing_tiles(store, near)
-    assert wanted and 0 not in wanted
-    assert refining.all_missing_tiles(store, [far, near]) == wanted
-    run_import(settings, tmp_path / "first")
-    assert refining.is_fine_enough(tmp_path / "first", [far]), "a large source is not imported for a distant view"
-    assert not refining.is_fine_enough(tmp_path / "first", [far, near])
-    monkeypatch.setattr(refining, "FEWEST", 1 << 29)
-    assert not refining.is_fine_enough(tmp_path / "first", [far]), "all of a smaller one are soon there"
 
 
 @pytest.mark.thorough

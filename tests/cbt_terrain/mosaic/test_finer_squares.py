@@ -10,7 +10,8 @@ from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import FINER, finer_squares, square_bits
-from adaptive_terrain.cbt_terrain.importing.refining import SeenLand, is_fine_enough, missing_squares, with_loaded
+from adaptive_terrain.cbt_terrain.importing.refining import with_loaded
+from adaptive_terrain.cbt_terrain.importing.view_needs import SeenLand, is_fine_enough, missing_squares
 from adaptive_terrain.cbt_terrain.mosaic import composite, finer_plan
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.ground import ground_at

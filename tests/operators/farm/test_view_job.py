@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
-from adaptive_terrain.cbt_terrain.importing import refining
+from adaptive_terrain.cbt_terrain.importing import refining, view_needs
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.tiling import tile_records
 from adaptive_terrain.operators.cli import parser
@@ -224,7 +224,7 @@ def test_one_tile_shows_that_tiles_are_not_enough(shot, start, two_shares):
     store, lands, tiles = shot_tiles.find_tiles(obj, (2, 3), shot / "all_tiles")
     assert 2 < len(tiles) < shot_tiles.NEARLY_ALL * shot_tiles.num_tiles(store)
     run_import(replace(import_terrain.settings_of(obj), quick=600, loaded_tiles=tiles), store)
-    assert not refining.is_fine_enough(store, lands), "all tiles in view are loaded for nothing"
+    assert not view_needs.is_fine_enough(store, lands), "all tiles in view are loaded for nothing"
 
     assert run("submit", "--scene", shot / "shot.blend", "--out", shot / "job", "--frames", "2-3") == 0
     code, report = ended(start("View"))

@@ -6,7 +6,6 @@ and one offset: height = offset + scale * number. The largest difference to the 
 written.
 """
 
-import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -22,11 +21,10 @@ from ..attributes.catalogue import ATTRIBUTES
 from ..attributes.evaluate import values_at
 from ..attributes.exr import BLOCK
 from ..attributes.finer_pyramid import min_level
-from ..attributes.splat import NAMES as SPLATS
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
 from ..field.store_folder import check_no_description
-from ..height_operators.export import FORMATS, MASK_FORMAT, RasterFormat, RasterShape
+from ..height_operators.export import FORMATS, MASK_FORMAT, RasterShape
 from ..height_operators.exported_rows import LINES
 from ..importing.placing import Placing, placing_or_middle
 from ..query.grid import heights_on_grid
@@ -34,10 +32,9 @@ from ..run import launch, stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import written_beside
 from .tile_grid import PATTERN, TileAxis, axes_of
+from .tile_layers import HOLES, NO_FILE_NAME, TileLayer, mask_layers
 
 VERSION = 1
-HOLES = "holes"
-NO_FILE_NAME = frozenset('/\\:*?"<>|\0')
 # Of the tiles that are written side by side. Systems allow 256 open files or more.
 MAX_OPEN, MAX_COLUMNS = 64, 65_536
 # Unreal: height in cm = (number - 32768) / 128 * scale Z.
@@ -68,60 +65,6 @@ class HeightTiles:
     step: float = 0.0
 
 
-# Lowest and highest value of no values, which `_Layer.widen` extends.
-NO_RANGE = math.inf, -math.inf
-
-
-@dataclass
-class _Layer:
-    """One raster in tiles: its numbers in the file are (value - offset) / scale, and `max_error` is counted."""
-
-    name: str  # "" for heights
-    form: RasterFormat
-    suffix: str
-    source: AttributeRequest | None = None  # None for heights and for the mask of holes
-    channel: int = 0  # which number of the source's attribute
-    low: float = NO_RANGE[0]
-    high: float = NO_RANGE[1]
-    max_error: float = 0.0
-
-    @property
-    def has_range(self) -> bool:
-        """Return whether the layer has any value: its lowest is then not above its highest."""
-        return self.low <= self.high
-
-    @property
-    def offset(self) -> float:
-        """Return the value that number 0 in the file stands for."""
-        return self.low if self.form.is_integer else 0.0
-
-    @property
-    def scale(self) -> float:
-        """Return the value of one step of the file's numbers."""
-        if not self.form.is_integer:
-            return 1.0
-        return ((self.high - self.low) or 1.0) / np.iinfo(self.form.dtype).max
-
-    def widen(self, values: np.ndarray) -> None:
-        """Extend the layer's range of values to some more."""
-        self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
-
-    def encode(self, values: np.ndarray) -> np.ndarray:
-        """Return the file's numbers for finite float64 values; `max_error` keeps the largest error of the encoding."""
-        if self.form.is_integer:
-            steps = np.clip(np.rint((values - self.offset) / self.scale), 0, np.iinfo(self.form.dtype).max)
-            numbers = steps.astype(self.form.dtype)
-        else:
-            numbers = values.astype(self.form.dtype)
-        self.max_error = max(self.max_error, float(abs(self.offset + self.scale * numbers - values).max()))
-        return numbers
-
-    def to_json(self) -> dict:
-        """Return the JSON entry of the layer: range, coding and largest error of the encoding."""
-        numbers = {"low": self.low, "high": self.high, "scale": self.scale, "offset": self.offset}
-        return numbers | {"type": self.form.dtype.name, "max_error": self.max_error}
-
-
 class _Samples:
     """Heights, attributes and holes at the samples of a grid, in blocks.
 
@@ -134,7 +77,7 @@ class _Samples:
             finer tiles.
     """
 
-    def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[_Layer], flipped: bool):
+    def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[TileLayer], flipped: bool):
         """Locate the grid's columns and rows in the terrain. `flipped`: row 0 is the south."""
         self.field, self.layers = with_detail(field, detail=None), layers
         self.axes, self.threads, self._flipped = axes, launch.default_threads(), flipped
@@ -212,9 +155,9 @@ def export_height_tiles(
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
     check_no_description(out / f"{settings.name}.json")
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap, settings.step)
-    layers = [_Layer("", FORMATS[suffix], suffix), *_mask_layers(masks)]
+    layers = [TileLayer("", FORMATS[suffix], suffix), *mask_layers(masks)]
     if field.valid is not None:
-        layers.append(_Layer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))
+        layers.append(TileLayer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))
     names = _names(settings, axes, layers)
     field.raster.check_samples()
     samples = _Samples(field, axes, layers, settings.is_flipped)
@@ -236,33 +179,7 @@ def export_height_tiles(
     return index
 
 
-def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
-    """Return a layer for each number of each attribute, without a range where it has no known span.
-
-    A splat attribute holds the weights of `width` layers of the ground, the last one of fewer: they get layers with
-    their names. A name that a file system would confuse with another gets a number: the layer Scree beside the
-    by-product scree.
-    """
-    layers, used = [], {HOLES}
-    for request in masks:
-        attribute = ATTRIBUTES[request.name]
-        names = [request.name if attribute.width == 1 else f"{request.name}_{k + 1}" for k in range(attribute.width)]
-        if request.name in SPLATS:
-            first = attribute.width * SPLATS.index(request.name)
-            splats = {**attribute.defaults(), **dict(request.parameters)}["layers"]
-            assert isinstance(splats, tuple)
-            names = [layer.name for layer in splats[first : first + attribute.width]]
-        low, high = attribute.span or NO_RANGE
-        for channel, name in enumerate(names):
-            name = "".join("_" if letter in NO_FILE_NAME else letter for letter in name)
-            numbered = (f"{name}_{k}" for k in itertools.count(2))
-            name = next(n for n in itertools.chain([name], numbered) if n.casefold() not in used)
-            used.add(name.casefold())
-            layers.append(_Layer(name, MASK_FORMAT, ".png", request, channel, low, high))
-    return layers
-
-
-def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[_Layer]) -> dict[tuple, str]:
+def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[TileLayer]) -> dict[tuple, str]:
     """Return the names of all files by layer's index, x and y of the tile.
 
     Raises TerrainError for a pattern that does not give them.
@@ -279,14 +196,14 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
     used = [*names.values(), f"{settings.name}.json"]
     bad = [name for name in used if not name.rpartition(".")[0] or set(name) & NO_FILE_NAME]
     if bad or len({name.casefold() for name in used}) < len(used):
-        what = f"{bad[0]!r} is no file name" if any(bad) else "gives one name to several files, or none"
+        what = f"{max(bad)!r} is no file name" if any(bad) else "gives one name to several files, or none"
         raise TerrainError(
             f"The pattern {settings.pattern!r} of tiles: {what}", expected=f"{{name}}, {{x}} and {{y}}, as {PATTERN}"
         )
     return names
 
 
-def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:
+def _measure(samples: _Samples, layers: list[TileLayer], on_progress: Callable[[float], None]) -> None:
     """Widen the ranges of layers without a given range to all samples on the terrain, before values are coded."""
     total, lack_range = samples.axes[1].inside, [not layer.has_range for layer in layers]
     for rows in samples.row_blocks(0, total):

@@ -13,7 +13,7 @@ import rasterio
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import DEFAULT
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.exporting import height_tiles
+from adaptive_terrain.cbt_terrain.exporting import height_tiles, tile_layers
 from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
 from adaptive_terrain.cbt_terrain.exporting.tile_grid import UNREAL_SIZES, axes_of
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
@@ -222,7 +222,7 @@ def test_masks_with_like_names_have_files_of_their_names(make, tmp_path):
         AttributeRequest("scree", ("test",)),
         AttributeRequest("splat_1", ("test",), parameters=(("layers", tuple(named)),)),
     ]
-    found = [layer.name for layer in height_tiles._mask_layers(requests)]
+    found = [layer.name for layer in tile_layers.mask_layers(requests)]
     assert found == ["scree", "Scree_2", "Rock_Ice", "holes_2", "scree_2_2"]
 
 

@@ -63,7 +63,7 @@ def claim_origin(scene) -> None:
     scene[WRITTEN] = _text_of(scene)
 
 
-def is_origin_claimed(scene) -> bool:
+def is_claimed(scene) -> bool:
     """Return whether a scene's origin is ours, and no other add-on has changed it since."""
     return origin_of(scene) is not None and scene.get(WRITTEN) == _text_of(scene)
 

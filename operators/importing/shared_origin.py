@@ -15,7 +15,7 @@ from ..bridge.scene_origin import (
     WGS84,
     SceneOrigin,
     claim_origin,
-    is_origin_claimed,
+    is_claimed,
     origin_of,
     remove_origin,
     set_origin,
@@ -88,7 +88,7 @@ def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
     It stays if another add-on has written it, if another object has coordinates (a terrain, its baked mesh), or if it
     is on the new land, which then fits what else is in the scene.
     """
-    if imported is None or not imported.crs or imported.place is None or not is_origin_claimed(scene):
+    if imported is None or not imported.crs or imported.place is None or not is_claimed(scene):
         return False
     if any(other.get(SRID) for other in scene.objects if other != obj) or _covers_origin(imported, origin_of(scene)):
         return False

@@ -16,7 +16,7 @@ from ...cbt_terrain.field.lattice import ANCHOR_STEP, NEAR
 from ...cbt_terrain.view.linear import inverse
 from ..bridge import camera as cameras
 from ..bridge.evaluated import anchor_of, raster_placement_of
-from ..bridge.scene_origin import claim_origin, is_origin_claimed, origin_of, set_origin
+from ..bridge.scene_origin import claim_origin, is_claimed, origin_of, set_origin
 from ..ground import add_collider
 from ..land import shaped_land, water_object
 from ..scatter.request import scatters_of
@@ -119,9 +119,9 @@ def move_world(context, by: np.ndarray) -> list[str]:
     if origin is not None:
         moves = zip((origin.x, origin.y), by, origin.metres, strict=True)
         x, y = (coordinate - float(move) / metres for coordinate, move, metres in moves)
-        is_claimed = is_origin_claimed(scene)
+        was_claimed = is_claimed(scene)
         set_origin(scene, origin._replace(x=x, y=y), None)
-        if is_claimed:
+        if was_claimed:
             claim_origin(scene)
     return driven_names
 

@@ -9,9 +9,9 @@ from .plot import write_bars
 PAGE = "performance.md"
 BARS = "images/performance_frame.svg"
 MOSAICS = (  # measured by hand: hours would be too long for the benchmark
-    "A tenth of a mosaic of 100,352 x 100,352 samples was imported once, outside this run, on a busy machine by an "
-    "earlier version: [0.52 µs of processor time a sample](howto/large-mosaic.md#large-imports), estimated 88 min for "
-    "all of it. Sixteen of its files take 0.31 µs a sample now, and took 0.45 µs before, on a busier machine. The "
+    "A tenth of a mosaic of 100,352 x 100,352 samples was imported once, outside this run: "
+    "[0.21 µs of processor time a sample](howto/large-mosaic.md#large-imports), estimated 35 min for all of it; on a "
+    "busy machine, 16 of its files took 0.31 µs a sample. The "
     "[first picture](howto/first-picture.md#times) took 20-29 s."
 )
 # The six rows of the page.

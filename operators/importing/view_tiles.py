@@ -169,7 +169,7 @@ def suffice(obj, depsgraph) -> bool:
 
 
 def load_for_render(obj, depsgraph) -> bool:
-    """Return whether a render of an incomplete terrain needs no further detail; if it does, load its tiles beside it.
+    """Load the tiles that a render of an incomplete terrain needs beside the window; return True if it needs none.
 
     False if no import with a TileLoader runs for the terrain. Raises TerrainError if its store cannot be read.
     """

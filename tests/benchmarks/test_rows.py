@@ -200,6 +200,7 @@ ENGINE_ROWS += ["morph_flight", "hidden", "effects_flight", "light_preview", "la
 ENGINE_ROWS += ["scatter_flight", "maps_normal", "query_heights"]
 
 
+@pytest.mark.thorough
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):
     pytest.importorskip("bpy")
     notes = []

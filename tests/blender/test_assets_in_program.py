@@ -3,7 +3,10 @@
 
 import shutil
 
+import pytest
 from window_report import run_in_window
+
+pytestmark = pytest.mark.thorough
 
 
 def test_the_asset_browser_lists_the_library(program, tmp_path):

@@ -5,6 +5,8 @@ import pytest
 from program_window import WHOLE
 from window_report import run_in_window
 
+pytestmark = pytest.mark.thorough
+
 
 def test_a_click_picks_and_kept_objects_follow(program, tmp_path):
     report = run_in_window(program, "click_ground.py", tmp_path, ("ground",), place=WHOLE)

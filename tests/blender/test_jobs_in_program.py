@@ -10,6 +10,8 @@ from program_window import wait_for, window
 from real_program import SCRIPTS
 from window_report import run_in_window
 
+pytestmark = pytest.mark.thorough
+
 
 def test_jobs_are_cancelled_finish_and_end_with_the_file(program, tmp_path):
     arguments = ["--python", str(SCRIPTS / "background_jobs.py"), "--", str(tmp_path)]
@@ -24,7 +26,6 @@ def test_jobs_are_cancelled_finish_and_end_with_the_file(program, tmp_path):
     assert found["after_opening"] == [0, []] and found["after_disabling"] == [0, []]
 
 
-@pytest.mark.thorough
 def test_a_map_is_rendered_beside_the_window(program, tmp_path):
     """It has the pixels of a script's map, and opens no window."""
     report = run_in_window(program, "render_map.py", tmp_path)

@@ -4,8 +4,9 @@
 import pytest
 from window_report import run_in_window
 
+pytestmark = pytest.mark.thorough
 
-@pytest.mark.thorough
+
 def test_esc_cancels_the_land_of_a_render(program, tmp_path):
     report = run_in_window(program, "cancel_render.py", tmp_path)
     assert not report["rendering_while_shaping"] and not report["rendered_after_esc"], "F12 shapes before it renders"

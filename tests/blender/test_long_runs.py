@@ -120,6 +120,7 @@ def in_a_window(program, shot, counts: dict[str, int]) -> int:
         return blender.poll()
 
 
+@pytest.mark.thorough
 def test_a_long_day_in_the_window(program, shot):
     """Undo, opened files, changing collections, layers and drivers, and a flight with renders leak nothing."""
     counts = {"undo": times(6, 300), "load": times(6, 400), "arrange": times(6, 400), "fly": times(16, 1000)}

@@ -48,6 +48,7 @@ def write_zip_of_another_python(source, folder) -> None:
         archive.writestr("__init__.py", "raise ImportError('of another Python')\n")
 
 
+@pytest.mark.thorough
 def test_blender_installs_the_extension_from_a_repository(release, publish, bare_program, extension_zip, tmp_path):
     program = Program(bare_program.wrapper, tmp_path / "user")
     program.user.mkdir()

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Set Up Scene in the window of the real program, after a file was dropped into its viewport."""
 
+import pytest
 from rasters import hills, write_raster
 from window_report import run_in_window
+
+pytestmark = pytest.mark.thorough
 
 
 def test_a_dropped_file_and_a_click_make_a_scene(program, tmp_path):

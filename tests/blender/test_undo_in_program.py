@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Undo by keys in the real program during background work."""
 
+import pytest
 from window_report import run_in_window
+
+pytestmark = pytest.mark.thorough
 
 
 def test_a_restored_terrain_is_imported_again(program, tmp_path):

@@ -89,6 +89,7 @@ def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
     assert_complete(out, undisturbed)
 
 
+@pytest.mark.thorough
 def test_case_49_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
     """Three simultaneous exports into one folder with the leftovers of a dead one give whole frames only."""
     out = tmp_path / "out"

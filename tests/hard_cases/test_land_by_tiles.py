@@ -118,6 +118,7 @@ def test_case_57_rivers_on_land_that_is_worn_nearly_flat(always_tiles):
     assert_tiles_close(field, Stack((Entry("rivers", {"erodibility": 1e-3}),)), 0.03, 0.05, min_change=5)
 
 
+@pytest.mark.thorough
 def test_case_57_rivers_for_a_single_year():
     """Rivers of one year, when slopes slide and basins fill before their dams are cut: within 2 %, the worst 5 %."""
     field = from_array(rolling_hills(8.0, 7).astype(np.float32), 10.0, 10.0)

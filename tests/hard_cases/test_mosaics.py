@@ -89,6 +89,7 @@ def test_case_77_files_without_any_height_cover_nothing(tmp_path):
     assert "b.tif and 1 more has only missing samples" in refusal(*files[1:], folder=tmp_path)
 
 
+@pytest.mark.thorough
 def test_case_78_thousands_of_tiny_files_keep_few_open(tmp_path):
     """More tiny files than may be open give every sample exactly, and at most MAX_OPEN of them are open at a time."""
     across = 20
@@ -180,6 +181,7 @@ def test_case_81_the_date_line_is_no_border(tmp_path, first):
     assert inside.sum() > 100 and np.abs(heights[inside] - wanted).max() < 0.01 * 500
 
 
+@pytest.mark.thorough
 def test_case_82_polar_tiles_meet_at_the_pole(tmp_path):
     """Four quarters of a polar cap in degrees become one polar raster, whole over the pole and every meridian."""
     step, files = 0.25, []

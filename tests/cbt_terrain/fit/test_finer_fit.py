@@ -61,6 +61,7 @@ def test_a_fit_takes_fewer_triangles():
     assert fitted.rounds > 0 and fitted.triangles < 0.85 * interpolating(field, 2.0)
 
 
+@pytest.mark.thorough
 def test_scale_and_offset_and_a_budget():
     field = finer_field()
     plane, heights = dense_points(field)

@@ -199,6 +199,7 @@ def files_of(path):
     return {file.name: file.read_bytes() for file in path.glob("data-*/*.npy")}
 
 
+@pytest.mark.thorough
 def test_bytes_depend_on_neither_threads_nor_a_stopped_run(country, tmp_path, monkeypatch):
     """A run stops while finer tiles are measured; the next one measures the others alone."""
     stack, counts = Stack((Entry("smooth"), HILL)), []

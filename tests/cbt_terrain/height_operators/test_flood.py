@@ -89,6 +89,7 @@ def test_a_mask_scales_the_rain():
     assert depth.sum(dtype=np.float64) == pytest.approx(16 * 0.5 * 0.006, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_surge_runs_ashore_and_back():
     bed = np.tile(np.linspace(-20, 20, 80).astype(np.float32), (81, 1))
     values = flood.FLOOD.defaults() | {"rain": 0.0, "surge": 5.0}

@@ -186,6 +186,7 @@ def test_a_damaged_store_of_finer_tiles_is_refused(country, tmp_path):
             open_store(tmp_path / "copy")
 
 
+@pytest.mark.thorough
 def test_a_bicubic_surface_is_kept_in_the_store(country, tmp_path):
     _, _, store, _ = country
     shutil.copytree(store, tmp_path / "copy")

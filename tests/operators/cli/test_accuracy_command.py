@@ -94,6 +94,7 @@ def rows_of(folder):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.thorough
 def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy, monkeypatch):
     monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
     code, printed, folder = accuracy("--resolution", "320x180")

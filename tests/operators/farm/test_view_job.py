@@ -178,6 +178,7 @@ def whole_store(shot, name="whole.store"):
     return shot / name
 
 
+@pytest.mark.thorough
 def test_workers_share_the_import_of_all_samples(shot, start, two_shares):
     bpy.data.objects["Terrain"].adaptive_terrain.render.error_px = 1.0
     bpy.ops.wm.save_mainfile()
@@ -217,6 +218,7 @@ def test_workers_share_the_import_of_all_samples(shot, start, two_shares):
             assert all(np.array_equal(mesh[array], expected[array]) for array in arrays)
 
 
+@pytest.mark.thorough
 def test_one_tile_shows_that_tiles_are_not_enough(shot, start, two_shares):
     obj = bpy.data.objects["Terrain"]
     obj.adaptive_terrain.render.error_px = 100.0

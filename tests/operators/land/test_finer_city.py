@@ -126,6 +126,7 @@ def test_a_farm_prepares_land_with_the_tiles(city, tmp_path, capsys):
     assert read_json(made.parent)["version"] == 7
 
 
+@pytest.mark.thorough
 def test_a_resting_viewport_makes_the_tiles_in_view(scene, add_terrain, tmp_path, monkeypatch):
     """A preview is shown first; other views then find the measured tiles."""
     obj = add_terrain()

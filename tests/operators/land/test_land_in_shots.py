@@ -5,6 +5,7 @@ import shutil
 
 import bpy
 import numpy as np
+import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators.land import shaped_land
@@ -72,6 +73,7 @@ def test_a_frozen_terrain_takes_the_shaped_heights(terrain, wide_store):
     shutil.rmtree(land_folder.folder_beside(str(wide_store)))
 
 
+@pytest.mark.thorough
 def test_a_shot_gets_the_whole_land_where_that_costs_less(scene, terrain, wide_store, tmp_path):
     """Tiles with margins would cost several times as much; Everywhere finds the same store."""
     shutil.copytree(wide_store, tmp_path / "wide")

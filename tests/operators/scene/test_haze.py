@@ -101,6 +101,7 @@ def test_the_terrain_has_haze_by_its_own_size(scene, add_terrain):
     assert tree.get_output_node("ALL").inputs["Surface"].links[0].from_node.type == "BSDF_PRINCIPLED"
 
 
+@pytest.mark.thorough
 def test_new_plants_have_the_haze_of_the_terrain(scene, add_terrain):
     add_terrain()
     bpy.ops.adaptive_terrain.starter_add()

@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+pytestmark = pytest.mark.thorough
+
 FRAMES = "1-4,15-19:2,30"
 NUMBERS = [1, 2, 3, 4, 15, 17, 19, 30]
 # Lines that a strict check of Deadline's Blender adaptor (`strict_error_checking`) takes for a failure.
@@ -104,7 +106,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.glob("*.npz")}
 
 
-@pytest.mark.thorough
 def test_meshes_cancelled_resumed_and_made_again(farm):
     """A worker without the extension gets it for this job, and imports the missing store."""
     job = farm.submit("meshes", "--frames", FRAMES, "--chunk", "4", "--extension", "installed")

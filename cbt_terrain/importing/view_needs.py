@@ -195,11 +195,12 @@ def _needs(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: Seen
 
 def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
     """Return which boxes are nearer to the eye of a land's view than they are long: bool [boxes]."""
-    near, diagonals = np.zeros(len(boxes), bool), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+    near, sides = np.zeros(len(boxes), bool), boxes[:, 1] - boxes[:, 0]
+    diagonals2 = (sides * sides).sum(axis=1)
     for view in (view for view in seen.views if view.kind != ORTHOGRAPHIC):
         eye = eye_of(product(view.world_to_camera, seen.placement))
         away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0)
-        near |= np.linalg.norm(away, axis=1) < diagonals
+        near |= (away * away).sum(axis=1) < diagonals2
     return near
 
 

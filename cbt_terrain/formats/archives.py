@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, NamedTuple
 
-from ..errors import TerrainError, shown
+from ..errors import MAX_NAME_BYTES, TerrainError, shown
 from ..field import store_folder
 from ..rasters.raster import ImportSettings
 from ..rasters.sidecars import SUFFIXES
@@ -342,7 +342,7 @@ def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.Zip
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
-    """Raise TerrainError for a link, an encrypted file, or a name that leads out of its folder."""
+    """Raise TerrainError for a link, an encrypted file, a too long name, or one that leads out of its folder."""
     name = PurePosixPath(info.filename)
     problem = ""
     if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
@@ -351,6 +351,8 @@ def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
         problem = "which is a link"
     elif info.flag_bits & 1:
         problem = "which is encrypted"
+    elif _importable(name) and len(os.fsencode(name.name)) > MAX_NAME_BYTES:
+        problem = f"whose name has more than {MAX_NAME_BYTES} bytes"
     if problem:
         raise TerrainError(f"{shown(path)} holds {shown(info.filename)!r}, {problem}", fix="unpack it yourself first")
 

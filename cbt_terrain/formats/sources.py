@@ -14,6 +14,7 @@ from ..field.lands import LANDS
 from ..rasters.raster import ImportSettings, Raster, blank
 from ..rasters.source_formats import FORMATS
 from ..run.named_file import blocks_reader
+from .archives import archive_of
 from .format_choice import format_of
 from .header_files import headless_warning, lacks_header
 
@@ -70,7 +71,9 @@ def check_named(path: Path, kind: str = "height map") -> None:
         message = getattr(reason, "strerror", None) or reason
         raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
     if not is_regular:
-        raise TerrainError(f"{shown(path)} {what}", expected=expected)
+        archive = archive_of(path)
+        fix = f"name the archive ({shown(archive)}), or unpack it" if archive != path else ""
+        raise TerrainError(f"{shown(path)} {what}", expected=expected, fix=fix)
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
     if path.stat().st_size == 0:

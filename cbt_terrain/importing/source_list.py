@@ -35,7 +35,7 @@ def may_name_several(settings: ImportSettings) -> bool:
 
     Nothing is opened. Only the import's child process looks into an archive.
     """
-    return names_several(settings) or suffix_of(settings.source) == ".zip"
+    return names_several(settings) or suffix_of(Path(settings.source).name) == ".zip"  # without a last "/"
 
 
 def files_of(settings: ImportSettings) -> list[Path]:

@@ -98,6 +98,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         roundings=composite.all_roundings(),
         warnings=[
             *hidden_warnings(composite),
+            *replaced_warnings(composite),
             *file_warnings(composite.tiles),
             *mirror_warnings(file_grid, grid.width, grid.height),
         ],
@@ -179,6 +180,25 @@ def hidden_warnings(composite: Composite) -> list[str]:
     return [
         f"{which} below coarser files, so only gaps in those show it. Name the coarser files first, or set Overlaps "
         "to Finest File (--priority resolution)."
+    ]
+
+
+def replaced_warnings(composite: Composite) -> list[str]:
+    """Return a warning if files have exactly the samples' positions of others and so replace them; [] otherwise."""
+    upper: dict[tuple, Path] = {}  # the file of the highest priority at each place
+    replaced = []
+    for tile in reversed(composite.tiles):
+        path, place = Path(tile.path), (tile.crs, tile.transform, tile.width, tile.height)
+        if upper.setdefault(place, path) != path:
+            replaced.append((path, upper[place]))
+    if not replaced:
+        return []
+    path, other = replaced[-1]
+    more = f", and {len(replaced) - 1:,} more files are replaced so" if len(replaced) > 1 else ""
+    return [
+        f"{shown(other.name)} has all its samples at the places of those of {shown(path.name)}, and replaces these "
+        f"except where it has no data{more}. If it holds no heights (a mask, a count of scenes), unpack or name only "
+        "files of heights."
     ]
 
 

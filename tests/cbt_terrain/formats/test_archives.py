@@ -119,6 +119,7 @@ BAD = {
     "absolute.zip": ({"/etc/a.tif": b"II"}, "holds '/etc/a.tif', whose name leads out"),
     "drive.zip": ({"C:a.tif": b"II"}, "whose name leads out"),
     "link.zip": (linked, "holds 'a.tif', which is a link"),
+    "long.zip": ({f"in/{'a' * 252}.tif": b"II"}, "whose name has more than 255 bytes"),
     "secret.zip": (encrypted, "which is encrypted"),
     "liar.zip": (understated, "cannot be unpacked"),
     "cut.zip": (cut, "cannot be unpacked"),

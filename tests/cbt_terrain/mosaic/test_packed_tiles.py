@@ -150,6 +150,26 @@ def test_options_of_several_files_hold_for_one_archive(archive, tmp_path):
         import_source(ImportSettings(str(one), step=20.0), tmp_path / "store")
 
 
+def test_a_path_into_an_archive_names_the_archive(archive, tmp_path):
+    path = tmp_path / "all" / "a.zip"
+    for settings in (ImportSettings(f"{path}/north/t0.tif"), settings_of(f"{path}/north/t0.tif", path)):
+        with pytest.raises(TerrainError, match=r"t0.tif does not exist.*: name the archive \(.*/a.zip\), or unpack it"):
+            import_source(settings, tmp_path / "store")
+    assert import_source(ImportSettings(f"{path}/"), tmp_path / "store")["files"] == 4
+
+
+def test_a_file_that_replaces_another_whole_is_warned_about(archive, tmp_path):
+    """Archives of public elevation models hold masks and counts on the grid of the heights."""
+    heights, east = archive["north/t0.tif"], archive["north/t1.tif"]
+    path = zipped(tmp_path / "aster.zip", {"a_dem.tif": heights, "a_num.tif": heights, "b.tif": east})
+    report = import_source(ImportSettings(str(path)), tmp_path / "store")
+    [warning] = [text for text in report["warnings"] if "replaces" in text]
+    assert warning.startswith("a_num.tif has all its samples at the places of those of a_dem.tif")
+    assert describe_sources(ImportSettings(str(path)))["warnings"] == report["warnings"]
+    plain = import_source(ImportSettings(str(tmp_path / "all" / "a.zip")), tmp_path / "other")
+    assert not any("replaces" in text for text in plain["warnings"])
+
+
 def test_a_changed_member_changes_its_tile_alone(archive, tmp_path, monkeypatch):
     """The date and the size of the member stay, so that only its checksum differs."""
     settings = ImportSettings(str(tmp_path / "all" / "a.zip"))

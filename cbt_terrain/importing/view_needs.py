@@ -17,7 +17,7 @@ from ..field.cell_ranges import cell_ranges
 from ..field.heightfield import HeightField
 from ..field.store import open_store, read_json
 from ..tiling.tile_grid import TileGrid, rows_of
-from ..view.linear import product
+from ..view.linear import lengths, product
 from ..view.local_view import eye_of
 from ..view.view import ORTHOGRAPHIC, View
 from . import refining
@@ -189,8 +189,11 @@ def _needs(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: Seen
     steps = loaded_m(field.provenance)
     nearest = steps[1] if steps is not None else min(field.lattice.step_x, field.lattice.step_y)
     pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True, nearest=nearest)
+    stretch_x, stretch_y, stretch_z = lengths(seen.placement[:3, :3])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(errors * abs(seen.vertical_scale) / pixels, posinf=np.inf)
+        # Footprints are in horizontal metres of the terrain's space, and errors are vertical.
+        factor = abs(seen.vertical_scale) * stretch_z / max(stretch_x, stretch_y)
+        return np.nan_to_num(errors * factor / pixels, posinf=np.inf)
 
 
 def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:

@@ -101,6 +101,18 @@ def test_needs_near_an_eye_are_by_the_distance_of_the_ground(field, monkeypatch,
     assert lower > 30, "the box of a square encloses much air"
 
 
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 5.0), (1.0, 1.0, -5.0), (4.0, 4.0, 1.0), (4.0, 2.0, 0.5)])
+def test_an_objects_scale_counts_for_errors_in_height(field, scale):
+    """A vertical scale on the object and the same one in the settings have the same needs."""
+    x, y, z = scale
+    across = np.diag([x, y, max(x, y), 1.0])
+    view = camera_at(0.0, 0.0, 3e5)  # distances hardly differ
+    scaled = view_needs.SeenLand([view], np.diag([*scale, 1.0]))
+    wanted = view_needs.SeenLand([view], across, vertical_scale=z / max(x, y))
+    [needs, same] = view_needs.errors_in_view(field, 16, [scaled, wanted])
+    assert needs.max() > 0.0 and np.allclose(needs, same, rtol=1e-6)
+
+
 def test_an_eye_in_a_square_has_the_need_of_the_finest_step(field):
     """The need there is that at a distance of 10 m, the step of all samples."""
     west, south, east, north = field.lattice.rectangle()

@@ -390,6 +390,8 @@ def test_f12_during_an_import_waits_until_the_tiles_suffice(terrain, held, f12):
     until(held, lambda: turn(waiting) == {"FINISHED"})
     assert rendered == ["a render"]
     assert jobs.find(jobs.IMPORT, terrain) is not None and loaded_text(terrain.adaptive_terrain)
+    HeldImport.is_released = True
+    assert to_the_end(held) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
 
 
 def test_esc_ends_the_wait_of_f12_alone(terrain, held, f12):

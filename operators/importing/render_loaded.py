@@ -33,7 +33,6 @@ class RenderLoaded(bpy.types.Operator):
 
     bl_idname = "adaptive_terrain.render_loaded"
     bl_label = "Load and Render"
-    bl_options = {"INTERNAL"}
 
     timer = None
 

@@ -5,7 +5,7 @@ import bpy
 
 # Internal operators need a row of a panel, and have no place in a menu.
 OPERATORS = (
-    ("import_source", "add_tiles", "join", "pack_store", "update", "frame", "freeze", "move_world"),
+    ("import_source", "add_tiles", "join", "pack_store", "render_loaded", "update", "frame", "freeze", "move_world"),
     ("set_up_scene", "terrain_material"),
     ("shape", "shape_and_render", "water_surface", "bake_land", "export_heights", "land_clear"),
     ("bake", "export", "export_tiles", "export_tileset", "map_camera", "render_map", "submit", "bake_maps"),

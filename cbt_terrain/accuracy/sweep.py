@@ -138,16 +138,11 @@ def _measure_setting(
                     on_progress=partial(_report_part, on_part, len(measured), num_views),
                 )
             )
-
-        def make_attributes(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
-            """Evaluate the effects of this frame on a surface."""
-            request = EffectRequest(effects, surface, views, *frame.placement_and_heights)
-            return evaluate(heights, request, terrain.history, terrain.threads).attributes
-
+        make_attributes = partial(_attributes_of, heights, terrain, effects, frame) if effects.steps else None
         before = surface if frame.after else None
         del update, surface  # their memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
-        timed = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
+        timed = timed_runs(terrain, criterion, frame, count, write, make_attributes)
         runs.append(fastest_run(timed))
         times = [run["cpu"] for run in timed]
         spreads.append((min(times), max(times)))
@@ -174,6 +169,19 @@ def _measure_setting(
         spread_ms=max(spreads, key=lambda times: times[1] / max(times[0], 1e-9)),
         cpu_ms=cpu,
     )
+
+
+def _attributes_of(
+    heights: HeightField,
+    terrain: Terrain,
+    effects: AttributePlan,
+    frame: TimedFrame,
+    surface: Surface,
+    views: Sequence[View],
+) -> dict[str, Attribute]:
+    """Return the attributes that the effects give a surface of a frame, by name."""
+    request = EffectRequest(effects, surface, views, *frame.placement_and_heights)
+    return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
 
 def _report_part(report: Progress, done: int, count: int, fraction: float) -> None:

@@ -87,7 +87,8 @@ def fill_bounds(
     of_change, metres = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
     hierarchy.build_twists(rectangle.change, cells, of_change, threads)
     hierarchy.build_twists(rectangle.heights, cells, metres, threads)
-    # In finer cells the errors of raster and change are added, and no diamond has a smaller bound than those below it.
+    # In finer cells the walk adds the raster's error, which is at most `off`, and the change's code. No bound above may
+    # be smaller than this sum.
     coded = table[np.minimum(np.searchsorted(table, of_change[cells.base :] * UP), len(table) - 1)]
     np.maximum(metres[cells.base :], coded, out=metres[cells.base :])
     filled = np.nan_to_num(rectangle.heights)
@@ -96,6 +97,7 @@ def fill_bounds(
     images = []
     for image, shift in _images(small.layout(), metres, with_cells=False):
         rows, columns = image.shape
+        # Above the rounding of `off`, of this sum, and of the sum of both errors in the walk.
         bound = (image + np.float32(off)) * UP * UP * UP
         images.append((np.where(_are_covered(missing, (rows, columns), shift), bound, np.float32(np.inf)), shift))
     for tile in tiles:

@@ -23,7 +23,8 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
     z is not below base. per_step: 1 / step.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
-    if q > 0 and base + wp.float64(q) * step > z:  # rarely; the compiler makes many steps of the loop at once
+    # The loop is rarely needed. The test before it keeps the compiler from running several of its steps at once.
+    if q > 0 and base + wp.float64(q) * step > z:
         while q > 0 and base + wp.float64(q) * step > z:
             q = q - 1
     return wp.uint16(q)
@@ -37,7 +38,7 @@ def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.
     """
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     q = wp.min(q + wp.where(base + wp.float64(q) * step < z, 1, 0), 65535)
-    if q < 65535 and base + wp.float64(q) * step < z:
+    if q < 65535 and base + wp.float64(q) * step < z:  # rarely, as in `quantise_down`
         while q < 65535 and base + wp.float64(q) * step < z:
             q = q + 1
     return wp.uint16(q)

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Random views of terrains with finer tiles, in which bounds must hold."""
 
+from dataclasses import replace
+
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, anchored
+from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -32,3 +35,11 @@ def assert_bounds_in_random_views(
         assert screen_error(view, reference, update.surface, places) <= update.bound_px * (1 + 1e-6) + 1e-4
         finest = max(finest, int(update.surface.level.max()))
     return finest
+
+
+def assert_an_anchor_moves_the_surface_alone(field: HeightField, places: np.ndarray) -> None:
+    """Assert that heights at places of the plan, metres, do not depend on the anchor of a georeferenced field."""
+    raster = replace(field.raster, origin=np.array([5e5, 5e6, 0.0]), place=(1.0, 0.0, 5e5, 0.0, 1.0, 5e6))
+    moved = anchored(replace(field, raster=raster), 1024.0, -1024.0)
+    found, expected = ground_at(moved, places - [1024.0, -1024.0]), ground_at(field, places)
+    assert np.allclose(found.heights, expected.heights, atol=1e-9, equal_nan=True)

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bicubic surface with finer tiles, against point-by-point code: heights, bounds, cracks, rays and boxes."""
 
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.bicubic import bicubic, interpolated
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
-from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.query.rays import pick
@@ -18,7 +16,7 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
 from fields import extent, mesh_heights, reference_heights
 from finer_fields import finer_field
-from finer_views import assert_bounds_in_random_views
+from finer_views import assert_an_anchor_moves_the_surface_alone, assert_bounds_in_random_views
 from invariants import assert_invariants
 
 
@@ -134,11 +132,7 @@ def test_frames_after_each_other_are_those_of_a_new_terrain(field):
 
 
 def test_an_anchor_moves_the_surface_alone(field):
-    places = places_on(field, 500, 6)
-    raster = replace(field.raster, origin=np.array([5e5, 5e6, 0.0]), place=(1.0, 0.0, 5e5, 0.0, 1.0, 5e6))
-    moved = anchored(replace(field, raster=raster), 1024.0, -1024.0)
-    found = ground_at(moved, places - [1024.0, -1024.0]).heights
-    assert np.allclose(found, ground_at(field, places).heights, atol=1e-9, equal_nan=True)
+    assert_an_anchor_moves_the_surface_alone(field, places_on(field, 500, 6))
 
 
 def test_normals_are_those_of_the_slopes(field):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finer tiles beside a dense grid of the same surface: heights, bounds, cracks, rays, and what they cannot do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -11,7 +9,6 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.cell_ranges import rectangle_ranges
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
-from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at, profile
 from adaptive_terrain.cbt_terrain.query.rays import pick
@@ -20,7 +17,7 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
 from fields import extent, mesh_heights, reference_heights
 from finer_fields import dense_field, dense_heights, dense_raster, finer_field
-from finer_views import assert_bounds_in_random_views
+from finer_views import assert_an_anchor_moves_the_surface_alone, assert_bounds_in_random_views
 from invariants import assert_invariants
 
 
@@ -135,15 +132,7 @@ def test_frames_after_each_other_are_those_of_a_new_terrain(field):
 
 
 def test_an_anchor_moves_the_surface_alone(field):
-    places = places_on(field, 500, 6)
-    place = replace(field.raster, origin=np.array([5e5, 5e6, 0.0]), place=(1.0, 0.0, 5e5, 0.0, 1.0, 5e6))
-    moved = anchored(replace(field, raster=place), 1024.0, -1024.0)
-    assert np.allclose(
-        ground_at(moved, places - [1024.0, -1024.0]).heights,
-        ground_at(field, places).heights,
-        atol=1e-9,
-        equal_nan=True,
-    )
+    assert_an_anchor_moves_the_surface_alone(field, places_on(field, 500, 6))
 
 
 def test_ring_has_the_heights_of_the_raster(field):

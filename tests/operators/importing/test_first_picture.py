@@ -18,13 +18,12 @@ from adaptive_terrain.cbt_terrain.importing import import_process, refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.sandbox.store_job import JobProgress
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.export.frame_sources import SceneFrames, loading_note
 from adaptive_terrain.operators.export.rendering import render_frames
 from adaptive_terrain.operators.farm.submit import submit
-from adaptive_terrain.operators.importing import import_terrain, incomplete, render_loaded, view_tiles
+from adaptive_terrain.operators.importing import import_terrain, incomplete, view_tiles
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, loaded_text
 from adaptive_terrain.operators.importing.panel import draw_source
 from adaptive_terrain.operators.importing.store_location import store_folder
@@ -32,7 +31,7 @@ from adaptive_terrain.operators.land import render_wait
 from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_row
 from drawn_panels import DrawnLayout
-from mathutils import Vector
+from held_imports import HeldImport, add_large_terrain, hold_import, look_down, store_of, tiles_of, until
 from modal_runs import RunningOperator, running, to_the_end, turn
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
@@ -42,18 +41,13 @@ LOADED = "Loaded to 79.6 m of 10 m"
 
 @pytest.fixture
 def terrain(scene, add_terrain, tmp_path, monkeypatch):
-    """Add a turned and scaled terrain of 200 x 150 samples, of which 600 count as quick, to a saved file."""
-    monkeypatch.setattr(import_terrain, "QUICK_SAMPLES", 600)
-    heights = hills(200, 150)
-    source = write_raster(tmp_path / "a.tif", heights, crs="EPSG:32632", transform=from_origin(5e5, 5e6, 10, 10))
-    obj = add_terrain()
-    obj.rotation_euler, obj.scale, obj.location = (0.1, 0.0, 0.7), (2.0, 2.0, 1.5), (100.0, 50.0, -200.0)
-    settings = obj.adaptive_terrain
-    settings.source, settings.source_path, settings.store = "FILE", str(source), ""
-    scene.frame_set(7)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    bpy.context.view_layer.update()
-    return bpy.data.objects["Terrain"]
+    return add_large_terrain(scene, add_terrain, tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def held(monkeypatch, terrain):
+    yield hold_import(monkeypatch, terrain)
+    assert not jobs.running, "an import that is left would hold later tests"
 
 
 @pytest.fixture
@@ -64,18 +58,6 @@ def incomplete_terrain(terrain):
     run_import(replace(settings, quick=600), store_of(terrain))
     bpy.ops.wm.save_mainfile()
     return terrain
-
-
-def until(operator, is_reached):
-    """Send timer events until a condition holds."""
-    end = time.monotonic() + 300
-    while not is_reached():
-        assert turn(operator) == {"PASS_THROUGH"} and time.monotonic() < end
-        time.sleep(0.005)
-
-
-def store_of(obj):
-    return Path(bpy.path.abspath(obj.adaptive_terrain.store))
 
 
 def box_of(obj):
@@ -266,64 +248,6 @@ def test_tiles_in_view_are_shown_before_the_rest(terrain, scene, monkeypatch):
     assert changed_settings(settings, imported_of(terrain.adaptive_terrain)) == []
 
 
-class HeldImport:
-    """An import that is not begun before `is_released`; those of first pictures and tiles do not wait."""
-
-    is_released = cancelled = False
-
-    def __init__(self, settings, store):
-        self.given, self.job = (settings, store), None
-        if settings.loaded_tiles:
-            run_import(settings, store)  # a child would not know the sizes of this test
-        if settings.quick:
-            self.job = ImportJob(settings, store)
-
-    def poll(self):
-        if self.job is None and HeldImport.is_released:
-            self.job = ImportJob(*self.given)
-        return JobProgress(0.5, "Reading", done=self.cancelled) if self.job is None else self.job.poll()
-
-    @property
-    def reached(self):
-        return (0.5, "Reading") if self.job is None else self.job.reached
-
-    def cancel(self):
-        self.cancelled = self.job is None
-        if self.job is not None:
-            self.job.cancel()
-            self.cancelled = self.job.cancelled
-
-
-@pytest.fixture
-def held(monkeypatch, terrain):
-    """Begin an import whose complete step is held, with tiles of 16 x 16 cells; return the operator of it."""
-    for name, value in (("FEWEST", 1), ("FACTOR", 2), ("BITS", 4)):
-        monkeypatch.setattr(refining, name, value)
-    monkeypatch.setattr(view_tiles, "REST_S", 0.0)
-    monkeypatch.setattr(HeldImport, "is_released", False)
-    monkeypatch.setattr(import_process, "ImportJob", HeldImport)
-    look_down(terrain, -600.0, -300.0)
-    operator = running(import_terrain.ImportTerrain, terrain)
-    until(operator, lambda: tiles_of(terrain) and jobs.find(jobs.IMPORT, terrain).message == "Reading")
-    return operator
-
-
-def look_down(terrain, x, y, height=900.0):
-    """Let the camera look down on a place of the terrain from some metres above it, and update the terrain."""
-    camera = bpy.context.scene.camera
-    camera.location, camera.rotation_euler = terrain.matrix_world @ Vector((x, y, height)), terrain.rotation_euler
-    camera.data.angle = 0.5
-    bpy.context.view_layer.update()
-    if terrain.adaptive_terrain.store and imported_of(terrain.adaptive_terrain):
-        session.update_object(terrain)
-
-
-def tiles_of(terrain):
-    """Return the numbers of a terrain's loaded tiles."""
-    imported = imported_of(terrain.adaptive_terrain)
-    return set(imported.settings["loaded_tiles"]) if imported is not None and imported.refined_m else set()
-
-
 def shown_text(terrain):
     return view_tiles.loaded_here(SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain)
 
@@ -365,43 +289,6 @@ def test_a_render_loads_the_tiles_that_it_sees(terrain, held):
     until(again, lambda: tiles_of(terrain) > before)
     HeldImport.is_released = True
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
-
-
-@pytest.fixture
-def f12(held, monkeypatch):
-    """Press F12 during the held import; return the operator that waits, and the list of renders."""
-    rendered = []
-    monkeypatch.setattr(render_loaded, "_render_soon", lambda _window: rendered.append("a render"))
-    operator = RunningOperator(operator_class=render_loaded.RenderLoaded, report=Mock())
-    operator.context = SimpleNamespace(**vars(held.context) | {"window_manager": Mock(), "workspace": Mock()})
-    assert render_loaded.unfinished(bpy.context.scene) == [held.context.object]
-    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
-    return operator, rendered
-
-
-def test_f12_during_an_import_waits_until_the_tiles_suffice(terrain, held, f12):
-    waiting, rendered = f12
-    before = tiles_of(terrain)
-    terrain.adaptive_terrain.render.error_px = 1.0  # finer than the tiles
-    look_down(terrain, 700.0, 400.0)
-    until(held, lambda: turn(waiting) == {"PASS_THROUGH"} and tiles_of(terrain) > before)
-    assert turn(waiting, "F12") == {"RUNNING_MODAL"} and rendered == [], "between its samples may be more than a pixel"
-    terrain.adaptive_terrain.render.error_px = open_store(store_of(terrain)).max_height
-    until(held, lambda: turn(waiting) == {"FINISHED"})
-    assert rendered == ["a render"]
-    assert jobs.find(jobs.IMPORT, terrain) is not None and loaded_text(terrain.adaptive_terrain)
-    HeldImport.is_released = True
-    assert to_the_end(held) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
-
-
-def test_esc_ends_the_wait_of_f12_alone(terrain, held, f12):
-    waiting, rendered = f12
-    assert turn(waiting, "ESC") == {"CANCELLED"} and rendered == []
-    waiting.context.workspace.status_text_set.assert_called_with(None)
-    job = jobs.find(jobs.IMPORT, terrain)
-    assert not job.stopped, "the import goes on"
-    job.stop()
-    assert to_the_end(held) == {"FINISHED"} and render_loaded.unfinished(bpy.context.scene) == []
 
 
 @pytest.mark.parametrize(("is_placed", "modes"), [(True, ("VIEWPORT", "RENDER")), (False, ("VIEWPORT",))])

@@ -74,6 +74,7 @@ def _request_of(obj, depsgraph, error_m: float) -> Request:
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
     )
     request = gather(obj, depsgraph, criterion=criterion)
+    # `request` has the attributes that viewports read; None adds those that renders read.
     rendered = gather_effects(obj, evaluated, request.placement, depsgraph, RENDER, None)
     effects = replace(request.effects, requests=request.effects.requests + rendered.requests)
     land = land_of(obj, evaluated, depsgraph, waits=True)  # viewports may show a preview, and of a hidden terrain none
@@ -82,7 +83,7 @@ def _request_of(obj, depsgraph, error_m: float) -> Request:
 
 
 def _with_attributes(surface: Surface, heights: HeightField, request: Request) -> Surface:
-    """Return a baked surface with the attributes of a request, at the scale of the finest samples without a camera."""
+    """Return a baked surface with a request's attributes, at the finest samples' scale because it has no camera."""
     from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
     from ...cbt_terrain.history.frame_history import FrameHistory
 

@@ -51,6 +51,7 @@ def check_named_files(blend: Path) -> None:
 
     paths = {Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)}
     for path in sorted(paths):
+        # A path may be the pattern of an image in tiles, of which Blender reads each.
         waiting = next(filter(blocks_reader, [path, *numbered_files(path, "TILED")]), None)
         if waiting is not None:
             raise TerrainError(

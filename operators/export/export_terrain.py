@@ -68,7 +68,8 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
     def execute(self, context):
         """Write the terrain to the chosen file, and restore the viewport's detail even after an error.
 
-        After the dialog, invoke the operator anew only if kernels are missing: Blender shows no report of a nested one.
+        After the dialog, the operator invokes itself anew only if kernels are missing, because Blender shows no report
+        of a nested operator.
         """
         with remembered_object(self, context):
             if self.options.is_invoke and not self.is_chosen and not self._has_kernels(context):

@@ -235,7 +235,7 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
             size=sizes[self.size] if self.size in sizes else int(self.size),
-            tiles=tuple(self.tiles) if fits else None,
+            tiles=tuple(self.tiles) if fits else None,  # numbers east and south
             step=0.0 if fits else self.step,
             overlap=self.overlap,
             is_flipped=self.flip,

@@ -162,7 +162,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(
             f"There is no folder {path.parent} to write {path.name} into", fix="make it, or choose another"
         )
-    if os.path.isdir(path):  # which raises for no name
+    if os.path.isdir(path):  # False for a name that is too long, for which Path.is_dir raises
         raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
@@ -319,6 +319,7 @@ def write_blend(pieces: "Sequence[Piece]", path: Path) -> None:
     path = real_path(path)
     for piece in pieces:
         _check_count(piece, path, len(piece.obj.data.polygons))
+    # written_among: the partial file is in the final folder, so relative paths in it stay right.
     with named_failures(path), _written_by_blender(path, written_among) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
         _check_fully_written(partial)

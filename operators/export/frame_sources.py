@@ -140,6 +140,7 @@ class SceneFrames:
         with_scatters: bool = False,
         stores: Path | None = None,
     ):
+        """Open the file, and find the camera by its name. None keeps a setting of the scene. Raises TerrainError."""
         content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
         self.scene, self.objects = open_scene(blend, stores)
 
@@ -160,10 +161,10 @@ class SceneFrames:
                     f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}", fix="choose one"
                 )
         options = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **overrides.to_json()}
-        stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
-        fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
+        used = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
+        fields = {name: field_identity(open_store(absolute_path(path))) for name, path in used.items() if path}
         self.settings = {"scene": content, "height_fields": fields, **options}
-        self.files = [Path(blend), *(Path(absolute_path(path)) for path in stores.values() if path)]
+        self.files = [Path(blend), *(Path(absolute_path(path)) for path in used.values() if path)]
 
     def inputs(self, frame: int) -> list[Path]:
         """Return the files, and the folders of stores, that a frame is made of."""
@@ -238,6 +239,7 @@ def baked_piece(
     field = with_detail(interpolated(open_store(store), interpolation), detail)
     criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
     update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
+    # No rounds: the mesh without the fit was best.
     fit_info = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
     obj = new_object(StoreFrames.name) if in_blender else None
     if obj is not None:
@@ -268,6 +270,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "height_field": str(field.key),
         **loading_note(field),
         "interpolation": field.interpolation,
+        # The displacement: noise by its settings, images and layers by their key, None without one.
         "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
     }
 

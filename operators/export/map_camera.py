@@ -88,6 +88,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
         raise TerrainError("The pixels of the map are too narrow", expected=f"sides up to 1 : {MAX_ASPECT:g}")
     west, south, east, north = lattice.rectangle()
     placing = placing_or_middle(field)
+    # Corners of the raster in its coordinate system; metres from the middle without one.
     south_west, north_east = placing.from_terrain(np.array([[west, south], [east, north]])).tolist()
     heights = (box - matrix[:3, 3]) @ axes[:, 2]  # of the box's corners along the terrain's up axis
     spare = max(1.0, MARGIN * float(np.ptp(heights)))

@@ -61,7 +61,7 @@ def is_missing(store: Path) -> bool:
     if not (store / JSON_NAME).exists():
         return True
     with suppress(TerrainError):  # who opens a damaged store reports it
-        return loaded_m(read_json(store)["provenance"]) is not None
+        return loaded_m(read_json(store)["provenance"]) is not None  # None: all samples are loaded
     return False
 
 
@@ -72,7 +72,7 @@ def import_store(obj, task: Preparation) -> None:
     Raises TerrainError, also for a damaged store.
     """
     store = store_folder_of(obj)
-    if can_load_tiles(store) and not is_begun(obj, task.stores):
+    if can_load_tiles(store) and not is_begun(obj, task.stores):  # else a job imports all samples
         if text := load_tiles(obj, task.frames, task.stores, task.on_progress):
             task.say(f"{obj.name}: {text}")
             return

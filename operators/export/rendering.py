@@ -138,7 +138,7 @@ def _collect_figures(terrains: list[dict], objects: list):
 
 
 def _figures(name: str, record: Record) -> dict:
-    """Return the figures of the terrain that was rendered, as `exporting.figures` does for an export."""
+    """Return the figures of the terrain that was rendered, with the keys of `exporting.figures`."""
     status = record.status
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
     figures = {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}

@@ -70,7 +70,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         settings.enabled = True
         add_default_layers(settings)
         settings.source, settings.seed = self.land, self.seed
-        land = built_in_land(settings)
+        land = built_in_land(settings)  # its `side` is in metres
         size = land.side if self.natural_size or self._is_shaped(land) else self.size
         settings.use_extent, settings.extent = True, (size, size)
         settings.height_scale = size / land.side  # the land keeps its shape

@@ -55,7 +55,7 @@ def settings_of(obj) -> ImportSettings:
     files = _files_of(settings)
     several = names_several(files)
     mosaic = {}
-    if may_name_several(files):
+    if may_name_several(files):  # an archive may hold several, too
         mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
     raw = {}
     if is_raw(settings.source_path):
@@ -230,7 +230,7 @@ class ImportOperator(JobOperator):
 
         job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
-        yield from jobs.wait_with_result(job)  # the end of an import may update the mesh
+        yield from jobs.wait_with_result(job)  # for kernels of the update that shows the import
         return report, folder
 
     def abandon(self) -> None:
@@ -269,9 +269,10 @@ class ImportOperator(JobOperator):
             self.baked = ""
 
     def _show_in_viewports(self, context, obj, before: imported.Imported | None) -> None:
-        """Frame a terrain that is new or of another size; one that has grown less only where all of it was seen.
+        """Frame a terrain that is new, or whose size has changed by the factor RESIZED or more.
 
-        A viewport that shows a part of it may be in use. before: facts of the earlier raster, None without one.
+        One that has grown by less is framed only in viewports that showed all of it; others may be in use. before:
+        facts of the earlier raster, None without one.
         """
         size, size_before = _size_of(self.before), _size_of(before)
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
@@ -286,7 +287,7 @@ class ImportOperator(JobOperator):
     def _bring_into_view(self, context, obj, viewports: list[tuple]) -> None:
         """Show the terrain in those viewports that do not show all of it, extend clip ranges, and report the changes.
 
-        viewports: as of `frame_terrain`.
+        viewports: (window, area, region, region_3d) of each.
         """
         try:
             done = frame_terrain.frame_terrain(obj, context.evaluated_depsgraph_get(), viewports, always=False)
@@ -348,7 +349,7 @@ def resume_after_undo() -> None:
     back.
     """
     if _gone or _added:
-        bpy.app.timers.register(_resume_imports, first_interval=0.0)  # a handler may begin nothing that runs on
+        bpy.app.timers.register(_resume_imports, first_interval=0.0)  # the handler of an undo may start no job
 
 
 @allow_writing

@@ -102,10 +102,10 @@ def plan_packing(objects: list) -> PackPlan:
 
 
 def _lands_of(obj, target: str) -> dict[str, str]:
-    """Return {folder of shaped land that a terrain uses: folder of its copy}: renders' land, and that of views alone.
+    """Return {folder of shaped land that a terrain uses: folder of its copy}.
 
-    {} without a stack that can be applied; land that is missing or damaged is left out. target: new path of the
-    terrain's store.
+    A terrain has up to two: the land that renders wait for, and the one with only the parts in view fine. {} without a
+    stack that can be applied; land that is missing or damaged is left out. target: new path of the terrain's store.
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:

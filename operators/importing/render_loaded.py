@@ -76,6 +76,7 @@ def _is_loaded(context) -> bool:
     """
     depsgraph = context.evaluated_depsgraph_get()
     try:
+        # A list: `all` alone would stop at the first terrain whose tiles are being loaded.
         return all([view_tiles.load_for_render(obj, depsgraph) for obj in unfinished(context.scene)])
     except TerrainError:
         return True

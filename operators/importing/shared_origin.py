@@ -39,9 +39,9 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
         return not any(obj.location[:2]) and _is_plain(obj)
     if origin_of(scene) is None:
         place_terrain(obj, scene, before)
-    found = _transform_of(obj, origin_of(scene), before)
-    return found is not None and all(
-        abs(a - b) <= SAME * (1.0 + abs(b)) for a, b in zip(obj.location[:2], found[0], strict=True)
+    transform = _transform_of(obj, origin_of(scene), before)
+    return transform is not None and all(
+        abs(a - b) <= SAME * (1.0 + abs(b)) for a, b in zip(obj.location[:2], transform[0], strict=True)
     )
 
 
@@ -78,7 +78,7 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
         return
     if not is_placed:
         basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
-        move_world.shift_location(obj, Vector((basis @ by).tolist()), set())
+        move_world.shift_location(obj, Vector((basis @ by).tolist()), set())  # no curve is shifted yet
     move_world.keep_children(obj, by)
 
 

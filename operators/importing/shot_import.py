@@ -53,7 +53,7 @@ def is_begun(obj, stores: Path | None, frames: Sequence[int] | None = None) -> b
     """
     found = {} if stores is None else _read_record(obj, stores)
     wanted = _state(obj, frames or ())
-    names = wanted if frames is not None else ("picture",)
+    names = wanted if frames is not None else ("picture",)  # its digest
     return bool(found) and all(found.get(name) == wanted[name] for name in names)
 
 

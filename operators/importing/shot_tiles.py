@@ -108,8 +108,8 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     """Write the tiles that frames need and the store lacks, for `read_tiles`; return a text about them.
 
     Return "" if a job's frames need all samples: nearly all tiles, or more detail than the neediest tile has, which is
-    loaded to find that out. stores: as of `find_tiles`. Raises TerrainError, also if the store is not of the terrain's
-    sources and settings.
+    loaded to find that out. stores: the folder of the job's stores, None for the terrain's own store. Raises
+    TerrainError, also if the store is not of the terrain's sources and settings.
     """
     if is_begun(obj, stores, frames):
         return ALL_SAMPLES
@@ -122,6 +122,7 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     if _needs_nearly_all(store, tiles, stores) or not (stores is None or _load_neediest(obj, store, lands, tiles)):
         discard_store(store)
         return ""
+    # Without numbers of tiles this only checks the sources.
     import_source(_settings_with(obj, store, tiles), store, part=ImportPart(READ_TILES))
     _write_wanted(store, _lacking(store, needed))
     return f"{len(tiles):,} further tiles of {num_tiles(store):,} are in view"
@@ -130,7 +131,7 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
 def _needs_nearly_all(store: Path, tiles: Sequence[int], stores: Path | None) -> bool:
     """Return whether to import all samples instead of tiles: these are nearly all, and no coarser than the source.
 
-    Several computers then share all of that work, and not only the reading of tiles. stores: as of `find_tiles`.
+    Several computers then share all of that work, and not only the reading of tiles. stores: a job's, or None.
     """
     picture = open_store(first_picture(store))
     return stores is not None and are_all_samples(picture) and len(tiles) >= NEARLY_ALL * picture_tiles(picture)
@@ -186,7 +187,7 @@ def read_tiles(obj, store: Path, part: tuple[int, int], on_progress: Callable[[f
         found = json.loads(read_regular(store / AHEAD / WANTED, MAX_WANTED, links=False))
         wanted = {number for number in found if type(number) is int and number >= 0}
     except (OSError, ValueError, TypeError):
-        return 0  # the tiles are loaded
+        return 0  # without the file no tile is left to read
     mine = share_of(wanted, *part)
     if mine:
         settings = _settings_with(obj, store, wanted)
@@ -198,7 +199,8 @@ def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Cal
     """Load the tiles that frames need; return a text about the store, or "" if the frames need all samples.
 
     The text counts all tiles that the frames need, also those that `plan_tiles` or an earlier call has loaded.
-    stores: as of `find_tiles`; a store of the job is removed if the frames need all samples. Raises TerrainError.
+    stores: the folder of the job's stores, None for the terrain's own store. A job's store is removed if the frames
+    need all samples. Raises TerrainError.
     """
     store, lands, needed = find_tiles(obj, frames, stores)
     tiles = _lacking(store, needed)

@@ -88,7 +88,7 @@ class TileLoader:
             if not progress.done:
                 return False
             self.child, self._has_failed = None, progress.error is not None  # the import reports the cause
-            self._served = self  # after tiles come squares with finer files
+            self._served = self  # no view's key: serve this view again, as squares with finer files come after tiles
             return not self._has_failed
         if obj is None or self._has_failed or jobs.is_rendering():
             return False
@@ -183,9 +183,9 @@ def _seen_by(obj, depsgraph, mode: str) -> "SeenLand":
 
 
 def seen_land(found: request.Request) -> "SeenLand":
-    """Return the views of a terrain, and what else determines the tiles that they need: 1 pixel if no error is set.
+    """Return the views of a terrain, and what else determines the tiles that they need.
 
-    found: the request of an update, about the raster's middle.
+    found: the request of an update, about the raster's middle. An error of 0 pixels counts as 1.
     """
     from ...cbt_terrain.importing.view_needs import SeenLand
 

@@ -16,7 +16,7 @@ def register() -> None:
     if hasattr(bpy.utils, "register_cli_command"):  # since 4.2
         _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
     if not bpy.app.binary_path:
-        atexit.register(unregister)  # as in registration.py
+        atexit.register(unregister)  # as a module Blender crashes at exit if it finds Python's registrations
 
 
 def unregister() -> None:

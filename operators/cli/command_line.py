@@ -28,9 +28,9 @@ def main(argv: list[str] | None = None) -> int:
             return _run(argv)
         except KeyboardInterrupt:
             print(f"{PROGRAM}: stopped", file=sys.stderr)
-            return 128 + (stopping.answer() or signal.SIGINT)
+            return 128 + (stopping.answer() or signal.SIGINT)  # the signal that requested the stop
         finally:
-            stopping.answer()  # an interruption after the work comes too late
+            stopping.answer()  # forget a request that came after the work
 
 
 def program() -> NoReturn:

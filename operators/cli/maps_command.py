@@ -106,7 +106,7 @@ def subjects_of_scene(
     options = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
-        *_, request = visit_for_request(obj, source.scene, names, frames, **options)  # the last item
+        *_, request = visit_for_request(obj, source.scene, names, frames, **options)  # after fractions of the work
         request = replace(request, folder=out / file_name(obj))
         field = raster_of(request.store, request.land, session.open_field, verified=True)
         subjects.append(MapSubject(obj.name, field, request))

@@ -34,7 +34,7 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
         check_target(out)
     content = read_named(points, "The points file", "a table as CSV", MAX_BYTES, descriptors=True)
     field, placing = open_store(store), placing_of(store)
-    is_degrees = placing.metres_y > LONGEST_UNIT
+    is_degrees = placing.metres_y > LONGEST_UNIT  # no unit of length is so long
     names, rows, coordinates = parse_points(content, str(points), () if as_line else FOUND, placing.crs, is_degrees)
     positions = placing.to_terrain(coordinates)  # metres from the terrain's middle
     if as_line:

@@ -58,6 +58,7 @@ class LandNodes(Nodes):
         surface: the shader's socket. sun: unit vector towards it.
         """
         distance = self.add("ShaderNodeCameraData").outputs["View Distance"]
+        # The fractions of red, green and blue light that the air absorbs.
         absorbed = [
             self.math("SUBTRACT", 1.0, self.math("POWER", math.e, self.math("DIVIDE", distance, -length)))
             for length in AIR_M
@@ -136,7 +137,7 @@ def water_material(sun) -> bpy.types.Material:
     clear = n.math("POWER", math.e, n.math("DIVIDE", depth, -CLEAR_M))
     body = n.mix(clear, DEEP, SHALLOW)
     surf = n.math("ADD", depth, n.math("MULTIPLY", noise(26.0, 3.0), 2.6))
-    body = n.mix(n.smooth(surf, 1.8, 1.2), body, FOAM)
+    body = n.mix(n.smooth(surf, 1.8, 1.2), body, FOAM)  # none where depth plus noise is above 1.8 m
     under = n.add("ShaderNodeBsdfDiffuse", {"Color": body}).outputs[0]
     rough = n.math("MULTIPLY_ADD", n.smooth(noise(900.0, 4.0), 0.4, 0.65), 0.10, SEA_ROUGHNESS)
     over = n.add("ShaderNodeBsdfGlossy", {"Color": (1.0, 1.0, 1.0, 1.0), "Roughness": rough}).outputs[0]

@@ -65,7 +65,7 @@ def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, 
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
     ground.set_layers(settings)
     bake_island_maps(obj)
-    material = dress(obj, sources_of(obj, ()))
+    material = dress(obj, sources_of(obj, ()))  # (): no light but that of the maps
     put_grain(material)
     put_haze(material, sun_direction())
     field, water = open_store(store), water_material(sun_direction())
@@ -97,7 +97,7 @@ def _add_camera(scene, flight, frames: range):
     camera.data.clip_start, camera.data.clip_end = flight.clip
     camera.rotation_mode = "QUATERNION"
     for frame in frames:
-        view = flight.view(frame, (1, 1))  # whose sides have the field of view of any picture's larger side
+        view = flight.view(frame, (1, 1))  # a square, whose angle is that of any picture's larger side
         matrix = Matrix(inverse(view.world_to_camera).tolist())
         camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
         camera.data.angle = 2 * math.atan(1 / view.projection[0, 0])

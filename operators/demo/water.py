@@ -28,6 +28,7 @@ def add_sea(scene, field: HeightField, material: bpy.types.Material):
     points = np.concatenate([np.stack([x.ravel(), y.ravel()], -1), far])  # the far corners are the last four
     number = np.arange(rows * columns).reshape(rows, columns)
     cells = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], -1).reshape(-1, 4)
+    # Cells below low land stay, too: a coarse mesh of it may dip below the sea.
     cells = cells[(heights.ravel()[cells] < BEHIND_M).any(axis=1)]
     near, first_far = number[[0, 0, -1, -1], [0, -1, -1, 0]], len(points) - 4  # corners of the grid, in the same order
     sides = [(near[k], first_far + k, first_far + (k + 1) % 4, near[(k + 1) % 4]) for k in range(4)]

@@ -92,7 +92,7 @@ def write_bundle(job: FarmJob, folder: Path) -> None:
     files = {
         TEMPLATE: job_template(job, guard),
         VALUES: to_yaml_json(value_list),
-        OPENJD_VALUES: to_yaml_json(values),
+        OPENJD_VALUES: to_yaml_json(values),  # the form that `openjd run` reads
         ASSETS: _asset_references(job),
     }
     try:
@@ -107,7 +107,7 @@ def job_template(job: FarmJob, guard: str) -> str:
     steps = read_template("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8  # of the embedded file in job.yaml
     text = read_template("job.yaml") + steps
-    has_tiles = job.stores is not None
+    has_tiles = job.stores is not None  # the job loads tiles in view into its own stores
     view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(_num_shares(job)))
     after_tiles = "  dependencies: [{dependsOn: Measure}]\n"
     parts = {

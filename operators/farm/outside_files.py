@@ -30,15 +30,15 @@ def check_outside(
     files: of the job, height maps included. height_maps: files that an import reads. folders: of the job.
     """
     home = real_path(home)
-    known = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
-    links = [link for folder in known for link in _links_in(folder)]
+    terrain_folders = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
+    links = [link for folder in terrain_folders for link in _links_in(folder)]
     paths = dict.fromkeys(real_path(path) for path in (*files, *folders, *links))
     outside = [path for path in paths if not path.is_relative_to(home)]
     height_maps = {real_path(path) for path in height_maps}
     refused = [
         path
         for path in outside
-        if not any(path.is_relative_to(folder) for folder in known)
+        if not any(path.is_relative_to(folder) for folder in terrain_folders)
         and path.suffix.lower() not in bpy.path.extensions_image
         and not (path in height_maps and path.suffix.lower() in HEIGHT_MAP_SUFFIXES)
     ]

@@ -157,7 +157,7 @@ def _next_job() -> LiveUpdate | None:
     global _follows_viewport, _started
     for window in _windows():
         if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
-            mark_dirty()
+            mark_dirty()  # kernels are being compiled: the next turn tries again
     shown = _shown_terrains()
     _follows_viewport = any(
         depsgraph is not None and follows_viewport(obj, depsgraph.scene) for depsgraph, obj in shown
@@ -180,7 +180,8 @@ def _next_job() -> LiveUpdate | None:
             if not _is_prepared(record, request):
                 return None
             record.live_key, _started = request.key(), time.monotonic()
-            request = correct_for_time(request, record.time_correction)  # not in the key: a still camera gets one mesh
+            # The error that fits a time budget is not in the key, so that a still camera gets one mesh.
+            request = correct_for_time(request, record.time_correction)
             return LiveUpdate(
                 obj.session_uid, record.generation, request, _worker.submit(_solve_on_worker, record, request)
             )

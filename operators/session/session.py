@@ -54,7 +54,7 @@ def all_terrains() -> list:
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
-        derived_store.release(uid)
+        derived_store.release(uid)  # its shaped land may be removed
     return found
 
 
@@ -350,7 +350,7 @@ def _make_mesh_single_user(obj) -> None:
 
 def forget_shown() -> None:
     """After undo, write each mesh again at its next update, and drop running updates."""
-    kept.forget()
+    kept.forget()  # the attributes that node trees read
     for record in _records.values():
         record.shown = record.postponed = record.live_key = None
         for scatter in record.scatters.values():
@@ -360,7 +360,7 @@ def forget_shown() -> None:
 
 def clear() -> None:
     """Drop every terrain and height field, after another file or before the extension is disabled."""
-    kept.forget()
+    kept.forget()  # the attributes that node trees read
     with engine_lock:
         for record in _records.values():
             record.generation += 1

@@ -48,6 +48,7 @@ class Progress:
     """
 
     def __init__(self, total: float, label: str, show: bool | str | None = None):
+        """Draw the bar at its start. show: OPENJD for per cents on stdout; None for a bar in a terminal only."""
         self.total, self.label = total, one_line(label)
         self.show = sys.stderr.isatty() if show is None else show
         self.done = self._worked = 0.0

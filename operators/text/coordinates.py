@@ -75,6 +75,7 @@ def _with_names(pair: tuple[float, float], names: list[str], is_degrees: bool, t
         return Coordinates(*pair, is_degrees=is_degrees)
     if len(names) == 2:
         for order, axes in ((EAST_FIRST, (EASTWARD, NORTHWARD)), (NORTH_FIRST, (NORTHWARD, EASTWARD))):
+            # -1 for west and south, None for a name of another axis
             signs = [axis.get(name) for axis, name in zip(axes, names, strict=True)]
             if None in signs or any(sign == -1 and number < 0.0 for sign, number in zip(signs, pair, strict=True)):
                 continue
@@ -104,6 +105,7 @@ def _read_numbers(text: str) -> tuple[float, float] | None:
     Raises TerrainError where commas may separate thousands as well as decimals: 47,420 10,980.
     """
     pairs = [pair for way in _WAYS if (pair := _read_pair(text, *way)) is not None]
+    # With the first way one comma only separates whole numbers, as in 47,10, which has one meaning.
     if "." not in text and "'" not in text and len(set(pairs)) > 1 and _read_pair(text, *_WAYS[0]) is None:
         raise TerrainError(
             f"The commas in {shown(text, 60)!r} may separate decimals or thousands",

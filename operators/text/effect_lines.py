@@ -15,7 +15,7 @@ def about(effect: AttributeDeclaration) -> dict:
     return {
         "about": effect.about,
         "unit": effect.unit,
-        "reads": ", ".join(effect.reads_with(())),
+        "reads": ", ".join(effect.reads_with(())),  # with default parameters
         "parameters": {p.name: _parameter_text(p) for p in effect.parameters} or "",
         "looks": effect.halo,
         "adds to the bound": effect.bound,

@@ -43,7 +43,7 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
     label = f"{y_label} against {x_label}, both logarithmic"
     if not curves:
         return picture(WIDTH, HEIGHT, label, [])
-    xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]  # of spans the minima
+    xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]  # of points, and minima of spans
     xs += [max_x for curve in curves for _, max_x in curve.spans]
     ys = [y for curve in curves for _, y in curve.points]
     x_axis, y_axis = _Axis(xs, LEFT, WIDTH - RIGHT), _Axis(ys, HEIGHT - BOTTOM, TOP)
@@ -70,7 +70,7 @@ def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float)
     left = WIDTH - RIGHT
     parts = []
     for (min_x, max_x), (_, y) in zip(curve.spans, places, strict=False):
-        ends = x_axis(min_x), x_axis(max_x)
+        ends = x_axis(min_x), x_axis(max_x)  # of the x measured at this point
         parts.append(path([(x, y) for x in ends], curve.colour, 7, more='stroke-opacity="0.3"'))
     if curve.joined:
         parts.append(path(places, curve.colour, 2, more=dash))

@@ -14,6 +14,7 @@ def height_tiles_line(name: str, index: dict) -> str:
 
 def tileset_line(name: str, report) -> str:
     """Describe a tileset by its TilesetReport."""
+    # Of the finest and the coarsest level, once if both are equal.
     bounds = " to ".join(bound_text(bound, "m") for bound in dict.fromkeys((report.bounds[-1], report.bounds[0])))
     place = "on the globe" if report.is_on_globe else "in metres from the terrain's middle"
     tiles, levels = _counted(report.num_tiles, "tile"), _counted(len(report.bounds), "level")

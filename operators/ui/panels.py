@@ -95,8 +95,8 @@ def _draw_state(box, context, obj) -> None:
     draw_status(box, context, obj)
     (_, triangles), (_, bound), _ = _figures_of(context, obj)
     bound = phrase("error {}", bound) if bound.startswith("≤") else phrase(bound)
-    shown = session.record_of(obj).status.mode
-    box.label(text=phrase("{} triangles, {}", triangles, bound) if shown else "", icon="BLANK1")
+    mode = session.record_of(obj).status.mode  # "" before the first update
+    box.label(text=phrase("{} triangles, {}", triangles, bound) if mode else "", icon="BLANK1")
 
 
 class LookPanel(TerrainSubpanel):

@@ -59,7 +59,7 @@ def _tick() -> float:
 def _redraw_if_changed() -> None:
     """Redraw the status bar and the panels if the progress that they show has changed."""
     global _shown
-    render_wait.watch()
+    render_wait.watch()  # lets Esc end a render's wait
     now = current_work()
     if now is not None and now[0] is not None:
         now = round(now[0] * jobs.SHOWN_STEPS), now[1]

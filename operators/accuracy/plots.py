@@ -103,8 +103,8 @@ def pareto_rows(rows: "list[Row]", cost: str) -> "list[Row]":
     """Return the rows that no other row of the same interpolation beats in both error and cost.
 
     rows: of one unit. cost: "ms" or "triangles". Interpolations are different surfaces, whose errors do not
-    compare. A fit is made once, so it has no time per frame. Rows with the other setting of geomorph are left out:
-    its purpose is no smaller error.
+    compare. A fit is made once, so it has no time per frame. Rows that only switch geomorph (`morph` is not None) are
+    left out: its purpose is no smaller error.
     """
     from ...cbt_terrain.accuracy.rows import pareto
 
@@ -122,7 +122,10 @@ def cost_of(row: "Row", cost: str) -> float:
 
 
 def setting_label(setting: Setting) -> str:
-    """Return a setting as text, such as `1 px, depth 15` or `4 m, fitted`."""
+    """Return a setting as text, such as `1 px, depth 15` or `4 m, fitted`.
+
+    Its `morph` is above 1 with geomorph, None if that is as in the rest of the sweep.
+    """
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
     parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []

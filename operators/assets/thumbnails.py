@@ -21,6 +21,7 @@ class Studio:
     """
 
     def __init__(self, scene, folder: Path):
+        """Set up a scene for small pictures of objects on a transparent background; `folder` gets the picture."""
         self.scene, self.file = scene, folder / "preview.png"
         scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", SAMPLES
         scene.cycles.use_denoising, scene.cycles.max_bounces = False, 4

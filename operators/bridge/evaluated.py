@@ -37,10 +37,10 @@ def _is_evaluated(obj, depsgraph) -> bool:
 
 
 def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
-    """Return the matrix to the world of an object that neither it nor its parents' animation or constraints move.
+    """Return an object's matrix to the world: evaluated, else as it was set if nothing can move it or its parents.
 
-    what, named: its role and the object to name in the error: a parent is checked for its child. Raises TerrainError if
-    something may have moved it.
+    Raises TerrainError if animation, physics or a constraint can. what, named: role and object in the error, which for
+    a parent are those of the child that is looked up.
     """
     if _is_evaluated(obj, depsgraph):
         return obj.evaluated_get(depsgraph).matrix_world

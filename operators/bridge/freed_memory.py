@@ -109,7 +109,7 @@ def _hold_glibc() -> bool:
         return False
     if not _glibc_holds:
         _glibc_holds = True
-        if not option(_MMAP, _HELD):  # an older version refuses it
+        if not option(_MMAP, _HELD):  # an older version refuses more than its limit
             option(_MMAP, _MMAP_LIMIT)
         option(_TRIM, _HELD)
     return True

@@ -27,6 +27,6 @@ def write_points(mesh, points: ScatterPoints) -> None:
     for name, kind, _, _ in ATTRIBUTES:  # add all before writing: Blender may move existing ones
         add_attribute(mesh, name, kind, "POINT")
     mesh.attributes["position"].data.foreach_set("vector", points.positions.ravel())
-    for name, _, member, array in ATTRIBUTES:
-        mesh.attributes[name].data.foreach_set(member, array(points).ravel())
+    for name, _, member, array_of in ATTRIBUTES:
+        mesh.attributes[name].data.foreach_set(member, array_of(points).ravel())
     mesh.update()

@@ -135,7 +135,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
         if self.keep:
             settings = obj.adaptive_terrain_keep
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
-            settings.offset = pose.height - pose.ground + self.offset
+            settings.offset = pose.height - pose.ground + self.offset  # of the origin from the ground below it
             return
         frame = moves.channels_to_world(evaluated)
         if self.align:

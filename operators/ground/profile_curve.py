@@ -53,7 +53,7 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
     def execute(self, context):
         """Create a curve on the ground for the chosen curve, and write the files if they are named."""
         depsgraph = context.evaluated_depsgraph_get()
-        for curve in _chosen_curves(context):
+        for curve in _chosen_curves(context):  # one at most
             lines = lines_of(curve, depsgraph)
             _, ground = terrain_at(context, np.concatenate(lines), f"the curve {curve.name!r}", depsgraph)
             found = [along_line(ground, line, self.spacing or None) for line in lines]

@@ -118,7 +118,7 @@ def depends_on_views(scene) -> bool:
 
 def ground_of(obj, depsgraph, mode: str = VIEWPORT) -> WorldGround:
     """Return a terrain as ground, computed if necessary. Raises TerrainError."""
-    # Land that is shaped only in view of the camera needs the views of the scene's own criterion.
+    # Land that is shaped only in view of the camera needs the views of the scene's own criterion. ANY needs none.
     criterion = None if mode == RENDER and obj.adaptive_terrain.land.where == SEEN else ANY
     request = gather(obj, depsgraph, mode, criterion=criterion, overrides=Overrides(effects=()))
     with session.engine_lock:

@@ -62,7 +62,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Copy the shaped land to a new store on a thread; return the land, and the store's path for the settings.
 
-        It is beside the old store if `baked_folder` allows that.
+        The new store is beside the old one if `baked_folder` allows that.
         """
         store_path(context.object)  # raises TerrainError before any work
         land = shape_land.wanted_land(context.object, context.evaluated_depsgraph_get())
@@ -72,7 +72,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
         def copy() -> tuple[Land, str]:
             """Check the shaped land, which is shaped first if a script has not done that, and copy it."""
             with stopping.checking(job.raise_if_stopped):
-                # "": the store counts only without land
+                # opens the shaped land, and checks its files; the store "" would be opened only without land
                 derived_store.raster_of("", land, session.open_field, verified=True)
                 copy_store(land.folder, target, job.progress)
             return land, folder

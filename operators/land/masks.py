@@ -71,7 +71,7 @@ def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np
     """
     longer = max(extent_m)
     columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)
-    covered = np.zeros((rows * FINE, columns * FINE), bool)
+    covered = np.zeros((rows * FINE, columns * FINE), bool)  # FINE points along each side of a sample
     scale = np.array([columns * FINE / extent_m[0], rows * FINE / extent_m[1]])
     corners = (triangles + np.array(extent_m) / 2) * scale - 0.5  # point [0, 0] is half a spacing inside the border
     for triangle in corners:

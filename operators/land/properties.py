@@ -77,7 +77,7 @@ def _make_property(parameter: Parameter):
         unit = unit_text(parameter.unit)
         with_unit = f"{label} ({unit})"
         label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about} ({unit})")
-    options = {"name": label, "description": about} | STILL
+    options = {"name": label, "description": about} | STILL  # which forbids animation
     if isinstance(parameter.default, int):
         return IntProperty(**options, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
     low, high, default = (_to_blender(parameter, value) for value in (parameter.min, parameter.max, parameter.default))

@@ -132,8 +132,8 @@ def wait_for_import(child: ChildJob) -> None:
 def _estimate_seconds(land: Land) -> float:
     """Return the expected seconds of shaping land, infinity if they are unknown."""
     with suppress(TerrainError, OSError):
-        found = estimate_seconds(land.source, land.stack, derived_store.preview_of(land), land.of_views)
-        return math.inf if found is None else found
+        seconds = estimate_seconds(land.source, land.stack, derived_store.preview_of(land), land.of_views)
+        return math.inf if seconds is None else seconds
     return math.inf
 
 

@@ -72,7 +72,8 @@ def has_work() -> bool:
 def _may_be_finer(uid: int, record: session.Record) -> bool:
     """Return whether a terrain's land could be shaped more finely than at its last update.
 
-    It cannot if the terrain had no live update yet, or if a job for the same request has found no missing tile.
+    Land of a stack could, and a store that is fine only where earlier views looked. It cannot if the terrain had no
+    live update yet, or if a job for the same request has found no missing tile.
     """
     request, rest = record.status.request, _rests.get(uid)
     if request is None or record.live_key is None or rest is not None and rest.done and rest.key == record.live_key:
@@ -141,8 +142,8 @@ def _has_rested(obj) -> bool:
 def _land_to_make(obj, depsgraph) -> Land | None:
     """Return the land to shape for the views of the last update; None if there is nothing to make.
 
-    That is so without land, if all of it exists, if the user stopped it, or if it failed; the terrain's rest is then
-    done.
+    That is so without land, if all of it exists, or if it is in `_left`: the user stopped it, or it failed. The
+    terrain's rest is then done. Land that is fine only in view (`of_views`) may lack tiles after it was shaped.
     """
     request = session.record_of(obj).status.request
     land = _current_land(obj, depsgraph)
@@ -162,11 +163,11 @@ def _current_land(obj, depsgraph) -> Land | None:
 
 def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
     """Return the views of a request as the description of the tiles that shaping needs."""
-    placement, scale = (
+    placement, scale_and_offset = (
         about_middle(request.placement, request.anchor),
         (request.vertical_scale, request.vertical_offset),
     )
-    return requested_tiles.SeenTiles(tuple(request.views), placement, request.criterion.error_px, *scale)
+    return requested_tiles.SeenTiles(tuple(request.views), placement, request.criterion.error_px, *scale_and_offset)
 
 
 def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
@@ -201,7 +202,8 @@ def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
 def _advance_job(terrain: tuple | None) -> bool:
     """Advance the running job, or end it if its terrain changed; return whether it has ended and made land.
 
-    terrain: (dependency graph, object), None if no window shows it any more.
+    Land that the user stopped or that failed is noted in `_left`, so that it is not begun again. terrain: (dependency
+    graph, object), None if no window shows it any more.
     """
     making, job = _making, _making.job
     if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _has_new_settings(terrain):

@@ -32,8 +32,8 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     land = land_of(obj, evaluated, depsgraph, waits=True)
     if land is not None and land.of_views and views:
         settings, placement = evaluated.adaptive_terrain, raster_placement_of(evaluated)
-        scale = settings.vertical_scale, settings.vertical_offset
-        land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale))
+        scale_and_offset = settings.vertical_scale, settings.vertical_offset
+        land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale_and_offset))
     if land is None:
         raise TerrainError(
             f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off", fix="add an operator"
@@ -44,7 +44,7 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
 def check_is_shaped(obj, depsgraph) -> None:
     """Raise TerrainError if a terrain's stack has no shaped store yet: shaping it for a button would block the window.
 
-    Nothing is raised without a stack, nor for a store in which shots may lack tiles.
+    Nothing is raised without a stack, nor for a store that is fine only where earlier shots looked.
     """
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     if land is not None and not land.is_shaped:
@@ -153,7 +153,7 @@ class ShapeLand(_Shaping, bpy.types.Operator):
             *_, views = _visit_views(
                 obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene)
             )
-            # "": the store counts only without land
+            # shapes the land; the store "" would be opened only without land
             derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self.fail(obj, str(error))

@@ -116,6 +116,7 @@ def store_of(obj) -> str:
     source = absolute_path(obj.adaptive_terrain.store)
     request = session.record_of(obj).status.request
     shown = _shaped_store(request) if request is not None else ""
+    # The user may have chosen another source since the request.
     return shown if Path(shown).parent == folder_beside(source) else source
 
 
@@ -172,8 +173,8 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
     info = _shaping_info(_shaped_store(request)) if request is not None and _shaped_store(request) else None
     if info is None:
         return LandState(active=True, note=_why_not_shown(obj))
-    tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
-    if info.doubtful:
+    tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""  # built, all
+    if info.doubtful:  # an effect whose tiles may not fit together
         note = phrase(DOUBTFUL, phrase(info.doubtful), f"{MAX_WHOLE:,}")
     elif info.left_out_max_m > 0.0:
         sizes = plain(info.left_out_rms_m), plain(info.left_out_max_m)
@@ -234,7 +235,9 @@ def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
         partial = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
+        # Effects that computed a whole level though only some of its tiles were requested.
         whole = (_label_of(step["effect"]) for step in shaped["added"] if step["whole"] and step["level"] in partial)
+        # The first effect whose tiles may not fit together.
         doubtful = next((_label_of(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
         return _ShapingInfo(step_m, tuple(ms), *(shaped[name] for name in names), doubtful, next(whole, ""))
     except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything

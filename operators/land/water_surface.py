@@ -109,10 +109,10 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
 def _water_mesh(
     name: str, store: str, land: Land | None, anchor: tuple[float, float], level: float | None
 ) -> tuple[Surface, float | None]:
-    """Return the water of a terrain, and the level of its sea; None for the land's own water. For any thread.
+    """Return the water of a terrain, and the level of its sea, None for depths of the stack. For any thread.
 
-    name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the land's own
-    water, or else a level that shows water. Raises TerrainError.
+    name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the depths that
+    operators of the stack have left, or if there are none for a level that shows water. Raises TerrainError.
     """
     from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 

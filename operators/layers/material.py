@@ -240,7 +240,7 @@ def _add_map(n: Nodes, sources: LayerSources, name: str):
     of a whole tile in a line of a pixel or two. So the image is read there without mipmaps, with cubic
     interpolation.
     """
-    place = sources.place(n.tree) if sources.place else None
+    place = sources.place(n.tree) if sources.place else None  # socket: position in tiles; None: the active UV map
     inputs = {"Vector": place} if place else {}
     settings = {"image": sources.maps[name], "extension": "EXTEND"}
     usual = n.add("ShaderNodeTexImage", inputs, **settings).outputs

@@ -192,7 +192,7 @@ MIN_NOISE_M = 0.002  # metres: a property cannot hold the size 0 of no noise
 def has_default_layers(settings) -> bool:
     """Return whether the layers of a terrain are those of `add_default_layers`, unchanged.
 
-    Numbers are compared with a tolerance, since properties are float32.
+    Numbers are compared with a tolerance, since properties are float32 and cannot hold a noise size of 0.
     """
     layers = settings.layers
     if len(layers) != len(rules.DEFAULT) or any(layer.mask or layer.detail.amplitude for layer in layers):

@@ -59,8 +59,9 @@ def bake_maps(
     """
     tiling = tiling_of(field.lattice, min_level(field.raster))
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    finest = shown = sizing.shown_by(tiling, field, request.requests)  # as fine as the height map shows them
-    if request.views:
+    # Metres of each tile's finest content, and of the finest texel that is needed.
+    finest = shown = sizing.shown_by(tiling, field, request.requests)
+    if request.views:  # no finer than a pixel of a view
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
     texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.requests)

@@ -20,7 +20,7 @@ def keep_dry(settings, terrain) -> str:
     """
     terrain_settings = terrain.adaptive_terrain
     depth, entries = settings.where.water_depth, terrain_settings.land.entries
-    depth.use, depth.low, depth.high, depth.edge = True, 0.0, FILM_M, FILM_M
+    depth.use, depth.low, depth.high, depth.edge = True, 0.0, FILM_M, FILM_M  # a film of rain is no water
     notes = ["none in the water of the stack"] if _has_water(entries) else []
     imported, sea = imported_of(terrain_settings), shown_sea(terrain)
     sea = _sea_level(entries) if sea is None else sea  # metres of the height map

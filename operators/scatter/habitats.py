@@ -28,7 +28,7 @@ def set_habitat(scatter, kind: str) -> None:
     found = imported_of(scatter.parent.adaptive_terrain) if scatter.parent is not None else None
     for name, limits in HABITATS.get(kind, ()):
         if name == rules.RELIEF and (found is None or found.heights_m[1] < SNOW_M):
-            continue
+            continue  # no tree line
         band = getattr(where, name)
         band.use = True
         for limit, value in limits.items():

@@ -116,9 +116,9 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
 
 
 def max_points(render: bool) -> tuple[int, str]:
-    """Return the largest number of points of a scatter, and a phrase for what limits it: memory, or Blender crashes.
+    """Return the largest number of points of a scatter that Blender can instance, and a phrase for what limits it.
 
-    render: for a render, whose limit is the machine's memory alone.
+    render: for a render, whose limit is the machine's memory alone; a viewport also has MAX_IN_VIEWPORT.
     """
     max_in_memory = physical_memory() * 3 // 4 // POINT_BYTES
     if not render and max_in_memory > MAX_IN_VIEWPORT:
@@ -157,7 +157,7 @@ def make_points(
             views,
             request.placement.tobytes(),
             below,
-            item.on_mesh and serial,
+            item.on_mesh and serial,  # False: other points do not depend on the mesh
             item.sea_level,
         )
         culls = item.culls and is_uncut

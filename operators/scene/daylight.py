@@ -80,7 +80,7 @@ def add_sky(scene, towards: Vector) -> None:
     sky.sun_rotation = math.atan2(towards.x, towards.y)
     limits = {"Value": up, "From Min": FADE[0], "From Max": FADE[1]}
     above = n.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
-    light = n.scaled(sky.outputs[0], SKY_TYPES[sky.sky_type])
+    light = n.scaled(sky.outputs[0], SKY_TYPES[sky.sky_type])  # by the strength that suits this type
     inputs = {"Color": n.mix(above, (*haze_color(sky.sun_elevation), 1.0), light)}
     n.add("ShaderNodeOutputWorld", {"Surface": n.add("ShaderNodeBackground", inputs).outputs[0]})
     n.arrange()

@@ -79,7 +79,7 @@ def _make_properties(mode: str) -> dict:
         if setting.switch:
             found[setting.switch] = _switch_property(setting, mode)
         if not setting.is_flag:
-            default = setting.default_in(mode)
+            default = setting.default_in(mode)  # None: no limit, and its switch is off
             found[setting.name] = _number_property(setting, setting.usual if default is None else default)
     return found
 

@@ -28,7 +28,7 @@ class Overrides:
         others = asdict(self)
         criterion = dict.fromkeys(("error_px", "max_triangles", "meshlet", "shading_floor", "morph"))
         criterion |= others.pop("criterion")
-        morph = criterion.pop("morph")
+        morph = criterion.pop("morph")  # a factor above 1 with geomorph
         return {**criterion, "smooth_transitions": None if morph is None else morph > 1.0, **others}
 
 

@@ -146,9 +146,9 @@ def gather(
             views = _find_views(evaluated, depsgraph, mode, camera, resolution)
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
-        if views and mode == RENDER and land.of_views:
-            scale = settings.vertical_scale, settings.vertical_offset
-            seen = SeenTiles(tuple(views), raster_placement_of(evaluated), criterion.error_px, *scale)
+        if views and mode == RENDER and land.of_views:  # only land in view has to be fine
+            scale_and_offset = settings.vertical_scale, settings.vertical_offset
+            seen = SeenTiles(tuple(views), raster_placement_of(evaluated), criterion.error_px, *scale_and_offset)
             land = replace(land, seen=seen)
         elif mode != RENDER:
             store, land = _shown_land(store, land, frozen)

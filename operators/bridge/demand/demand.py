@@ -64,7 +64,7 @@ def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = (
     scene, render = depsgraph.scene.original, mode == RENDER
     layers = [layer for layer in scene.view_layers if layer.use or not render]
     shown = _all_objects(scene)
-    holding = {other for other in shown if other.data == obj.data} | {obj}
+    holding = {other for other in shown if other.data == obj.data} | {obj}  # objects with the terrain's mesh
     search = _Search(Demand(), obj, shown, render, shading_of(scene, layers, preview=not render), holding)
     found = search.found
     _read_engine(found, scene, render)
@@ -121,6 +121,7 @@ def _read_holder(search: _Search, obj) -> None:
         label = search.label_of(obj, modifier)
         sources = read_modifier(search.found, modifier, label, search.shading.trees, viewers=not search.render)
         _add_materials(search, sources)
+    # Nodes that set the material index may put any slot on faces.
     slots = range(len(obj.material_slots)) if any(map(sets_material_index, modifiers)) else used_slots(obj)
     numbers = set(slots)
     for system in obj.particle_systems:

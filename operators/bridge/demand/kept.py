@@ -42,7 +42,7 @@ def note_update(depsgraph) -> None:
     stale = False
     for update in depsgraph.updates:
         block = update.id.original
-        if isinstance(block, TYPES):
+        if isinstance(block, TYPES):  # any update of these may change a demand
             stale = True
             continue
         if isinstance(block, bpy.types.Object) and update.is_updated_geometry:

@@ -27,7 +27,10 @@ class Trees:
     altered: set[int] = field(default_factory=set)
 
     def add(self, tree) -> None:
-        """Read the links and the animation of a node tree, unless it was read before."""
+        """Read the links and the animation of a node tree, unless it was read before.
+
+        An input whose value is animated goes to `varied`, a node with any other animated setting to `altered`.
+        """
         if tree.as_pointer() in self.read:
             return
         self.read.add(tree.as_pointer())

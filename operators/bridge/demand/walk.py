@@ -56,7 +56,7 @@ class NodeWalk:
         while waiting:
             node, socket, context = waiting.pop()
             if len(self.seen) > MAX_STEPS:
-                self.read(ALL, node, context[:1], "too many groups in groups to follow")
+                self.read(ALL, node, context[:1], "too many groups in groups to follow")  # [:1]: a short label
                 return
             for source, output in self.feeding(socket):
                 waiting += self._read_and_step(source, output, context)
@@ -156,7 +156,7 @@ class NodeWalk:
         A group nested deeper than MAX_DEPTH counts as reading everything, and is not entered: the result is [].
         """
         if len(context) >= MAX_DEPTH:
-            self.read(ALL, group, context[:1], "groups too deep to follow")
+            self.read(ALL, group, context[:1], "groups too deep to follow")  # [:1]: a short label
             return []
         self.trees.add(group.node_tree)
         ends = [n for n in group.node_tree.nodes if n.bl_idname == "NodeGroupOutput" and n.is_active_output]

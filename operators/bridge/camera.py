@@ -95,11 +95,11 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
     data: Blender's camera data. aspect: width and height of a pixel.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
-    sensor, fitted = _fit_sensor(data, width, height)
+    sensor, side = _fit_sensor(data, width, height)  # millimetres that span this side of the picture
     perspective = data.type == "PERSP"
     with np.errstate(all="ignore"):
-        zoom = 2.0 * fitted * (np.float64(data.lens) / sensor if perspective else 1.0 / np.float64(data.ortho_scale))
-        shift = 2.0 * fitted * np.array([data.shift_x / width, data.shift_y / height])
+        zoom = 2.0 * side * (np.float64(data.lens) / sensor if perspective else 1.0 / np.float64(data.ortho_scale))
+        shift = 2.0 * side * np.array([data.shift_x / width, data.shift_y / height])
         matrix = np.diag([zoom / width, zoom / height, -1.0, 0.0 if perspective else 1.0])
     if perspective:
         matrix[:2, 2], matrix[3, 2] = shift, -1.0
@@ -211,13 +211,13 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         return min(abs(across) / width / math.sqrt(steepest), abs(high - low) / height / steepest)
     if panorama == "FISHEYE_EQUIDISTANT":
         return lens.fisheye_fov / max(width, height)
-    sensor, fitted = _fit_sensor(data, width * aspect[0], height * aspect[1])
-    millimetres = sensor / fitted * min(aspect)  # on the sensor, of a pixel's shorter side
+    sensor, side = _fit_sensor(data, width * aspect[0], height * aspect[1])
+    millimetres = sensor / side * min(aspect)  # on the sensor, of a pixel's shorter side
     if panorama == "FISHEYE_EQUISOLID":
         return millimetres / lens.fisheye_lens
     if panorama == "FISHEYE_LENS_POLYNOMIAL":
         # millimetres from the middle of the sensor to a corner of the picture
-        corner = 0.5 * sensor / fitted * math.hypot(width * aspect[0], height * aspect[1])
+        corner = 0.5 * sensor / side * math.hypot(width * aspect[0], height * aspect[1])
         radii = np.linspace(0.0, corner, 1025)
         factors = [getattr(lens, f"fisheye_polynomial_k{power}") for power in range(5)]
         angles = sum(factor * radii**power for power, factor in enumerate(factors))

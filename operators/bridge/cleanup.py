@@ -44,7 +44,7 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     if cleanup.below is not None:
         surface, _ = cut(surface, [above_line(axis=2, at=cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
-        for side in inside(cleanup.boundary, surface):
+        for side in inside(cleanup.boundary, surface):  # one for each line of a simple outline, else one in all
             surface, _ = cut(surface, [side], threads=threads)
     return surface
 

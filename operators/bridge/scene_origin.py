@@ -38,7 +38,7 @@ class SceneOrigin(NamedTuple):
 def origin_of(scene) -> SceneOrigin | None:
     """Return the origin in a scene's custom properties, None if it has none, or lacks a system or finite numbers."""
     crs, x, y = (scene.get(name) for name in (SRID, CRS_X, CRS_Y))
-    metres = list(scene.get(METRES, (1.0, 1.0)))
+    metres = list(scene.get(METRES, (1.0, 1.0)))  # in a unit of x and of y
     if crs is None or not all(_is_number(value) for value in (x, y, *metres)) or not all(metres):
         return None
     return SceneOrigin(full_name(str(crs)), float(x), float(y), (float(metres[0]), float(metres[1])))

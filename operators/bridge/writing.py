@@ -23,7 +23,7 @@ _run = None  # called by the property's update function
 def may_write() -> bool:
     """Return whether Blender lets Python write to its data now."""
     try:
-        del bpy.data.scenes[0][NO_ENTRY]
+        del bpy.data.scenes[0][NO_ENTRY]  # which no scene has
     except KeyError:
         return True
     except AttributeError:  # Blender looks at its flag first
@@ -61,7 +61,7 @@ def allow_writing(function):
 
 
 def _wait_for_drawing() -> bool:
-    """Wait on a render's thread while the window draws a panel; return whether the flag has been unset."""
+    """Wait on a render's thread while the window draws a panel; return whether Blender then allows writing."""
     if threading.current_thread() is threading.main_thread():  # which draws nothing now
         return False
     end = time.monotonic() + DRAWING_S

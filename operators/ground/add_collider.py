@@ -37,7 +37,7 @@ class AddCollider(GroundOperator, TerrainObjectOperator, bpy.types.Operator):
         update, bound = _bake_collider(terrain, context.evaluated_depsgraph_get())
         collider = collider_of(terrain) or _add_collider(terrain)
         write_mesh(collider.data, update.surface, smooth=False)
-        collider[MARK] = bound
+        collider[MARK] = bound  # marks it as a collider, and the panel shows the number
         if self.rigid_body or context.scene.rigidbody_world is not None:
             _make_passive(context, collider)
         message = f"{collider.name}: {update.triangles:,} triangles, error at most {length_text(bound)}"

@@ -73,7 +73,7 @@ def terrain_at(context, points: np.ndarray, what: str, depsgraph):
     if terrain is not None:
         return terrain, world_ground.ground_of(terrain, depsgraph)
     found = world_ground.grounds_of(context.scene, depsgraph)
-    which = world_ground.find_below(found, points).which
+    which = world_ground.find_below(found, points).which  # positions in `found`, -1 without ground
     if not (which >= 0).any():
         fix = "move it over one, or select the terrain as well"
         raise TerrainError(f"There is no terrain above or below {what}", fix=fix)

@@ -184,7 +184,7 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
     if not np.isfinite(heights[0]):
         return None
     height = heights[0] if corners is None else origin[2] + heights[0] - corners[:, 2].min()
-    return RestPose(float(height), heights[1], turn)
+    return RestPose(float(height), heights[1], turn)  # heights[1]: of the ground below the origin
 
 
 def _middle(corners: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def _point_at(ground: WorldGround, local: np.ndarray) -> KnownPoint | None:
     if not samples.inside[0]:
         return None
     z = float(samples.heights[0])
-    height = (z - ground.offset) / ground.scale if ground.scale else z
+    height = (z - ground.offset) / ground.scale if ground.scale else z  # of the height map
     position = ground.to_world(np.array([[*local, z]]))[0]
     return KnownPoint(position, coordinates_text(ground.field.raster.known_place, ground.field.crs, local), height)
 

@@ -24,7 +24,7 @@ from .request import land_of
 
 
 def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
-    """Return a function that opens the height field of a terrain's shaped land, on any thread.
+    """Return a function that checks and opens the height field of a terrain's shaped land, on any thread.
 
     That function shapes the land first, which takes long, if it is not shaped yet. Without a stack it opens the
     imported height field. Both functions raise TerrainError.

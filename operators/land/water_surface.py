@@ -101,7 +101,7 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
             water.pop(SEA, None)
         else:
             water[SEA] = sea
-            follow_sea(terrain, sea_before, is_new)
+            follow_sea(terrain, sea_before, is_new)  # keeps the terrain's scatters out of it
         sea_text = "" if sea is None else f", its sea at {length_text(sea)}"
         self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{sea_text}")
 

@@ -142,6 +142,7 @@ class FormNodes(Nodes):
         pitch = self.math("MULTIPLY_ADD", self.math("ARCSINE", up), -0.7, self.random(-0.7, 0.7))
         euler = self.xyz(self.random(-0.9, 0.9), pitch, self.math("ADD", angle, self.random(-0.9, 0.9)))
         placed = self.put(points, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
+        # The shade is lighter above and outside.
         position, _, _, z = self.place()
         away = self.vector("LENGTH", self.vector("DIVIDE", self.vector("SUBTRACT", position, middle), size))
         light = self.math("MULTIPLY_ADD", self.math("SUBTRACT", z, middle[2]), 0.25 / size[2], 0.1)

@@ -47,7 +47,7 @@ def _switch_property(setting: CriterionSetting, mode: str):
     return BoolProperty(
         name=setting.switch_label or setting.label,
         description=setting.switch_tooltip or setting.tooltip,
-        default=setting.default_in(mode) != setting.default,
+        default=setting.default_in(mode) != setting.default,  # the latter limits nothing
         update=changed,
     )
 

@@ -107,7 +107,7 @@ def move_world(context, by: np.ndarray) -> list[str]:
             before = obj.matrix_world.translation.copy()
             context.view_layer.update()
             if (obj.matrix_world.translation - before).dot(step) > FOLLOWED * step.dot(step):
-                continue
+                continue  # a constraint's target has taken it along
         if not shift_location(obj, step, seen):
             driven_names.append(obj.name)
     context.view_layer.update()

@@ -40,7 +40,7 @@ def read_modifier(found: Demand, modifier, label: str, trees: Trees, viewers: bo
     """
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, label, trees, viewers) if modifier.node_group else Sources()
-    texts, pointers = _properties(type(modifier))
+    texts, pointers = _properties(type(modifier))  # names of properties
     for name in texts:
         if value := getattr(modifier, name):
             group = "vertex_group" in name or name.endswith("_weight")

@@ -111,6 +111,7 @@ def _read_shader(found: Demand, tree, label: str, shading: Shading) -> None:
     With MAX_AOVS or more AOV outputs it counts as reading everything. label: the owner's name for the user.
     """
     walk = NodeWalk(found, label, PICTURE, shading.trees, osl=shading.osl)
+    # By pointer, since several targets may have one output.
     ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}
     aovs = list(islice(_aov_ends(tree, shading.aovs, ()), MAX_AOVS)) if shading.aovs else []
     if len(aovs) == MAX_AOVS:

@@ -107,9 +107,9 @@ def _complete(net: np.ndarray, ground: OperatorGround) -> np.ndarray:
     net, rims = net.copy(), ground.rims
     for axis, (start, end) in enumerate((rims[:2], rims[2:])):
         along = np.moveaxis(net, axis, 0)
-        odd = (ground.first[axis] + len(along)) % 2 == 1
+        ends_on_coarser = (ground.first[axis] + len(along)) % 2 == 1
         # A last coarser sample beyond the finer ones is 2 * along[-1] - along[-2], of which 1 1/2 times are missing.
-        last = 0.5 * along[-1] if odd else 3.0 * along[-1] - 1.5 * along[-2]
+        last = 0.5 * along[-1] if ends_on_coarser else 3.0 * along[-1] - 1.5 * along[-2]
         if start:
             along[0] *= np.float32(1.5)
         if end:

@@ -175,6 +175,7 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
         return _open(store, open_field)
     if not land.waits and not land.is_shaped:
         return build_preview(land, open_field).field
+    # Land of views may lack tiles of this request although it is usable.
     if land.waits and (land.seen or not is_usable(land, open_field)):
         with _shaping:  # two renders of one land shape it once
             _shape(land, open_field)
@@ -213,7 +214,8 @@ def _shape(land: Land, open_field: OpenField) -> None:
 def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
     """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs.
 
-    wanted: the requested tiles, from `wanted_tiles`; None for all. gentle: run at low priority. Raises TerrainError.
+    wanted: the requested tiles, from `wanted_tiles`, to which those of earlier requests are added; None for all.
+    gentle: run at low priority. Raises TerrainError.
     """
     wanted = requested_tiles.with_known(land.folder, wanted)
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted
@@ -306,6 +308,7 @@ def _open(store: str, open_field: OpenField) -> HeightField:
     """Open the height field of a store, with `open_field`.
 
     Shaped land that is damaged is removed, so that it is shaped again. Raises TerrainError, then with the code DAMAGED.
+    An error from a limit of this process, such as open files, is raised as it is.
     """
     try:
         return open_field(store)
@@ -322,8 +325,8 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
     """Remove a damaged derived store, and notify the user; return its fault, None if the store is whole or stays.
 
     The fault is also returned if another process has replaced the store meanwhile. fault: the error of opening it; None
-    to check all its files. Stores that no stack in use makes stay, those removed MAX_REBUILDS times, and those that
-    this process lacks memory or open files for; so do files of others in its folder.
+    to check all its files. These stay: a store that no stack in use makes, one that was removed MAX_REBUILDS times, one
+    for which this process lacks memory or open files, and files of others in the folder.
 
     Raises:
         NotOursError: the store is a link.

@@ -110,6 +110,7 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
     simulated = min(per_sample, MAX_PER_SAMPLE)
     rain.drops = round(simulated * rain.rows * rain.columns)
+    # Each simulated droplet carries the load of those that are left out.
     rain.capacity = CAPACITY * values["strength"] * per_sample / max(simulated, 1e-12)
     rain.sea = values["sea"]
     # Fractions that a step leaves; float32, since the last bit of exp differs between machines.

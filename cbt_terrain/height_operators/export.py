@@ -158,10 +158,10 @@ class RowFile:
         self._file, self._dtype = file, dtype
 
     def add(self, rows: np.ndarray) -> None:
-        """Write the next rows [lines, columns]."""
+        """Write the next rows [lines, columns], converted to the file's type."""
         rows = np.ascontiguousarray(rows, self._dtype)
         if isinstance(self._file, PngFile):
-            self._file.add(rows.view(np.uint8))
+            self._file.add(rows.view(np.uint8))  # it takes the bytes of samples
         elif isinstance(self._file, ExrFile):
             self._file.add(rows[..., None])
         else:

@@ -29,6 +29,7 @@ class ExportedRows:
         Raises TerrainError for an impossible step.
         """
         self.axes = grid_axes(field.lattice, step)
+        # Samples are copied; other rows are computed on the surface.
         self._is_copied = not step and (name != HEIGHTS or field.raster.finer is None)
         self._field = field
         if name != HEIGHTS:

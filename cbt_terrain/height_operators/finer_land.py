@@ -59,6 +59,7 @@ def with_shaped_tiles(
     def read(box: FinerBox) -> np.ndarray:
         """Return the finer heights of a tile after shaping."""
         number = finer.numbers[box.y0 // SIDE, box.x0 // SIDE]
+        # A stored tile has one more sample before its first row and column.
         heights = finer.heights[number, 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
         x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
         found = move_heights(heights, *(raster_heights(field, finer.bits, x, y) for field in (source, shaped)))
@@ -108,7 +109,10 @@ class CachedRecords(FinerRecords):
         self._cache = cache
 
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
-        """Yield the record of a tile that the cache has, and a function that returns its array, None for limits."""
+        """Yield the record of a tile that the cache has, and a function that returns its array, None for limits.
+
+        kind: LIMITED, MEASURED or RANGED. inputs: digest of all that determines the result. place: not needed for that.
+        """
         if kind in self.SHAPES:
             found = self._cache.find(kind, _key(kind, inputs), *self.SHAPES[kind])
             if found is not None and kind == LIMITED:
@@ -117,7 +121,10 @@ class CachedRecords(FinerRecords):
                 yield {"inputs": inputs, "sums": digest_of([found])}, lambda _name, _tile: found
 
     def note(self, kind: str, place: Tile, array: np.ndarray | None = None, **values: Any) -> None:
-        """Write the limits, errors or ranges of a tile into the cache."""
+        """Write the limits, errors or ranges of a tile into the cache.
+
+        values: `inputs`, the digest of all that determines them, and `limits` for LIMITED. array: of the other kinds.
+        """
         if kind == LIMITED:
             array = np.array(values["limits"], np.float32)
         if array is not None:

@@ -86,7 +86,9 @@ def still(
     border[[0, -1]] = True
     border[:, [0, -1]] = True
     outlets = np.flatnonzero(border)
+    # Depths beyond the outlets: that of the sea, or 0.
     deep = np.where(holes, 0.0, np.maximum(below_sea, 0.0)).reshape(-1)[outlets]
+    # Fluxes to the east and to the north, with a row of 0 before and after those of the raster.
     fluxes, old_fluxes = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
     fraction, left = np.ones_like(fluxes[0]), 0.0

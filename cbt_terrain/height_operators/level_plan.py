@@ -34,7 +34,7 @@ class LevelPlan:
         self.wanted = [
             every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)
         ]
-        self.doubted: set[int] = set()
+        self.doubted: set[int] = set()  # indices of entries (see `doubt`)
         self._plan_work()
 
     def _plan_work(self) -> None:

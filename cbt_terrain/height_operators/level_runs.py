@@ -111,6 +111,7 @@ class LevelRun:
             assert arrays is not None  # the coarsest level is computed as a whole
             mask, count = self.work.mask(entry, land), num_arrays(entry.declaration, level)
             change = [finer(array, level.shape) for array in arrays[:count]]
+            # A mask that reads the whole level starts a run, so that only the first one is reused for tiles.
             first_mask = mask if number == self.numbers[0] else first_mask
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
             changes += [change] if level.number else []
@@ -123,8 +124,8 @@ class LevelRun:
         names = {layer.name for number in self.numbers for layer in self.shaping.entries[number].declaration.layers}
         # Copies, since changes may share the arrays.
         land.layers |= {name: land.layers[name] * coarse_weight for name in names}
-        for total in (land.total, *(array for change in changes for array in change)):
-            total *= coarse_weight
+        for array in (land.total, *(array for change in changes for array in change)):
+            array *= coarse_weight
         for tile in tiles:
             window, weights = level.window(tile, BAND, BAND), level.weights(tile)
             tile_changes, tile_land = self._compute_tile(tile, start, first_mask, sums)

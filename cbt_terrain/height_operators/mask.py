@@ -166,8 +166,9 @@ def _weigh_ground(
         if rule.of == HEIGHT:
             out *= _weigh_interval(ground[inner], rule.low, rule.high, rule.edge)
         elif rule.of == SLOPE:
-            out *= _weigh_mapped(tangent, rule, _tangent)
+            out *= _weigh_mapped(tangent, rule, _tangent)  # limits are in degrees
         else:
+            # Aspect is the cosine of the angle between downhill and the rule's direction.
             angle = math.radians(rule.direction)
             downhill = -(east * np.float32(math.sin(angle)) + north * np.float32(math.cos(angle)))
             cosine = np.divide(downhill, tangent, out=np.zeros_like(tangent), where=tangent > 0)
@@ -186,15 +187,16 @@ def _weigh_interval(values: np.ndarray, low: float, high: float, edge: float) ->
 
 
 def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
-    """Return the weights of attribute values by a rule, 0 to 1; rules give logarithmic ones as powers of ten."""
+    """Return the weights of attribute values by a rule, 0 to 1; an edge of LOGARITHMIC ones is in powers of ten."""
     if rule.of not in LOGARITHMIC:
         return _weigh_interval(values, rule.low, rule.high, rule.edge)
+    # Limits become exponents of ten, as the edge is.
     low, high = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))
     return _weigh_mapped(values, replace(rule, low=low, high=high), _power)
 
 
 def _weigh_mapped(values: np.ndarray, rule: GroundRule, to_value: Callable[[float], float]) -> np.ndarray:
-    """Weigh values by limits and edges in degrees or powers of ten, which `to_value` maps to values.
+    """Weigh values by limits and edges in degrees or as exponents of ten, which `to_value` maps to values.
 
     Only limits are mapped, and each half of an edge is interpolated in the values: functions of all values would have
     last bits that differ between machines.

@@ -77,6 +77,7 @@ def _read(request: dict, *_: object) -> list[int]:
         rows = raster.read(0, raster.height).astype(np.float32) / np.float32(largest)
         georeference = raster.georeference or Georeference()
         image = np.empty(rows.T.shape if georeference.transposed else rows.shape, np.float32)
+        # A view of `image` in the file's order is filled.
         georeference.in_file_order(image)[:] = np.clip(np.nan_to_num(rows), 0.0, 1.0)
     finally:
         raster.close()

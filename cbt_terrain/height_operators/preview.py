@@ -114,7 +114,7 @@ def preview(
         origin=source.origin, crs=source.crs, provenance=source.provenance,
     )  # fmt: skip
     build_ms = (time.perf_counter() - start) * 1e3
-    digest = compute_digest(result.raster.digest, stack.key())  # the stack's stands for the layers
+    digest = compute_digest(result.raster.digest, stack.key())  # the key of the stack covers the layers
     layers = _Layers(states[-1].ground.layers, rows, columns)
     result = result.with_raster(digest=digest, layers=layers, place=source.raster.place)
     left_out = stack.active[len(states) - 1 :]
@@ -140,6 +140,7 @@ def _apply_entries(
             raise _TooSlow
 
     cached_states = source.cache.results.get(_FOUND, {})  # by their keys, the least recently used first
+    # The state before the first entry has an empty key.
     start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
     states = [start]
     for entry in stack.active:

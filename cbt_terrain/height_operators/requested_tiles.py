@@ -83,8 +83,8 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
     """Return these tiles with those of earlier requests, so that land stays fine for other frames.
 
-    A tile of both has the smaller error. Requests of other levels do not count. folder: the shaped land's. wanted:
-    allowed error of each tile, metres, by level; None for all tiles, which is returned.
+    A tile of both has the smaller error. A record with another number of levels does not count. folder: the shaped
+    land's. wanted: allowed error of each tile, metres, by level; None for all tiles, which is returned.
     """
     earlier = read_requested(folder)
     if wanted is None or len(earlier) != len(wanted):

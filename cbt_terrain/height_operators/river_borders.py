@@ -129,13 +129,14 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     coarse = _coarse_samples(bed, ground, coarser)
     cell_weight, load, comes_in = _inflow(coarse, bed.shape)
     ring = _ring(coarse, ground, comes_in)
-    # A lake on the ring leaves at its sample with the largest drainage area only, and not there if that water comes in.
+    # Water of a lake on the ring leaves only at its sample with the largest area, and not there if it comes in there.
     for lake in _lakes(coarse, ring):
         largest = lake[np.argmax(ring.flow[lake])]
         j, i = (n[largest] for n in ring.at)
         ring.flow[lake] = ring.flow[largest]
         ring.shut[lake] = comes_in[j, i] | (ring.at[0][lake] != j) | (ring.at[1][lake] != i)
-    # A stream that comes back may carry less sediment, and less water where tiles of the coarser level meet.
+    # Not below 1 and 0: a stream that comes back may carry less sediment than it took along, and less water where tiles
+    # of the coarser level meet.
     bed.cell_weight, bed.inflow = np.maximum(cell_weight, 1.0).reshape(-1), np.maximum(load, 0.0).reshape(-1)
     _close(bed, ground, coarse, ring)
 

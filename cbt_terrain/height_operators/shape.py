@@ -122,6 +122,7 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
             total.max_change += entry_sums.max_change
             total.mean_square += entry_sums.mean_square
             if how != UPSAMPLED:
+                # Finer levels may have changes where this one has none.
                 uncertain |= (entry_sums.max_change == 0.0) & entry_sums.unmasked
                 added.append(_summarize_entry(shaping, level, number, how == WHOLE, tiles, entry_sums))
             if coarser is not None:

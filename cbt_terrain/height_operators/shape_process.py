@@ -42,7 +42,7 @@ class ShapeJob(StoreJob):
         """
         from .shape_store import open_source, shape_digest
 
-        stack = stack_from(stack_content(stack))
+        stack = stack_from(stack_content(stack))  # the same numbers as the child reads
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
         store_folder.remove_abandoned(Path(store))

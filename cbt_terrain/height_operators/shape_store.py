@@ -122,9 +122,9 @@ def run_shape(
 
 
 def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightField:
-    """Open the store to shape. Raises TerrainError if it is the target or lacks a layer that the stack's masks read.
+    """Open the store to shape.
 
-    Likewise if it is damaged.
+    Raises TerrainError if it is damaged, is the target, or lacks a layer that the stack's masks read.
     """
     heights = store.open_store(source)
     if os.path.realpath(source) == os.path.realpath(path):

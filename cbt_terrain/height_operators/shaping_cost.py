@@ -68,8 +68,8 @@ def lattice_of(source: str) -> Lattice:
 def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tiles: bool) -> float | None:
     """Return the seconds that shaping a store will take; None without anything measured, and for very large land.
 
-    Times of earlier land of this store count, or else those of the preview of the stack. in_tiles: all tiles, which is
-    the limit for a shot.
+    Times of earlier land of this store count, or else those of the preview of the stack. in_tiles: shape all tiles one
+    by one, the most that a shot can need; else the whole land in one piece.
     """
     lattice = lattice_of(source)
     if max(lattice.width, lattice.height) > MAX_ESTIMATED:
@@ -83,7 +83,7 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     if preview is None or preview.build_ms <= 0.0:
         return None
     # The preview's times are added: it is the coarsest level, where operators take many more steps than at finer ones.
-    # 1 on one thread of the machine on which BUILD_NS was measured.
+    # `slowness` is 1 on one thread of the machine on which BUILD_NS was measured.
     slowness = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)
     building = (lattice.width * lattice.height + _finer_samples(source)) * BUILD_NS
     return add_up(preview.ms) / 1e3 + slowness * (PLANNED_NS * plan.total + building) / 1e9

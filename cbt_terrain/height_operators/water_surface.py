@@ -51,16 +51,16 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
     sea: level of the operator's sea in metres, None for its default.
     A raster with more than MAX_SAMPLES along a side is reduced to every second sample, every fourth and so on.
     """
-    every = 1
-    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MAX_SAMPLES:
-        every *= 2
+    stride = 1
+    while (max(field.lattice.width, field.lattice.height) - 1) // stride >= MAX_SAMPLES:
+        stride *= 2
 
     def thin_out(samples: np.ndarray) -> np.ndarray:
-        """Return every `every`-th sample along both axes."""
-        return np.ascontiguousarray(samples[::every, ::every])
+        """Return each `stride`-th sample along both axes."""
+        return np.ascontiguousarray(samples[::stride, ::stride])
 
     lattice, heights = field.lattice, thin_out(field.heights())
-    steps = lattice.step_x * every, lattice.step_y * every
+    steps = lattice.step_x * stride, lattice.step_y * stride
     missing = None if field.valid is None else thin_out(field.valid) == 0
     if sea is None and DEPTH.name in field.layers:
         layers = {name: thin_out(field.layers[name]) for name in NAMES if name in field.layers}
@@ -122,7 +122,7 @@ def water_surface(
     ends = np.stack([start, start + strides[towards]], axis=-1)
     surface = Surface(positions, numbers[corners], line_numbers[sides], numbers[ends], attributes)
     depths = signed_depth.ravel()[used]
-    surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)
+    surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)  # keeps the side of positive depths
     attributes = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
     for name in ("water_depth", "water_speed"):
         attributes[name] = Attribute(np.maximum(attributes[name].array, 0.0), POINT, attributes[name].unit)

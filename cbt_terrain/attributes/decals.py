@@ -100,7 +100,7 @@ def picture_of_rows(shape: tuple[int, ...], read_rows: Callable[[int, int], np.n
 
 
 def _premultiplied(pixels: np.ndarray, tilts: bool) -> np.ndarray:
-    """Return the values of a `DecalPicture` for pixels of some rows."""
+    """Return the values of a `DecalPicture` for pixels of some rows: colours or slopes times alpha, and alpha."""
     finite = np.array(pixels, np.float32)
     if not (finite.min() >= -LARGEST and finite.max() <= LARGEST):  # a NaN makes both comparisons false
         np.clip(np.nan_to_num(finite, copy=False), -LARGEST, LARGEST, out=finite)

@@ -22,9 +22,9 @@ MARGIN = 1e-9
 
 
 def occluder_of(places: SamplePoints) -> kernels.Occluder:
-    """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field.
+    """Return the ground of a field at the vertical scale of `places`, with a tree of blocks by which rays skip ground.
 
-    Heights are without the vertical offset, detail and finer tiles.
+    The blocks are cached with the field. Heights are without the vertical offset, detail and finer tiles.
     """
     occluder = occluder_without_blocks(places.field, places.vertical_scale)
     # A negative scale turns the ground upside down.

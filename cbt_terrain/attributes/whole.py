@@ -89,6 +89,7 @@ def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarra
 
     Without a store, or if it cannot be written, a copy in memory is returned.
     """
+    # `_never` declares an older result invalid, so that it is replaced.
     shapes = {file: (values.shape, np.float32)}
     return derived_arrays.derive(field.raster, shapes, lambda arrays: np.copyto(arrays[file], values), _never)[file]
 

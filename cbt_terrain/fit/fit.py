@@ -76,7 +76,7 @@ def fit(
         whole = Terrain(field, threads, whole=True)
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
-        else:  # of the mesh as it is delivered: the cut at the border makes two of some triangles
+        else:  # the limit is one of the delivered mesh: the cut at the border makes two of some triangles
             delivered = Terrain(field, threads).update(criterion, **heights)
             plain = whole.update(replace(criterion, max_triangles=delivered.leaves), **heights)
             plain = replace(plain, relaxed=delivered.relaxed)

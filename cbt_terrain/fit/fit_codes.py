@@ -19,9 +19,9 @@ START = 1.7
 
 
 def raised_codes(finer: FinerTiles | None, halvings: int) -> raising.RaisedCodes:
-    """Return the codes of splits, so that there are codes for up to `halvings` of a cell's side.
+    """Return the number of error codes in an octave, and the code that makes a split, for kernels.
 
-    finer: tiles of the raster, or None.
+    With finer tiles, codes above it are left for up to `halvings` of a cell's side. finer: the raster's, or None.
     """
     raised = raising.RaisedCodes()
     if finer is None:

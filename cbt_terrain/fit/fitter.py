@@ -184,6 +184,7 @@ class Fitter:
         The bound, which measured distances must not exceed, is the error without the rounding that is added to them.
         """
         m = mesh_kernels.FitMesh()
+        # Vertices are moved in steps of 2^snap units.
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
         remaining = left_of(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
@@ -212,6 +213,7 @@ class Fitter:
         surface: the mesh that `Sweeps.bind` has given to `m`.
         """
         triangles = len(surface.triangles)
+        # A cost of 1 is about 15 ns.
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
     def _bounded_mesh(

@@ -119,8 +119,8 @@ class Sweeps:
             self._measure_pushes()
             inputs = [self.count, self.triangles, self.m, self.found]
             launch.once(kernels.move, inputs, step="fit move", recorded=self.recorded)
-            self.count = int(self.found_np[0])
-            if not self.found_np[1]:
+            self.count = int(self.found_np[0])  # triangles to measure again
+            if not self.found_np[1]:  # none is beyond the bound
                 break
         self._measure_pushes()
         return int(self.found_np[1])

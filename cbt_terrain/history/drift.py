@@ -32,7 +32,7 @@ class CachedSubtrees:
         self.limit = self.criterion.limit  # which later refinements may change
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
-        """Return the largest relative change of squared lengths in pixel footprints, or compared with them.
+        """Return the largest relative change of squared lengths and pixels since the subtrees were cached.
 
         Lengths in `Motion` do not count. Infinity if anything but the camera has changed: then no subtree is reused.
         """

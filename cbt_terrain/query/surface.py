@@ -33,6 +33,7 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     surface.west, surface.south, east, north = lattice.rectangle()
     surface.step_x, surface.step_y = lattice.step_x, lattice.step_y
     surface.per_x, surface.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
+    # Cells by which a position that float32 has rounded may be beyond the border.
     surface.border_x = ROUNDED * max(-surface.west, east) / lattice.step_x
     surface.border_y = ROUNDED * max(-surface.south, north) / lattice.step_y
     surface.scale, surface.offset = vertical_scale, vertical_offset

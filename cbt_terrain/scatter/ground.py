@@ -94,7 +94,7 @@ class ScatterGround:
         return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))
 
     def runs(self, squares: Squares, views: int, threads: int) -> np.ndarray:
-        """Return the runs of squares with their candidates on the ground; numpy dtype of CandidateRun [n].
+        """Return a run of candidates on the ground for each square; numpy dtype of CandidateRun [n].
 
         views: number of views. Candidates that the cache lacks are computed, somewhat more than are needed.
         """
@@ -103,7 +103,8 @@ class ScatterGround:
         first_rank, available = tile().runs(squares.halvings, window)
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first_rank, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
-        runs["clear"] = squares.clear if views == 1 else 0  # of several views it is not known in which one
+        runs["clear"] = squares.clear if views == 1 else 0  # several views: unknown whose frame it is in
+        # A key is the square's tile and its first rank in one number.
         keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first_rank
         cached_at, known = self.candidates.find(keys, squares.count)
         if not known.all():
@@ -191,9 +192,10 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
 
 
 def _style(scatter: Scatter, tiles: int) -> kernels.ScatterStyle:
-    """Return the sizes, the alignment and a table of turns about the vertical for kernels.
+    """Return the sizes, the alignment and a table of rotations about the vertical for kernels.
 
-    The table has half turns only, rounded so that all C libraries give the same bytes.
+    It has cosines and sines of half of each angle, as quaternions do, rounded so that all C libraries give the same
+    bytes. tiles: number of tiles in a row of the pattern.
     """
     style = kernels.ScatterStyle()
     style.seed, style.tiles = scatter.seed, tiles

@@ -78,7 +78,7 @@ class Scatter:
         """Return the attributes whose product is the density, each with the column of its values; none for 1."""
         requests = []
         if self.where.rules or self.where.strength != 1.0:
-            requests.append((_splat(0, self._density_layers()), 1))
+            requests.append((_splat(0, self._density_layers()), 1))  # the second of these layers is the density
         if self.on >= 0:  # a splat attribute has the weights of 4 layers
             requests.append((_splat(self.on // 4, self.layers), self.on % 4))
         return requests

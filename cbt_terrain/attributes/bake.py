@@ -216,7 +216,7 @@ def _bake_images(
             side = together[0].side
             with ExitStack() as stack:
                 files = [_open_image(folder, image, pool, stack) for image in together]
-                for first in range(0, side, _band_rows(side)):
+                for first in range(0, side, _band_rows(side)):  # bands divide a side, a power of two
                     with lock:
                         texels = _texel_points(ground, tile, side, first, _band_rows(side))
                         values = values_at(texels, [image.request for image in together])

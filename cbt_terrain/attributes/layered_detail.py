@@ -63,6 +63,7 @@ def displaced(
     plain = with_detail(field, detail=None)
     numbers = tuple(number for number, _ in ground.details)
     masks = _masks(plain, ground.layers, numbers, (float(vertical_scale), float(vertical_offset)), threads)
+    # A layer without a mask.
     everywhere = [DisplacementLayer(ground.everywhere)] if ground.everywhere else []
     displacement = [DisplacementLayer(detail, mask) for (_, detail), mask in zip(ground.details, masks, strict=True)]
     return with_detail(field, DisplacementLayers((*everywhere, *displacement)))

@@ -71,11 +71,11 @@ def footprint_levels(
 
 
 def limit_levels(field: HeightField, positions: np.ndarray, levels: np.ndarray, threads: int = 1) -> None:
-    """Raise the levels of points, in place, to the finest one there; none is below the field's finest level before.
+    """Raise the levels of points, in place, to the finest level that the heights have there.
 
     It is 0 where only the raster is known, and falls to that of finer tiles within a quarter of a tile from their
     border. So values of attributes are continuous over the border. positions: float32 [n, 3], metres in the terrain's
-    space. levels: float32 [n].
+    space. levels: float32 [n], none below the field's finest level.
     """
     if field.raster.finer is not None:
         inputs = [finer_places(field.raster), shared(positions, wp.vec3f), flat(levels, wp.float32)]

@@ -38,7 +38,7 @@ class Sweeps:
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
         m.splitting, m.climbing = wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")
-        self.found_np = np.zeros(7, np.int32)
+        self.found_np = np.zeros(7, np.int32)  # counts that kernels write (`_sweep`, `refine`)
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:

@@ -63,7 +63,7 @@ class ExportedRows:
         computed = np.empty((end - first, columns.inside), np.float32)
         for column in range(0, columns.inside, MAX_COLUMNS):
             part = computed[:, column : column + MAX_COLUMNS]
-            heights, inside = heights_on_grid(self._field, columns.positions(column, column + part.shape[1]), rows)
+            heights, has_ground = heights_on_grid(self._field, columns.positions(column, column + part.shape[1]), rows)
             part[...] = heights
-            part[~inside] = np.nan
+            part[~has_ground] = np.nan
         return computed

@@ -35,7 +35,7 @@ class LevelPlan:
             every_tile(level) if tiles is None else tiles for level, tiles in zip(levels, wanted, strict=True)
         ]
         self.doubted: set[int] = set()  # indices of entries (see `doubt`)
-        self._plan_work()
+        self._plan_work()  # sets `needed`, `costs` and `total`
 
     def _plan_work(self) -> None:
         """Set the tiles that each level needs for finer ones, and the nanoseconds planned for entries and in total."""
@@ -65,6 +65,7 @@ class LevelPlan:
         once it sees every one.
         """
         entry = self.entries[number]
+        # `finest`: largest side of levels that the operator is applied to, 0 for no limit.
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED

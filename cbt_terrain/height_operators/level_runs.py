@@ -54,6 +54,7 @@ class TileSums:
         change = delta[inner] if mask is None else delta[inner] * mask[inner]
         self.max_change[tile] = np.abs(change).max()
         self.mean_square[tile] = np.square(change, dtype=np.float64).mean()
+        # Wider than the tile, as its result is blended with those of its neighbours.
         self.unmasked[tile] = mask is None or mask[within(level.window(tile, BAND, BAND), window)].any()
 
 

@@ -41,6 +41,7 @@ class LevelGround:
         """
         missing = None if field.valid is None else _samples_of(field.valid, level) == 0
         heights = _samples_of(field.samples, level)
+        # With `steps`, samples are numbers that stand for heights.
         heights = heights if field.steps is None else field.steps.heights(heights)
         return cls(heights, missing, {name: _samples_of(field.layers[name], level) for name in field.layers})
 

@@ -162,6 +162,7 @@ def _summarize_entry(
         made=1 if whole else len(tiles),
         computed=sums.computed,
         ms=sums.ms,
+        # Computed in tiles although the entry has contradicted a coarser level (`LevelPlan.doubt`).
         doubtful=not whole and bool(tiles) and number in shaping.plan.doubted,
         planned_ms=sums.planned_ms,
     )

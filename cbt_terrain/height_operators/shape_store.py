@@ -77,7 +77,7 @@ def run_shape(
     everywhere = wanted is None
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
-    size = heights.lattice, len(units)
+    size = heights.lattice, len(units)  # of the store: lattice, and number of layers
     num_finer = len(heights.raster.finer.heights) if heights.raster.finer is not None else 0
     with open_draft(path, folder, *size, ROOM_ELSEWHERE, finer_tiles=num_finer) as draft:
         room = store_bytes(*size, num_finer)  # bytes that the cache of tiles leaves free for the store

@@ -106,7 +106,7 @@ def settle_scree(
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
     launch.spread(kernels.vary_repose, slope.height, inputs, step="scree", threads=ground.threads, cost=cost)
     breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
-    recorded: dict = {}
+    recorded: dict = {}  # launches, which `sweep` repeats
     for number in range(sweeps):
         if number == breaking:
             smooth_wear(left, breakable)

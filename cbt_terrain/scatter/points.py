@@ -85,8 +85,8 @@ def place_points(
 
     The history caches candidates, which depend on no view, so that the points are the same with any history.
 
-    Raises TerrainError for an invalid view, the horizon of other views, too many candidates for the memory, more points
-    than `max_points`, and heights that are not finite.
+    Raises TerrainError for an invalid view, a horizon made for other views, too many candidates for the memory, more
+    points than `max_points`, and heights that are not finite.
     """
     views, threads = listed_views(request.views), launch.checked_threads(threads)
     with history.alone():

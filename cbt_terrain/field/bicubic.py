@@ -77,8 +77,8 @@ def bicubic(field: HeightField) -> HeightField:
         surface=SurfaceSpec("bicubic"),
         error=arrays["error_c"],
         ranges=arrays["ranges_c"],
-        source_max=LEVERAGE * field.source_max,
-        **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),  # the exponents follow
+        source_max=LEVERAGE * field.source_max,  # errors of samples move the surface by more than themselves
+        **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),  # exponents of the error tables follow
         exponents=[int(exponent) for exponent in arrays["numbers_c"][len(NUMBERS) :]],
     )
     return smooth if field.raster.finer is None else _with_finer(smooth)
@@ -104,7 +104,7 @@ def arrays_of(lattice: Lattice) -> dict[str, tuple]:
 
 
 def _are_valid(arrays: dict[str, np.ndarray]) -> bool:
-    """Return whether the numbers among arrays from files can be NUMBERS and exponents."""
+    """Return whether the numbers among arrays from files can be NUMBERS and, after them, exponents of error tables."""
     numbers = arrays["numbers_c"]
     _, step, low, high, steep_x, steep_y, *exponents = numbers
     known = all(MIN_EXPONENT <= exponent <= MAX_EXPONENT for exponent in exponents)

@@ -67,12 +67,13 @@ class _Window:
 def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
     """Fill the codes of errors and curvatures; return the exponents of the tables, in the order of `codes.parts`.
 
-    field: the bilinear one. out: uint8 [nodes + cells], zeroed.
+    A table of codes reaches 2^exponent metres. field: the bilinear one. out: uint8 [nodes + cells], zeroed.
     """
     lattice = field.lattice
     bases, parts = lattice.layout()[0], codes.parts(lattice, len(out))
     first = int(bases[min(FIRST_WHOLE, lattice.groups)])
-    # As in a window, but of the depths that no tile computes: from entry `first` of the error hierarchy on.
+    # Errors, and distances to the bilinear surface, at the depths that no tile computes: from entry `first` of the
+    # error hierarchy on.
     errors, off = (np.zeros(max(lattice.cell_base - first, 1), np.float32) for _ in range(2))
     largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
 
@@ -125,9 +126,10 @@ def _tiles(lattice: Lattice) -> Iterator[Box]:
 def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
     """Return the errors of a tile in a window that is large enough for it.
 
-    The second window, which has all cells that can count, is used only if the first one fails the module's test.
+    The second window, which has all cells that can count, is used only if cells outside the first one may count.
     """
-    bound = STEEPEST * (float(field.max_height) - float(field.min_height))  # of all curvatures, metres
+    # A bound of all curvatures, metres. One that is n cells away counts 2^-n of it; `far` cells away this is 0.
+    bound = STEEPEST * (float(field.max_height) - float(field.min_height))
     far = ALIGNED * (1 + -(-(SMALLEST + int(np.ceil(np.log2(max(bound, 1.0))))) // ALIGNED))
     for around in (2 * ALIGNED, far):
         window = _make_window(field.lattice, tile, around)
@@ -183,7 +185,7 @@ def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
         slice(max(first - ALIGNED, low) - low, min(end + ALIGNED, high) - low)
         for (first, end), (low, high) in zip(reversed(tile), reversed(window.box), strict=True)
     )
-    pages = window.curvatures.reshape(-1, window.depths[0].pages, 8, 8, 4, 4)  # see lattice.py
+    pages = window.curvatures.reshape(-1, window.depths[0].pages, 8, 8, 4, 4)  # each of 8 x 8 tiles of 4 x 4 cells
     image = pages.transpose(0, 2, 4, 1, 3, 5).reshape(len(pages) * PAGE, -1)
     return image[rows, columns].min()
 
@@ -260,7 +262,8 @@ def _add_errors(
 ) -> None:
     """Compute `off` and `errors` of the depth `bisections` above the cells from those of the depth below it.
 
-    below, above: layouts of both depths in `off` and `errors`. corner: the first diamond of `above` in the raster.
+    off: largest distances of the bicubic surface from the bilinear one, metres. below, above: layouts of both depths in
+    `off` and `errors`. corner: the first diamond of `above` in the raster.
     """
     depth = field.lattice.cell_depth - bisections
     inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]

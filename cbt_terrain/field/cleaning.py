@@ -47,7 +47,7 @@ def largest_of(rows: np.ndarray) -> float:
 def fill_missing(samples: np.ndarray, threads: int) -> None:
     """Replace every NaN in `samples` (float32, in place) by the nearest valid sample, counted in samples.
 
-    Of several as near the westernmost counts, of these the southernmost. At least one sample must be valid.
+    Of several equally near ones the westernmost counts, of these the southernmost. At least one sample must be valid.
     """
     fill_rows(lambda: samples, lambda rows: np.isnan(samples[rows]), samples.shape, threads)
 

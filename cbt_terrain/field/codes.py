@@ -70,9 +70,10 @@ def exponent_of(largest: float) -> int:
 
 
 def parts(lattice: Lattice, count: int) -> list[slice]:
-    """Return the slices of arrays of `count` entries for each group, from fine to coarse, and then the cells.
+    """Return the slices of an array of `count` errors: of each group of depths, from fine to coarse, then of the cells.
 
-    Entries beyond `lattice.node_count` are a last slice, the curvatures of a bicubic surface.
+    Each slice has its own table of codes. Entries beyond `lattice.node_count` are a last slice, the curvatures of a
+    bicubic surface.
     """
     ends = lattice.layout()[0].tolist()
     ends += [count] if count > ends[-1] else []
@@ -82,7 +83,8 @@ def parts(lattice: Lattice, count: int) -> list[slice]:
 def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int) -> list[int]:
     """Fill `codes` with the smallest codes that are not below `errors`; return the exponents in the order of `parts`.
 
-    errors: float32 metres, nested (none is below its children's). codes: uint8, zeroed.
+    Each part has a table of codes that reaches 2^exponent metres. errors: float32 metres, nested (none is below its
+    children's). codes: uint8, zeroed.
     """
     exponents = nested(lattice, [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))])
     encode_with_table(lattice, errors, tables(exponents), codes, threads)
@@ -92,8 +94,8 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
     """Return the exponents, raised so that no coarser group has a smaller one, and cells at least the curvatures' - 1.
 
-    Errors of cells are at least half of their curvatures, if there are any. exponents: each group's own, in the order
-    of `parts`.
+    A group's codes reach 2^exponent metres. Errors of cells are at least half of their curvatures, if there are any.
+    exponents: each group's own, in the order of `parts`.
     """
     exponents, cells = list(exponents), lattice.groups
     finer = exponents[cells + 1] - 1 if len(exponents) > cells + 1 else MIN_EXPONENT
@@ -130,13 +132,13 @@ def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threa
 
 @lru_cache(maxsize=64)
 def _first_codes(values: bytes, bits: int) -> np.ndarray:
-    """Return the codes, uint8, of the float32 numbers whose lowest `bits` bits are 0, from 0 to infinity.
+    """Return the code, uint8, of each float32 number from 0 to infinity whose lowest `bits` bits are 0.
 
-    values: the group's table, float32 [256] metres, rising.
+    values: bytes of the group's table, float32 [256] metres, rising; a code is its first entry not below the number.
     """
     numbers = np.arange(0, np.float32(np.inf).view(np.int32) + 1, 1 << bits, np.int32).view(np.float32)
-    found = np.searchsorted(np.frombuffer(values, np.float32), numbers, side="left")
-    return np.minimum(found, 255).astype(np.uint8)
+    codes = np.searchsorted(np.frombuffer(values, np.float32), numbers, side="left")
+    return np.minimum(codes, 255).astype(np.uint8)
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:
@@ -148,7 +150,7 @@ def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray
 
 
 def translation(old: np.ndarray, new: np.ndarray, factor: float = 1.0) -> np.ndarray:
-    """Return the codes of another table for all codes of one, whose errors are multiplied by `factor`: uint8 [256].
+    """Return for each code of the table `old` the code of its error times `factor` in the table `new`: uint8 [256].
 
     old, new: float32 [256] metres. If the largest entry of `new` is not below that of `old` times `factor`, no error is
     rounded down, and one that was rounded up to `old` before gets the code of the error itself. Errors above the

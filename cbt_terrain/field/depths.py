@@ -26,7 +26,7 @@ def depth_limit(field: HeightField) -> int:
     """
     lattice, finer = field.lattice, field.raster.finer
     limit = plane_limit(lattice)
-    if lattice.node_count < MANY_ENTRIES:
+    if lattice.node_count < MANY_ENTRIES:  # for larger rasters the plane is the only limit
         is_finer = field.detail is not None or finer is not None
         limit = min(limit, (DETAIL_DEPTH if is_finer else PLAIN_DEPTH) - lattice.square_bits)
     limit = max(limit, lattice.cell_depth + (2 * finer.bits if finer is not None else 0))

@@ -82,6 +82,7 @@ class Detail:
         terms = []
         for amplitude, length in self.waves(finest):
             curvature, slope = CURVATURE * amplitude / (length * length), SLOPE * amplitude / length
+            # Two ways to bound a wave: as a smooth part without a rest, or as a rest of this range.
             splits = Split(0.0, curvature, slope, amplitude), Split(2 * amplitude, 0.0, 0.0, 0.0)
             terms.append(DetailTerm(amplitude, slope, length, splits))
         return terms

@@ -68,9 +68,10 @@ def masked_terms(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> lis
 
     steps: metres of the cell's sides.
     """
-    g, w = length((1 / steps[0], 1 / steps[1])), 2 / (steps[0] * steps[1])
+    g, w = length((1 / steps[0], 1 / steps[1])), 2 / (steps[0] * steps[1])  # the mask's slope and second derivative
     terms = []
     for part in parts:
+        # By the product rule. f: range of the rest; n, s, a: curvature, slope and magnitude of the smooth part.
         splits = (Split(f, n + 2 * g * s + w * a, s + g * a, a) for f, n, s, a in part.splits)
         terms.append(DetailTerm(part.highest, part.steep + g * part.highest, part.shortest, tuple(splits)))
     return terms
@@ -94,6 +95,7 @@ def max_distance(parts: Iterable[DetailTerm], radius: float) -> float:
 def max_climb(parts: Iterable[DetailTerm], radius: float) -> float:
     """Return how much, metres, the sum of `parts` can differ between two corners of a triangle.
 
+    Each is split into a rest, limited by its range, and a smooth part, limited by its slope times the distance.
     radius: of a circle that contains the triangle, metres.
     """
     return add_up(min(s.far + 2 * radius * s.steep for s in part.splits) for part in parts)
@@ -123,8 +125,8 @@ def tables(
 
     These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
     edges. parts: summands of the displacement. steps: metres between samples. levels: a root square has 2**levels cells
-    a side. Entry 0 holds for all triangles, and also for those at depths before `smooth_from`, drawn ones for the first
-    bound and leaves for the second, since they may meet several cells: with a mask it is the depth of half a cell.
+    a side. Entry 0 holds at all depths, and is the only bound before `smooth_from`, since triangles may meet several
+    cells there (drawn ones in the first bound, leaves in the second): with a mask it is the depth of half a cell.
     """
     limit = 2 * highest(parts)
     bounds = [(limit, limit)]

@@ -130,7 +130,7 @@ def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list
 
 
 def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
-    """Return the bounds of the layers without a mask, then of each layer with one at a mask of 1 of 255.
+    """Return the bounds of all layers without a mask, then of each layer with one, where its mask is 1 of 255.
 
     finest: shortest edge of a mesh, metres. meshlet: leaves are drawn as 4**meshlet triangles. The result is float32 [1
     + masks, 64, 2] metres, a `tables` of detail_bounds.py for each. The first one holds the climbs of all layers
@@ -182,7 +182,7 @@ def fill_layers(domain: "Domain", ground: Ground | None, finest: float, lattice:
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
     domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
-    domain.mask_max, domain.mask_top = flat(max_of_masks(ground), wp.uint8), len(levels) - 2
+    domain.mask_max, domain.mask_top = flat(max_of_masks(ground), wp.uint8), len(levels) - 2  # the last level
     domain.mask_first = shared(levels, wp.int64)
 
 

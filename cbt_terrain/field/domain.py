@@ -45,6 +45,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     if finer is not None:
         domain.has_finer, domain.finer, domain.detailed = 1, finer.packed, 1
     domain.max_change = field.max_change
+    # Depth of the deepest leaves with triangles across the raster's border.
     domain.border_depth = 2 * (lattice.levels - meshlet)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()

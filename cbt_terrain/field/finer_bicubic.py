@@ -82,6 +82,7 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         for tile in tiles:
             limits[tile.row, tile.column] = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
     arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
+    # Codes of errors reach twice the largest change, the error of diamonds too large for stored ones.
     exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
     table, scale = codes.tables([exponent])[0], hierarchy.range_scale(low, high)
     for corner in corners:
@@ -201,4 +202,4 @@ def _max_distance(smooth: HeightField, finer: FinerTiles) -> float:
         page = (y >> 5) * pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
         inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
         largest = max(largest, int(codes_of_cells[page << 10 | inside].max(initial=0)))
-    return float(table[largest]) / (1 << 2 * bits)
+    return float(table[largest]) / (1 << 2 * bits)  # curvatures fall with the square of a cell's side

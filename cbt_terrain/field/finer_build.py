@@ -200,12 +200,13 @@ def _measured(
     corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
     limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, steps, records)
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits_of_tiles, np.maximum)])
+    # Codes of errors reach twice the largest change, the error of diamonds too large for stored ones.
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
-    outputs = (
+    outputs = (  # kind of its records, array, scale of its codes, and function that fills it
         (MEASURED, errors, str(exponent), partial(fill_errors, steps=steps, table=table)),
         (RANGED, ranges, str(scale), partial(fill_ranges, steps=steps, scale=scale)),
     )

@@ -41,8 +41,9 @@ class FinerRecords:
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the records of a place: of this computation with None, then of an earlier store with its arrays.
 
-        kind: FILLED, LIMITED, MEASURED or RANGED. place: column and row of a tile, or of a window. inputs: digest of
-        all that determines the result; records with another entry "inputs" count as none.
+        Here there are none; a subclass has some. kind: FILLED, LIMITED, MEASURED or RANGED. place: column and row of a
+        tile, or of a window. inputs: digest of all that determines the result; records with another entry "inputs"
+        count as none.
         """
         return iter(())
 

@@ -56,11 +56,14 @@ def fill_errors(
     steps: tuple[float, float],
     table: np.ndarray,
 ) -> None:
-    """Fill the errors of some tiles of a rectangle. steps: of finer samples, metres. table: metres of the codes."""
+    """Fill the codes of the errors of the change in some tiles of a rectangle.
+
+    steps: of finer samples, metres. table: metres of the codes.
+    """
     small = rectangle.lattice(steps)
     metres = np.zeros(small.node_count, np.float32)
     hierarchy.build_errors(rectangle.change, small, metres, threads)
-    images = list(_images(small.layout(), metres * UP))
+    images = list(_images(small.layout(), metres * UP))  # above the rounding of the change to float32
     for tile in tiles:
         stored = np.concatenate([_pages(image, rectangle.samples_of(tile), shift) for image, shift in images])
         errors[tile.number] = 0  # an earlier attempt may have left others, and zeros are not written
@@ -85,6 +88,7 @@ def fill_bounds(
     small, table = rectangle.lattice(steps), codes.tables([exponent])[0]
     cells = hierarchy.stored_at(small, small.cell_depth)
     of_change, metres = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
+    # Errors inside the finer cells, where each surface is a saddle.
     hierarchy.build_twists(rectangle.change, cells, of_change, threads)
     hierarchy.build_twists(rectangle.heights, cells, metres, threads)
     # In finer cells the walk adds the raster's error, which is at most `off`, and the change's code. No bound above may
@@ -110,7 +114,8 @@ def _are_covered(missing: np.ndarray, shape: tuple[int, int], shift: int) -> np.
     """Return whether heights are known in the whole box of each diamond of a group, bool of `shape`.
 
     missing: number of unknown finer samples south and west of each sample. shift: log2 of the finer cells between two
-    vertices of the group. A box has 3 halves of a cell's side, or 2 halves of an edge, on each side of its vertex.
+    vertices of the group. A box reaches 3 halves of a cell's side from its centre, or 2 halves of an edge from its
+    middle.
     """
     j, i = np.indices(shape, np.int32, sparse=True)
     odd_x, odd_y = i & 1, j & 1
@@ -136,8 +141,8 @@ def fill_ranges(
 ) -> None:
     """Fill the ranges of heights of some tiles of a rectangle.
 
-    steps: as of `fill_errors`. scale: metres of codes. off: largest distance of the surface, metres, from the bilinear
-    one between heights.
+    steps: of finer samples, metres. scale: metres of code 0, and of a step. off: largest distance of the surface,
+    metres, from the bilinear one between heights.
     """
     small, heights = rectangle.lattice(steps), np.nan_to_num(rectangle.heights)
     low, high = outward(heights, off) if off else (heights, heights)
@@ -169,7 +174,7 @@ def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float3
 def _images(
     layout: tuple[np.ndarray, np.ndarray], values: np.ndarray, with_cells: bool = True
 ) -> Iterator[tuple[np.ndarray, int]]:
-    """Yield the values of each stored group as rows of vertices, and log2 of the distance of two in those of group 0.
+    """Yield the values of each stored group of depths as rows of vertices, and log2 of their spacing, 1 in group 0.
 
     layout: of the values (lattice.py). with_cells: also yield those of the cells.
     """

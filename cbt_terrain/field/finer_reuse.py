@@ -35,7 +35,7 @@ def inputs_of_tiles(
 def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float] | None:
     """Return the limits of a tile's change that an earlier attempt or store has; None without any.
 
-    inputs: of `inputs_of_tiles`.
+    They are the largest change, metres, and its largest slope. inputs: of `inputs_of_tiles`.
     """
     for record, arrays in records.find(LIMITED, tile, inputs):
         if record["inputs"] == inputs:

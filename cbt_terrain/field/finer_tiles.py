@@ -126,7 +126,7 @@ class FinerTiles:
         tiles.ranges = flat(self.ranges, wp.uint16)
         tiles.range_base, tiles.range_step, tiles.off = self.range_base, self.range_step, self.off
         tiles.limits = shared(self.limits, wp.vec2f)
-        tiles.top = (max(self.numbers.shape) - 1).bit_length()
+        tiles.top = (max(self.numbers.shape) - 1).bit_length()  # coarsest level of the limits: one place for all tiles
         packed = wp.array([tiles], dtype=kernels.PackedTiles, device="cpu")
         packed.parts = tiles  # its arrays live as long
         return packed

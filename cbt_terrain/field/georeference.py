@@ -81,7 +81,7 @@ class Georeference:
 
 
 def known_place(place: Place | None, crs: str, origin: Sequence[float] | np.ndarray) -> Place | None:
-    """Return the place of a store, by default metres from its origin if it has no CRS, else None: its unit is unknown.
+    """Return the place of a store; without one, metres from its origin, but None with a CRS, whose unit is unknown.
 
     crs: name of the system, "" without one. origin: CRS coordinates of the terrain's middle.
     """

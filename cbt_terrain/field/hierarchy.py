@@ -100,7 +100,8 @@ def build_errors(
 def build_twists(measured: np.ndarray, cells: Depth, errors: np.ndarray, threads: int) -> None:
     """Fill the entries `cells` of `errors` (float32, zeroed) with a quarter of each cell's saturated twist, metres.
 
-    measured: float32 [height, width] metres, NaN where samples do not count.
+    A cell's twist is |h00 + h11 - h10 - h01|; a quarter is the error of its two triangles. measured: float32 [height,
+    width] metres, NaN where samples do not count.
     """
     out, (height, width) = flat(errors, wp.float32), measured.shape
     inputs = [pack_samples(measured, None), cells, out]

@@ -132,8 +132,8 @@ class Lattice:
     def extent(self, depth: int) -> tuple[int, int]:
         """Return the columns and rows with entries at a depth (1 .. cell_depth).
 
-        They are those of the cells whose centres are at that depth or, at an even one, at that of its children. With
-        padding, one column or row is beyond the border; the boxes of further ones are entirely beyond it.
+        At an odd depth they are those of the cells whose centres have entries; an even depth has those of the next one.
+        With padding, one column or row is beyond the border; the boxes of further ones are entirely beyond it.
         """
         side = self.levels - depth // 2
         columns, rows = self.columns << depth // 2, self.rows << depth // 2
@@ -191,7 +191,7 @@ def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
         else:
             # The coarsest depth with middles of sides has the outermost entries: see `extent`.
             q = max(levels - 2 - 2 * group, 0)
-            side = levels - q - 2 * group
+            side = levels - q - 2 * group  # log2 of the group's vertices along a cell of that depth
             wide, high = ((n << side) + 1 for n in lattice.extent(2 * q + 1))
         pages.append(-(-wide // PAGE))
         sizes.append(pages[-1] * -(-high // PAGE) * PAGE * PAGE)

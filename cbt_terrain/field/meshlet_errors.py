@@ -72,9 +72,9 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
 def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, threads: int) -> None:
     """Set the codes of cells to a quarter of the largest error of themselves and their four neighbours.
 
-    On a bicubic surface, which also stores an error by curvature of each cell, both get half of the largest of these
-    five instead. Rows of pages are changed band by band, from a copy of their old codes. errors: codes of all diamonds.
-    table: errors of the codes, metres, by group.
+    On a bicubic surface, which also stores a curvature of each cell, error and curvature become half of the largest of
+    the five curvatures instead. Rows of pages are changed band by band, from a copy of their old codes. errors: codes
+    of all diamonds. table: errors of the codes, metres, by group.
     """
     read_group, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
     parts, row_size = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE

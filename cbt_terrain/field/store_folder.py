@@ -245,7 +245,7 @@ def remove_tiles(folder: Path) -> None:
 
 
 def remove_store(path: Path) -> None:
-    """Remove a store with its tiles, and its folder if it is empty then. Raises as `take_away`."""
+    """Remove a store with its tiles, and its folder if it is empty then. Raises OSError and NotOursError."""
     take_away(path)
     remove_tiles(path / TILES)
     with suppress(OSError):

@@ -83,7 +83,7 @@ class Tiled:
         finest: metres of the shortest edges of meshes.
         """
         net, texel = self._net(finest)
-        # Factors of heights and of slopes: a net has pixels a metre apart.
+        # Limits of a net are for the amplitude 1 and pixels a metre apart: factors of heights, and per metre of slopes.
         a, per = self.amplitude, 1.0 / texel
         splits = tuple(
             Split(a * s.far, a * s.curvature * per * per, a * s.steep * per, a * s.highest) for s in net.splits

@@ -57,7 +57,8 @@ def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, bis
     (layout.columns, layout.rows), layout.sides = extent, int(bisections % 2)
     layout.base, layout.pages, layout.first, layout.step = int(base[group]), int(pages[group]), 0, 1
     if bisections:
-        # Vertices from a corner to the middle of a side: one, or two in the coarser half of the group.
+        # Steps between vertices of the image from a corner to the middle of a side: one, or two in the coarser half of
+        # the group. Middles of sides begin at 0, centres at the first middle.
         half = 1 << (bisections - 1) // 2 % 2
         layout.first, layout.step = (0, half) if bisections % 2 else (half, 2 * half)
     return layout

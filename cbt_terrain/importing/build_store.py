@@ -105,12 +105,13 @@ def import_raster(
         report = finished_import(path, given, raster) if raster.sources else None
         if report is not None:
             return report
+        # The heights of an earlier quick import, around which single tiles are loaded now.
         land = _first_picture(given, raster, path) if settings.loaded_tiles else None
         if land is not None:
             raster = refined(raster, settings, land)
         elif settings.quick:
             raster = thinned(raster, settings)
-            if raster.full_size is None:
+            if raster.full_size is None:  # it has so few samples that all are read
                 given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
         digest = source_digest(given, raster.sources, raster.method)
         place = place_of(settings, raster)
@@ -262,7 +263,8 @@ def _provenance(
 ) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated.
 
-    land: the coarse land around loaded tiles, of which LOADED has the step; None if all tiles are loaded.
+    land: the coarse land around loaded tiles; None if all tiles have one step. LOADED: steps of the coarse land and of
+    all samples, metres. REFINED: step and number of the loaded tiles.
     """
     values = dataclasses.asdict(settings)
     values["source"], *more = map(absolute_source, settings.sources)
@@ -337,4 +339,5 @@ def _source_max(reader: HeightReader) -> float:
         return 0.0
     scaling = scaling_of(raster, settings)
     step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
+    # Errors by resampled positions and by conversions of datums are in the unit of the file's values.
     return step + reader.converted + (raster.moved + raster.shifted) * abs(scaling[0])

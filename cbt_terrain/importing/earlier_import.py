@@ -41,9 +41,9 @@ def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: R
 def import_before(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
     """Return the report of an earlier import with exactly these settings and files, None if there is none.
 
-    Older versions had the sources in a digest as they were written, often relative to an unknown folder. The paths of
-    the files are in it, too, so the recorded texts may stand for the sources. Paths of several files had the `..` of
-    the sources, of tile indexes and of VRTs. raster: as of `finished_import`.
+    Older versions had other texts in a digest: the sources as they were written, often relative to an unknown folder,
+    and paths of several files with `..`. So a second digest is tried, with the recorded sources and earlier paths.
+    raster: the opened source, which knows the files that it names; None if it names none.
     """
     files, method = (raster.sources, raster.method) if raster is not None else ((), 0)
     report = finished_before(path, source_digest(settings, files, method))

@@ -28,12 +28,13 @@ def square_bits(bits: int) -> int:
 
 
 def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -> FinerSource | None:
-    """Return the finer files of a raster with the finest step, on a raster of fewer cells; None without any.
+    """Return the finer files of `raster` as finer tiles for a coarser raster of the same area; None without any.
 
-    They are also left out if a cell of that raster is larger than a finer tile. Samples are the nearest ones.
+    `raster` has the finest step; each finer sample is the nearest one of it. None also if a cell of the coarser raster
+    is larger than a finer tile.
 
     Args:
-        counts: columns and rows of cells of that raster.
+        counts: columns and rows of cells of the coarser raster.
         loaded: numbers of the squares to load.
     """
     raster_cells = raster.width - 1, raster.height - 1

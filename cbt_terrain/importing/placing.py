@@ -41,7 +41,7 @@ class Placing(NamedTuple):
     def to_terrain(self, coordinates: np.ndarray) -> np.ndarray:
         """Return positions in the terrain's space, float64 [n, 2] metres, of coordinates [n, 2]."""
         offsets = coordinates - (self.x, self.y)
-        if self.period:
+        if self.period:  # longitudes that differ by it are equal: take the nearest
             offsets[:, 0] -= self.period * np.round(offsets[:, 0] / self.period)
         return offsets * (self.metres_x, self.metres_y)
 
@@ -143,7 +143,7 @@ def _reprojected(x: float, y: float, source: str, target: str) -> tuple[float, f
 
 
 def _units(store: str) -> tuple[float, float, float]:
-    """Return the lengths of a store's units and the period of x, as of Placing."""
+    """Return the metres in a store's units of x and y, and the period of x: 360 degrees in that unit, 0 without."""
     from rasterio.crs import CRS
 
     field = stores.open_store(store)

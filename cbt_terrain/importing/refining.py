@@ -52,7 +52,7 @@ def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
-    """Return a raster with the samples of the finer grid of a quick import, whose tiles are loaded one by one.
+    """Return a raster on the grid of a quick import with 2^land.bits cells along each cell, to load single tiles.
 
     Its samples are those of `raster` that are nearest to the grid's positions. It reads `raster` on demand, and closes
     it. land: the quick import.
@@ -133,7 +133,7 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
     x, y: metres from the raster's middle; beyond its border the nearest tile counts.
     """
     steps, tiles, squares = loaded_m(field.provenance), refined_m(field.provenance), finer_squares(field)
-    if steps is None or tiles is None:
+    if steps is None or tiles is None:  # a store without loaded tiles has one step
         return steps and steps[0]
     (west, south, _, _), lattice = field.lattice.rectangle(), field.lattice
     grid = TileGrid(lattice, BITS)

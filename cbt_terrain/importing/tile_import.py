@@ -225,7 +225,10 @@ def _read_all(work: TileWork, source: TileSource, crew: Crew, on_progress: Calla
 
 
 def _tasks_to_read(work: TileWork, source: TileSource, numbers: Collection[int] | None = None) -> list[TileTask]:
-    """Return the tasks of the units that have changed. numbers: those of the units to read, None for all."""
+    """Return the tasks to read the units (tiles, or rows of the file) that have changed.
+
+    numbers: those of the units to read, None for all.
+    """
     before, tasks = work.records(READ), []
     for number in _chosen(unit_count(work.grid, source), numbers):
         inputs = _inputs(work, source, number)
@@ -274,7 +277,7 @@ def _measure_tiles(
     processes that measure.
     """
     crew.run(work, source, _tasks_to_measure(work, limits), on_progress)
-    measured = work.records(MEASURED)
+    measured = work.records(MEASURED)  # a complete one has "errors"
     if not all("errors" in measured.get(number, ()) for number in range(len(work.grid))):
         raise _give_up(work)
 

@@ -59,13 +59,16 @@ def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
 def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]:
     """Return all tiles that any of several lands needs and an incomplete store lacks, in ascending order.
 
-    Repeated calls of `missing_tiles` for each land find the same. Raises TerrainError.
+    They are those that `missing_tiles` finds for each land, call after call. Raises TerrainError.
     """
     return tuple(sorted(needed_tiles(store, lands) - loaded_tiles(read_json(store)["provenance"])))
 
 
 def needed_tiles(store: Path, lands: Iterable[SeenLand]) -> frozenset[int]:
-    """Return all tiles that any of several lands needs, loaded or not. Raises TerrainError."""
+    """Return all tiles with a larger error in view than one of several lands allows, loaded or not.
+
+    There are none unless the first picture `is_large`. Raises TerrainError.
+    """
     field = open_store(first_picture(store))
     if not is_large(field):
         return frozenset()
@@ -88,6 +91,7 @@ def are_loaded_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     """
     field = open_store(store)
     squares = finer_squares(field)
+    # Loaded tiles have all samples of the source, or all of its coarser files, to which squares add the finer ones.
     if (squares is not None and squares.is_coarse) or are_all_samples(open_store(first_picture(store))):
         return True
     ratios, loaded = _ratios_in_view(field, 1 << refining.BITS, lands), loaded_tiles(field.provenance)
@@ -118,7 +122,7 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     if not loaded_tiles(field.provenance):
         return is_large(field) and not all_missing_tiles(store, lands)
     squares = finer_squares(field)
-    if squares is not None and squares.is_coarse:
+    if squares is not None and squares.is_coarse:  # tiles have the coarser files' step; only squares have more detail
         return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
     if are_all_samples(open_store(first_picture(store))):
         return not all_missing_tiles(store, lands)
@@ -142,9 +146,10 @@ def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | Non
 
 
 def _ratios_in_view(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
-    """Return the largest error in each square by that which a land allows, of several lands: float64 [squares].
+    """Return the largest ratio of a square's error in view to the error that a land allows: float64 [squares].
 
-    A square needs more detail above 1. side, part: as of `errors_in_view`, powers of two.
+    A square needs more detail above 1. side: cells along a square. part: cells along its parts that are looked at, None
+    for PARTS parts along a side; both are powers of two.
     """
     ratios = np.zeros(len(TileGrid(field.lattice, side.bit_length() - 1)))
     for needs, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
@@ -210,9 +215,10 @@ def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
 def _needs_of_cells(
     field: HeightField, codes: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: int, seen: SeenLand
 ) -> np.ndarray:
-    """Return the largest need in each of some parts by the distances of its cells of 2^NEAR_BITS samples.
+    """Return the largest error, pixels, in each of some parts by the distances of its cells of 2^NEAR_BITS samples.
 
-    codes: of `_centre_codes`. rows, columns: of the parts, int [parts]. part: number of samples along a side of one.
+    codes: of the errors in the centres of 2 x 2 raster cells, [rows, columns]. rows, columns: of the parts, int
+    [parts]. part: number of samples along a side of one.
     """
     lattice, count = field.lattice, part >> NEAR_BITS
     x, y = (
@@ -226,7 +232,7 @@ def _needs_of_cells(
         boxes[..., end, 0] = west + (x + end)[:, None, :] * (sides * lattice.step_x)
         boxes[..., end, 1] = south + (y + end)[:, :, None] * (sides * lattice.step_y)
     boxes[..., 2] = np.sort(heights * seen.vertical_scale + seen.vertical_offset, axis=-1)
-    inner = np.arange(sides // 2)
+    inner = np.arange(sides // 2)  # the codes along a cell
     v, u = (
         np.minimum(places[:, :, None] * len(inner) + inner, size - 1)
         for places, size in zip((y, x), codes.shape, strict=True)
@@ -239,7 +245,7 @@ def _needs_of_cells(
 def _largest_errors(field: HeightField, codes: np.ndarray, side: int) -> np.ndarray:
     """Return the largest error, metres, in each square of side x side cells, [rows, columns].
 
-    codes: of `_centre_codes`.
+    codes: of the errors in the centres of 2 x 2 cells, [rows, columns].
     """
     for axis in (0, 1):
         codes = np.maximum.reduceat(codes, np.arange(0, codes.shape[axis], max(side // 2, 1)), axis=axis)

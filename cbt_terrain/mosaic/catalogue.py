@@ -182,15 +182,15 @@ def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder
 
 
 def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
-    """Return the paths with `..` in the catalogue of a store, which older versions wrote, by their paths without."""
+    """Return paths with `..`, which older versions wrote into a store's catalogue, by the same paths without `..`."""
     written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
     paths = {absolute_source(path): path for path in written if ".." in Path(path).parts}
     # The catalogue has no tile indexes, but files that they named by their own folder.
     indexes = [path for path in files_of(settings) if paths and path.suffix.lower() in INDEX_SUFFIXES]
     folders = [folder for path in paths.values() for folder in Path(path).parents] if indexes else []
     for index in indexes:
-        is_its = (folder for folder in folders if ".." in folder.parts and without_dots(folder) == index.parent)
-        paths |= {str(index): str(folder / index.name) for folder in itertools.islice(is_its, 1)}
+        matching = (folder for folder in folders if ".." in folder.parts and without_dots(folder) == index.parent)
+        paths |= {str(index): str(folder / index.name) for folder in itertools.islice(matching, 1)}  # the first, if any
     return paths
 
 
@@ -228,7 +228,7 @@ def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) ->
                 f"{shown(path)} cannot be a part of a mosaic ({problem})",
                 expected="a coordinate system and the position of its samples",
                 fix="name the encoding of its colours (--encoding)"
-                if tile_of(path)
+                if tile_of(path)  # a web map tile, which has its position by its name
                 else "place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
             )
         crs, datum = names_of(grid.crs) if grid.crs is not None else ("", "")

@@ -91,7 +91,7 @@ class Composite:
         unpacked: UnpackedFiles,
     ) -> None:
         """Prepare the tiles; footprints: in the grid's system. unpacked: height maps of archives. No file is opened."""
-        order = rank_tiles(tiles, footprints, settings)
+        order = rank_tiles(tiles, footprints, settings)  # from now on a tile's number is its rank
         self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
         self.reads_overviews = False
@@ -99,6 +99,7 @@ class Composite:
         self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
+        # Boxes are in columns and rows of the grid, and steps and reach in its samples.
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
@@ -120,7 +121,7 @@ class Composite:
         self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
         self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
         self._open: OrderedDict[int, Raster] = OrderedDict()  # files by rank, those read last at the end
-        self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()
+        self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()  # by lattice, column and row of a block
 
     def read(self, row: int, rows: int, column: int = 0, columns: int | None = None) -> tuple[np.ndarray, float]:
         """Return a window, float64 [rows, columns] with NaN for gaps, and the largest error of a value by its position.
@@ -272,7 +273,7 @@ class Composite:
         if len(numbers) != 1:
             return False
         lattice, nodes = self.lattices[numbers[0]], self._nodes_of(numbers[0], *piece.block)
-        if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
+        if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:  # not exactly linear
             return False
         first = piece.row % BLOCK, piece.column % BLOCK
         u, v = (at_corners(values_at_nodes, nodes, first, piece) for values_at_nodes in (nodes.u, nodes.v))
@@ -366,7 +367,7 @@ class Composite:
         return heights * tile.scale + tile.offset + shift
 
     def overview_of(self, rank: int, max_factor: int) -> Raster | None:
-        """Return a tile's overview with samples over 2, 4, 8 ... of its samples a side, the most up to `max_factor`.
+        """Return the coarsest overview of a tile with one sample for 2, 4, 8 ... `max_factor` of its samples a side.
 
         None without such an overview. The caller closes it. Files in archives are read from their unpacked copies.
         Raises TerrainError if its file has changed.

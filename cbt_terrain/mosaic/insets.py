@@ -124,6 +124,7 @@ class InsetBlend:
         last = grid.row + grid.height - 1, grid.column + grid.width - 1
         # First and last row, and first and last column, of the grid's blocks.
         self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
+        # Marks of blocks by (row, column) and level, the block used last at the end, and the bytes of all.
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
         self._bytes = 0
         self._digests: dict[tuple[int, int], bytes] = {}
@@ -136,6 +137,7 @@ class InsetBlend:
         It is the margin of the widest window of `_marks_around`, whose first and last cells are whole.
         """
         wide = map(_widened, self.rings)
+        # Each ring of a window, and how many of its widths the margin has.
         windows = [*((ring, 1) for ring in self.rings), *((ring, MAX_PART + 1) for ring in wide)]
         return max(ring.cell * (rings * max(ring.reach) + 2) for ring, rings in windows)
 
@@ -164,10 +166,11 @@ class InsetBlend:
         """
         ring = self.rings[lower]
         marks = self._marks_around(level, ring, piece, rings=1)
-        # The last bit marks samples of the inset without tiles below (`_marks`).
+        # Bit `lower` marks seams on that level, the last bit samples of the inset without tiles below (`_marks`).
         seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
             return None
+        # The ring is narrower where the largest distance to a seam nearby is small; larger cells give that distance.
         wide = _widened(ring)
         cells_per_wide = wide.cell // ring.cell
         widest = find_widest(self._marks_around(level, wide, piece, rings=MAX_PART + 1) >> lower & 1 != 0, wide)

@@ -21,7 +21,7 @@ from .report import describe_mosaic
 
 
 def describe_sources(settings: ImportSettings) -> dict:
-    """Return the report on a mosaic of the settings' sources, for an archive of one height map that on this.
+    """Return the report on a mosaic of the settings' sources, or on the one height map of an archive.
 
     Raises TerrainError for files that cannot form a mosaic.
     """

@@ -57,7 +57,7 @@ def _names_of(wkt: str) -> tuple[str, str]:
 
 
 def _datum_name(vertical: dict) -> str:
-    """Return the name of a vertical system as PROJ's JSON has it."""
+    """Return the name of the datum of a vertical system, an object of PROJ's JSON; "" without one."""
     code = vertical.get("id", {}).get("code")
     if code in DATUMS:
         return DATUMS[code]

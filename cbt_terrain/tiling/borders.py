@@ -89,7 +89,7 @@ def children_of(
 def raise_kinds(grid: TileGrid, opened: Opened) -> list[tuple[int, bool]]:
     """Unite the kinds of cells below the shared vertices; return (level, is_centre) of the depths with both kinds.
 
-    opened: function that maps the kinds (ground, hole), uint8 like the errors.
+    opened: function that maps the kinds (ground 1, hole 2, both 3), uint8 like the errors.
     """
     both: dict[tuple[int, bool], None] = {}
     for level, is_centre in pass_depths(grid):
@@ -119,6 +119,7 @@ def raise_errors(
     """
     for level, is_centre in pass_depths(grid):
         below = level if is_centre else level - 1  # level of the children, -1 for cells, whose table is the last
+        # Two levels are one group, with one table.
         code_metres, child_code_metres = table[level // 2], table[below // 2 if below >= 0 else -1]
         for vertices in shared_vertices(grid, level, is_centre):
             stored = opened()
@@ -137,7 +138,7 @@ def unite_ranges(grid: TileGrid, opened: Opened) -> None:
 
     The finest vertices are complete already. grid: tiles of the whole raster. opened: maps the ranges of the raster.
     """
-    half = TileGrid(halved(grid.lattice), grid.bits - 1)
+    half = TileGrid(halved(grid.lattice), grid.bits - 1)  # ranges are those of a lattice of every other sample
     flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
     for level, is_centre in pass_depths(half):
         if not level and not is_centre:

@@ -110,6 +110,7 @@ class CoarseLand:
             image[:] = pages_of(rows)
         wide, high = local.extent(local.cell_depth)
         x, y = box.x0 + np.arange(wide), box.y0 + np.arange(high)[:, None]
+        # The error of a coarser cell is a quarter in cells of half its side, and so on.
         cells = pages_of(
             self._cell_errors(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding
         )
@@ -120,7 +121,7 @@ class CoarseLand:
         """Yield the errors `large`, of diamonds as large as a tile or larger, with the coarser store's values."""
         for item in large:
             x, y = np.array([item.x]), np.array([item.y])
-            is_centre = bool(item.x & item.y & 1 << item.level)
+            is_centre = bool(item.x & item.y & 1 << item.level)  # both are odd multiples of half a cell's side
             yield item._replace(error=float(self._errors_at(x, y, item.level, is_centre)[0]))
 
     def _errors_at(self, x: np.ndarray, y: np.ndarray, level: int, is_centre: bool) -> np.ndarray:
@@ -138,6 +139,7 @@ class CoarseLand:
         error = self._cell_errors(x >> self.bits, y >> self.bits)
         if not is_centre:  # a side is of two cells
             error = np.maximum(error, self._cell_errors(x - 1 >> self.bits, y - 1 >> self.bits))
+        # The cell's error is that at its centre, and a quarter after each two bisections below.
         return error * np.float32(0.25 ** (-above - is_centre)) + self.rounding
 
     def _cell_errors(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -104,7 +104,7 @@ class TileSamples:
 def margin_of(low: float, high: float) -> int:
     """Return the samples around a tile on which its errors depend. low, high: limits of the raster's heights, metres.
 
-    A twist reaches until a quarter for each sample has made it 0, the smallest float32 being 2^-149.
+    A cell n samples away counts with 4^-n of its twist, until that is 0 in float32, whose smallest number is 2^-149.
     """
     reach = (codes.exponent_of(high - low) + 150) // 2 + 1
     return max(PAGE, -(-reach // 8) * 8)

@@ -138,7 +138,7 @@ def halved(lattice: Lattice) -> Lattice:
 
 def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
     """Return whether the lattice has an entry for each vertex, bool [n]; vertices outside the raster have none."""
-    counts = _extents(lattice)[vertices.level]
+    counts = _extents(lattice)[vertices.level]  # columns and rows of cells, then the last ones of middles of sides
     x, y = vertices.x >> vertices.level, vertices.y >> vertices.level
     is_centre = (x & y & 1) == 1
     is_in_extent = np.where(

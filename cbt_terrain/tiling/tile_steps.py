@@ -74,7 +74,9 @@ def measure(
 ) -> bool:
     """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
 
-    Without a change nothing is written. Arguments are as of `measured`.
+    Without a change nothing is written. limits: of all heights. before: its last record, None for none. exponents:
+    largest ones that its stored codes may have, () for any. coarse: the land around loaded tiles, None if all tiles are
+    loaded.
     """
     changes = measured(work, number, limits, threads, before, exponents, coarse)
     if changes is None:
@@ -329,6 +331,7 @@ def _longest(lattice: Lattice, level: int, is_centre: bool) -> float:
 
     is_centre: the vertex is the centre of a cell, otherwise the middle of a side.
     """
+    # A centre's depth is one less than that of the middles of its cell's sides.
     return float(np.float32(longest_edge(lattice, 2 * (lattice.levels - level) - is_centre)))
 
 

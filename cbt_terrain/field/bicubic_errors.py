@@ -161,7 +161,7 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
     depths, base = [], 0
     for bisections in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
         whole, side, depth = stored_at(lattice, lattice.cell_depth - bisections), bisections // 2, Depth()
-        # A diamond beyond the border that the raster has, but none beyond another side of the window.
+        # One more row and column than fit, where the raster has them: diamonds beyond its border are stored, too.
         counts = [-(-(end - first) >> side) + 1 for first, end in box]
         depth.columns = min(counts[0], whole.columns - (box[0][0] >> side))
         depth.rows = min(counts[1], whole.rows - (box[1][0] >> side))

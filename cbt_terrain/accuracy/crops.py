@@ -57,6 +57,7 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     drawn = [_ProjectedSurface(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
+    # The first and the last picture, SMALL times smaller, show where to look.
     whole = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
     x, y = _max_square(np.abs(whole[0] - whole[1]).sum(axis=2), side)
     box = SMALL * x, SMALL * y, SMALL * side, SMALL * side  # x, y, width and height in the frame, pixels

@@ -24,7 +24,7 @@ def interpolation(field: HeightField) -> Errors:
         # The same with a column more on both sides, columns first.
         nearest, mirrored = _with_mirrored(-1, width + 1, width)
         columns = (2 * h[:, nearest] - h[:, mirrored]).T
-        linear, cubic = _linear(columns).T, _cubic(columns).T
+        linear, cubic = _linear(columns).T, _cubic(columns).T  # in the middle between two columns of each row
         count = min(ROWS, height - first_row)
         # The middles of sides along rows, those of sides along columns, and the centres of cells.
         distances += [linear[1:][:count] - cubic[1:][:count], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]

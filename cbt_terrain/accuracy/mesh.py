@@ -189,10 +189,11 @@ class MeasuredMesh:
     def raise_to_maxima(self, worst: np.ndarray) -> np.ndarray:
         """Raise `worst` (float64 [T], metres) from that at samples to the maximum over each triangle.
 
-        Returns float64 [T], by how much float32 has moved each. Over a cell a bilinear reference is a saddle, so mesh
-        minus reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
-        maximum is exact. For a bicubic reference, or one with detail, it is the largest at the samples, at 8 points of
-        each edge in each cell and at 4 x 4 points of each cell, or of the box of a triangle that is smaller.
+        Returns float64 [T]: metres of height by which float32 may have moved a corner of each. Over a cell a bilinear
+        reference is a saddle, so mesh minus reference has its extrema at samples and on the triangles' edges, where it
+        is a parabola in each cell: the maximum is exact. For a bicubic reference, or one with detail, it is the largest
+        at the samples, at 8 points of each edge in each cell and at 4 x 4 points of each cell, or of the box of a
+        triangle that is smaller.
         """
         rounding = np.zeros(self.triangles)
         self.walk(edge_kernels.raise_to_maxima, [shared(worst, wp.float64), shared(rounding, wp.float64)])
@@ -212,7 +213,7 @@ class MeasuredMesh:
         key = np.zeros(count, np.int64)
         inputs = [*g.point_ends, *(shared(a, wp.int64) for a in (x, y, key))]
         launch.spread(point_kernels.compute_morton_keys, count, inputs, step="measure", threads=g.threads)
-        order = np.argsort(key)
+        order = np.argsort(key)  # the points of a square are contiguous, so a triangle looks at few others
         key = key[order]
         p = point_kernels.MeasuredPoints()
         p.count, p.difference, p.owner = count, shared(difference, wp.float64), shared(owner, wp.int32)

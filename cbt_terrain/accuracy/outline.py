@@ -61,7 +61,7 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
     flips = _flips(sight.covered(), sight, margin=0)
     if not sum(len(places) for places in flips):
         return None
-    crossings = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)
+    crossings = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)  # x is -1 in the sky
     rays = _Rays(sight, mesh, positions)
     columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
     cover = np.zeros(rows * columns, bool)

@@ -116,8 +116,8 @@ def _measure_setting(
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     num_views = sum(int(max(1, len(frame.views))) for frame in frames)
     bounds, limited, sizes, runs, spreads = [], set(), [], [], []  # one item for each frame
-    measured: list[Measurement] = []  # one for each view of a frame, as `changes` if another frame follows
-    changes: list[list[Errors]] = []
+    measured: list[Measurement] = []  # one for each view of each frame
+    changes: list[list[Errors]] = []  # the same, of frames with a next one (`after`): popping and change of shading
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m

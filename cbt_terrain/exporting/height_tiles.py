@@ -84,6 +84,7 @@ class _Samples:
         west, south, _, north = field.lattice.rectangle()
         self.x = west + axes[0].places
         self.y = south + axes[1].places if flipped else north - axes[1].places
+        # Attributes are averaged over a step of the grid: 2^level samples of the raster.
         steps = axes[0].spacing / field.lattice.step_x, axes[1].spacing / field.lattice.step_y
         self.level = max(float(min_level(field.raster)), math.log2(max(steps)))
 

@@ -20,9 +20,12 @@ BAND = 256  # rows
 
 
 def write_world_file(picture: Path, transform: Sequence[float]) -> Path:
-    """Write the world file beside a picture, whose suffix is one of WORLD_FILES; return its path. Raises OSError."""
+    """Write the world file beside a picture, whose suffix is one of WORLD_FILES; return its path. Raises OSError.
+
+    transform: six numbers (a, b, x, d, e, y) of the affine map from pixels to coordinates.
+    """
     a, b, x, d, e, y = transform
-    lines = a, d, b, e, x + (a + b) / 2, y + (d + e) / 2
+    lines = a, d, b, e, x + (a + b) / 2, y + (d + e) / 2  # it locates the middle of the first pixel, not its corner
     path = picture.with_suffix(WORLD_FILES[picture.suffix.lower()])
     with written_beside(path) as partial:
         partial.write_text("".join(f"{number!r}\n" for number in lines), encoding="ascii")

@@ -108,6 +108,6 @@ def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     stride = size - overlap
     if not count:
         return TileAxis(size, max(1, math.ceil((grid.inside - overlap) / stride)), overlap, grid)
-    # The tiles have count * stride + overlap samples together.
+    # All tiles have count * stride + overlap samples, which are num / den steps of the raster apart.
     fitted = GridAxis(grid.samples, grid.step, num=grid.samples - 1, den=count * stride + overlap - 1)
     return TileAxis(size, count, overlap, fitted)

@@ -189,6 +189,7 @@ def _place_levels(levels: list[_Level], placing: Placing, folder: Path) -> Globe
     parts, ups = np.split(in_frame, cuts), np.split(up, cuts)  # of each level its vertices, then its edges' middles
     for level, (a, b), exact, middles, upwards in zip(levels, ends, parts[::2], parts[1::2], ups[::2], strict=True):
         level.positions, level.up = exact.astype(np.float32), upwards
+        # A curved triangle is at most MIDDLES times further from its plane than at the middles of its edges.
         bent = middles - 0.5 * (exact[a] + exact[b])
         rounding = np.abs(level.positions - exact).max()
         level.bound += MIDDLES * math.sqrt((bent**2).sum(1).max()) + math.sqrt(3.0) * float(rounding)

@@ -121,7 +121,7 @@ def read_head(path: Path, count: int) -> bytes:
     member = _member(path)
     try:
         with open_regular(archive_of(path), links=True) as file:
-            if member.info is None:
+            if member.info is None:  # a .gz
                 with gzip.open(file) as source:
                     return source.read(count)
             with zipfile.ZipFile(file) as archive, archive.open(member.info) as source:
@@ -224,7 +224,7 @@ def _unpack(path: Path, folder: Path) -> Path:
     target = folder / member.name
     try:
         with open_regular(outer, links=True) as file:
-            if member.info is None:
+            if member.info is None:  # a .gz
                 with gzip.open(file) as source:
                     _copy(outer, source, target, MAX_BYTES)
                 return target
@@ -315,7 +315,7 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     Raises TerrainError for unsafe members, for none or several height maps of which none is a tile, and for one of more
     than MAX_BYTES.
     """
-    beside: dict[PurePosixPath, dict[str, dict]] = {}  # members of each folder by name, by that in small letters
+    beside: dict[PurePosixPath, dict[str, dict]] = {}  # folder, then name in small letters, then name: its member
     for info in members:
         _check_member(path, info)
         name = PurePosixPath(info.filename)
@@ -334,7 +334,7 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
 def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.ZipInfo, ...]:
     """Return the members that belong to a height map, without those of more than MAX_SIDECAR_BYTES.
 
-    beside: the members of its folder by name, by that in small letters.
+    beside: names in its folder in small letters, each with a dictionary from exact names to members.
     """
     starts = {name.name.lower(), name.stem.lower()}
     found = [beside.get(start + suffix, {}).values() for start in starts for suffix in SUFFIXES]

@@ -142,7 +142,7 @@ def open_vrt(path: Path) -> OpenedVrt:
                 expected=WHOLE_FILE,
             ) from reason
         finally:
-            setenv(GDAL_PAM_ENABLED="NO")
+            setenv(GDAL_PAM_ENABLED="NO")  # no .aux.xml is read, as before `allow_aux_file`
     setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # files beside a source (.msk, .ovr) could be VRTs again
     texts = [
         rasterio.MemoryFile(text.encode(), dirname=mosaic.folder, filename=f"{number}.vrt")

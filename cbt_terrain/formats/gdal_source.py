@@ -124,6 +124,7 @@ def raster_of(
     _check_band(path, dataset, settings.band)
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     stored = np.dtype(dataset.dtypes[band - 1])
+    # Grid, unit and notes, corrected where GDAL's driver leaves facts out; `factor` brings values into the unit.
     facts = band_facts(path, dataset, band, _grid_of(dataset, settings))
     grid = facts.grid
     if grid.transform is not None and grid.crs is None and driver != "VRT":
@@ -305,9 +306,9 @@ def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> 
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
-    """Return the grid of a dataset. Raises TerrainError for one that cannot be used.
+    """Return the grid of a dataset. If it cannot be used and the user gives the extent, return an empty grid.
 
-    If the user gives an extent, it is then an empty one.
+    Raises TerrainError if it cannot be used and there is no extent.
     """
     try:
         return grid_of(dataset)

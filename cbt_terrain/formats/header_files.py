@@ -15,7 +15,7 @@ MAX_HEADER_BYTES = 1 << 20
 
 
 def header_of(path: Path) -> Path | None:
-    """Return the header beside a file of such a suffix, or None if there is none."""
+    """Return the .hdr file beside a raster; None without one, or if the raster's format has no such header."""
     try:
         headers = [path.with_suffix(suffix) for suffix in (".hdr", ".HDR") if path.with_suffix(suffix).is_file()]
     except (OSError, ValueError):

@@ -20,7 +20,7 @@ def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: Roundi
 
     stored: name of the type of the band's values.
     """
-    roundings = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
+    roundings = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)  # the outermost VRT is the last text
     # A value that the VRT's type holds unchanged has its file's rounding alone.
     is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in roundings]
     return tuple(

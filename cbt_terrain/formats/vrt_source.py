@@ -199,7 +199,8 @@ class _Reader:
     def start(self, name: str, attributes: dict[str, str]) -> None:
         """Open an element, or skip it if it is ignored.
 
-        Raises TerrainError for elements and attributes that are not listed.
+        Raises TerrainError for elements and attributes that are not listed: ALLOWED has the attributes and children of
+        each element. PLAIN are attributes with their default values, which are left out.
         """
         self.count += 1
         if self.count > MAX_ELEMENTS or len(self.open) + self.ignored >= MAX_DEPTH:

@@ -78,7 +78,7 @@ def dataset_scales(dataset: DatasetReader) -> list[HeightScale]:
 
 def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
     """Return a warning, if any, about conversions of one band's files that the VRT lacks."""
-    number = len(mosaic.texts) - 1
+    number = len(mosaic.texts) - 1  # the outermost VRT
     vrt_scale = _vrt_scale(mosaic, number, band)
     # Equal units may have different names, so compare metres.
     different = {

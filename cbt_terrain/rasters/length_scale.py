@@ -82,7 +82,7 @@ def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
     except Exception:  # PROJ cannot transform these points
         return True
     a, b, _, d, e, _ = grid.placed
-    return not lengths(back - np.stack([x, y])).max() <= max(length((a, d)), length((b, e)))
+    return not lengths(back - np.stack([x, y])).max() <= max(length((a, d)), length((b, e)))  # True for NaN
 
 
 def _direction(east: float, north: float) -> str:

@@ -291,7 +291,7 @@ class Raster:
 def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
     """Return whether a sample of type `kind` can equal `no_data` and hence be a missing one.
 
-    False for None and NaN: samples that are NaN are missing anyway.
+    False for None and NaN: samples that are NaN are missing anyway. Floats are compared with `no_data` rounded to them.
     """
     if no_data is None or math.isnan(no_data):
         return False

@@ -176,7 +176,8 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
 def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tuple[float, float]:
     """Return the steps along x and y of a straight grid as dense as one whose column and row steps are given.
 
-    A grid that is almost parallel to the axes keeps its step along a row; any other gets squares.
+    A grid that is almost parallel to the axes keeps its step along a row; any other gets squares. column_x, column_y:
+    components of the step from a column to the next; row_x, row_y: from a row to the next.
     """
     column, row = length((column_x, column_y)), length((row_x, row_y))
     area = abs(column_x * row_y - column_y * row_x)

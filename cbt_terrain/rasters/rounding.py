@@ -57,6 +57,7 @@ class SourceRounding:
         error = self.error + (self.before.half_step(value) if self.before else 0.0)
         if kind.kind != "f":
             return scale * (0.5 + error)
+        # The step of a float depends on its power of two and on its number of significant bits.
         limits = np.finfo(kind)
         value = min(value, float(limits.max))
         lowest = int(limits.minexp) + 1  # smaller floats have the same spacing

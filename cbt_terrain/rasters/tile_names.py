@@ -20,6 +20,7 @@ def is_tile(name: str, lower: Collection[str]) -> bool:
     suffix = suffix_of(name)
     stem = name.lower().removesuffix(suffix)
     if is_archive_name(name):
+        # A .gz names its content; any .zip may hold tiles.
         return (suffix != ".gz" or _has_driver(stem)) and not _is_beside(stem, lower)
     if not _has_driver(name):
         return False

@@ -31,6 +31,7 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
     (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
     depth, meshlet_bits = tree.max_depth - lattice.square_bits, 2 * meshlet
+    # numbers of the finest triangles at the points along the curve: the square, then a bit for each bisection
     path = (row * lattice.columns + column) << depth + meshlet_bits
     for first in range(0, len(path), AT_ONCE):
         part = slice(first, first + AT_ONCE)

@@ -23,10 +23,11 @@ from .surface import Surface
 def cut_ends(
     surface: Surface, field: HeightField, domain: Domain, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, list[np.ndarray]]:
-    """Cut the surface of all leaves at the raster's border and at its holes. Other arguments are those of `cut`.
+    """Cut the surface of all leaves at the raster's border and at its holes.
 
     Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order: one cut, or two with
-    holes. domain: the placed field.
+    holes. domain: the placed field. room: allocates the larger arrays; another one than the default overwrites those
+    of `surface`.
     """
     surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:

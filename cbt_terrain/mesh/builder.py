@@ -61,7 +61,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     _check_memory(triangles * 4**meshlet)
     weld(field, domain, history, level_in=arrays if tables else scratch)
     # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
-    point, parts = arrays.get("point", 0, wp.vec2i), _point_slices(leaves)
+    point, parts = arrays.get("point", 0, wp.vec2i), _point_slices(leaves)  # 0: as large as the walk has made it
     prefix, built = "leaf_", Vertices(domain, geomorph is not None)
     if tables:
         built.leaves, built.first_inner = triangles, vertices + edges * (tables.segments - 1)

@@ -151,7 +151,7 @@ class _Work:
         max_new = 2 * len(listed) * ((1 << sides) - 1)
         self.counts = np.array([*self.before, len(listed)], np.int32)
         domains = TOPOLOGY | {name: a.domain for name, a in surface.attributes.items()}
-        self.items = {name: ITEMS[domain] for name, domain in domains.items()}
+        self.items = {name: ITEMS[domain] for name, domain in domains.items()}  # kind of element, and items in one
         self.arrays = {
             name: room(name, array, self.items[name][1] * (self.before[self.items[name][0]] + max_new))
             for name, array in surface.arrays().items()
@@ -232,7 +232,11 @@ class _Work:
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
         # Of a flat triangle's edges one is a point; the others are one edge.
         is_point = edges[sides[flat], 0] == edges[sides[flat], 1]
-        equal = [of_one[~is_it] for of_one, is_it in zip(sides[flat], is_point, strict=True) if is_it.sum() == 1]
+        equal = [
+            edge_numbers[~is_collapsed]
+            for edge_numbers, is_collapsed in zip(sides[flat], is_point, strict=True)
+            if is_collapsed.sum() == 1
+        ]
         pairs = np.array(equal, np.int64).reshape(-1, 2)
         sides[listed] = _merge_numbers(pairs, self.counts[kernels.EDGE])[sides[listed]]
         self.removed[kernels.TRIANGLE, flat] = True

@@ -114,6 +114,7 @@ def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray
         last_base=history.scratch.table("last_slice_base", base, wp.int64),
         last_vertex=history.scratch.table("last_slice_vertex", first, wp.int64),
         last_slices=len(base),
+        # written in the last frame, so that any size will do
         last_positions=last.get("positions", 1, wp.vec3f),
         last_normals=last.get("normals", 1, wp.vec3f),
         last_uv=last.get("uv", 1, wp.vec2f),

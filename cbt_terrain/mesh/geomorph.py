@@ -37,7 +37,7 @@ class Geomorph:
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp
         ramp.limit, ramp.end2 = self.relaxed * self.relaxed, self.end * self.end  # the kernels compare squares
-        # factor on (1 - 1 / ratio), see view/morph.py
+        # Times 1 - 1 / ratio, a point's fraction of the ramp: 1 where the ratio is `end`.
         ramp.steep = 1.0 / (1.0 - 1.0 / self.end)
         ramp.bisections = 2 * meshlet
         if layers:

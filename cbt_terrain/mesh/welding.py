@@ -46,7 +46,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
         w,
         **_slice_tables(leaves, scratch),
         side_base=side_base,
-        code=arrays.get("code", 0, wp.uint16),
+        code=arrays.get("code", 0, wp.uint16),  # as large as the walk has made it
         side=scratch.get("side", sides, wp.vec2i),
         side_level=scratch.get("side_level", sides, wp.int32),
         corners=scratch.get("corners", 2 * squares, wp.int32),

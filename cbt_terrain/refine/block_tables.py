@@ -13,10 +13,10 @@ STATES = 6
 
 
 def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[int, int]]]:
-    """Return the leaves of a triangle after even bisections, as states in curve order, and its new vertices.
+    """Return the leaves of a uniformly bisected triangle, as states in curve order, and its new vertices.
 
     A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
-    state: how the curve passes the triangle (kernels/refine/curve.py).
+    bisections: depth of all leaves. state: how the curve passes the triangle (kernels/refine/curve.py).
     """
     leaves: list[int] = []
     vertices: list[tuple[int, int]] = []

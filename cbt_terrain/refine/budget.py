@@ -50,7 +50,7 @@ def search(
     """
     roots = 2 * lattice.squares
     count_at = partial(count_splits, lattice, request, history, threads)
-    return find_finest_step(count_at, max_leaves - roots, start, low)
+    return find_finest_step(count_at, max_leaves - roots, start, low)  # each split adds a leaf to the roots
 
 
 def ramp_start(

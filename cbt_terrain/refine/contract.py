@@ -177,9 +177,9 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     fixed = outcome.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
-    mean, source = mean_ramp(criterion.morph_until), outcome.domain.source
-    relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / mean)
-    tolerance = relaxed_request / mean
+    morph_factor, source = mean_ramp(criterion.morph_until), outcome.domain.source
+    relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / morph_factor)
+    tolerance = relaxed_request / morph_factor
     morph_error = relaxed_request - tolerance
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
@@ -210,12 +210,12 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     """
     if not criterion.error_m:
         return None
-    fixed, source, mean = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
-    tolerance = weighed_as(criterion.error_m, source, mean)
+    fixed, source, morph_factor = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
+    tolerance = weighed_as(criterion.error_m, source, morph_factor)
     factor = outcome.factor(METRES, tolerance)
     tolerance *= factor
     guaranteed, limit = _guaranteed(tolerance, fixed, source, source), outcome.relief + fixed
-    relaxed_request, morph_error = criterion.error_m * factor, (mean - 1) * tolerance
+    relaxed_request, morph_error = criterion.error_m * factor, (morph_factor - 1) * tolerance
     too_coarse = outcome.stopped_above(METRES, min(guaranteed, limit))
     guaranteed, _worst = outcome.tighten(METRES, tolerance, guaranteed, relaxed_request - morph_error)
     precision = (too_coarse.fixed if too_coarse else fixed) - source
@@ -231,9 +231,9 @@ def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     """
     if not criterion.edge_px:
         return None
-    mean = mean_ramp(criterion.morph_until)
-    relaxed_request = criterion.edge_px * outcome.factor(EDGE, criterion.edge_px / mean * spans.edge)
-    tolerance = relaxed_request / mean
+    morph_factor = mean_ramp(criterion.morph_until)
+    relaxed_request = criterion.edge_px * outcome.factor(EDGE, criterion.edge_px / morph_factor * spans.edge)
+    tolerance = relaxed_request / morph_factor
     too_coarse, longer = outcome.stopped_above(EDGE, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
     return Bound(min(longest * longer, LARGEST), _edge_reason(too_coarse, longer))
@@ -247,9 +247,9 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     """
     if not criterion.area_px:
         return None
-    request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
-    factor = outcome.factor(AREA, request / mean * spans.edge)
-    relaxed_request, tolerance = request * factor, request * factor / mean
+    request, morph_factor = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
+    factor = outcome.factor(AREA, request / morph_factor * spans.edge)
+    relaxed_request, tolerance = request * factor, request * factor / morph_factor
     too_coarse, longer = outcome.stopped_above(AREA, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
     area = 0.5 * longest * longest if too_coarse else criterion.area_px * factor * factor

@@ -40,7 +40,7 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
             view.rings.first, view.rings.count, view.rings.at = first, count, entries
-            entries += (count + 1) * int(ROW)
+            entries += (count + 1) * int(ROW)  # a row of directions for each ring, and one in front
     return entries
 
 
@@ -101,6 +101,7 @@ def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlock
     blocks = HorizonBlocks()
     if field.interpolation == "bilinear":
         low, first, wide = extremes(field, np.minimum)
+        # `outward`: fraction of itself by which a stored extreme may be inside the surface's range
         high, blocks.outward = extremes(field, np.maximum)[0], OUTWARD
     else:
         low, high, first, wide = cached(field.cache.results, ("blocks",), lambda: _patch_blocks(domain, threads))

@@ -50,6 +50,8 @@ def refine(
     domain, criterion, depth, morphs = request.domain, request.criterion, request.max_depth, request.morph_until > 1
     history.need_tree(field.lattice.square_bits + max(depth, MIN_DEPTH), threads)
     hides, slices = has_rings(criterion), None
+    # Horizons hold for meshes up to a relaxation factor: RELAXED has factors without and with a limit; infinity hides
+    # nothing.
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
             max_factor = relaxed * (request.morph_until * math.sqrt(limit_at_step(1)) if morphs else 1.0)

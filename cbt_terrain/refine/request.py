@@ -48,7 +48,7 @@ def refinable_domain(
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
     domain.near_x, domain.near_y = rounding.near
-    domain.enough = ENOUGH * (domain.rounding + domain.source)
+    domain.enough = ENOUGH * (domain.rounding + domain.source)  # smaller errors are not refined further
     return domain
 
 
@@ -72,7 +72,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     # `weighed_as` has divided by the mean already
     arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
     arrays.diagonal2, arrays.axis2 = spans.lengths
-    arrays.limit = 1.0
+    arrays.limit = 1.0  # factor on all squared limits: not relaxed yet
     views = views or [LocalView()]  # kernels get an array that is not empty
     arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
     return arrays

@@ -79,7 +79,7 @@ class Slices:
                 leaf_limit=max_leaves,
                 leaf_base=slot * stride,
                 slot=slot,
-                grid=int(squares > 1),
+                grid=int(squares > 1),  # 1: leaves at borders of squares are tracked
                 **arrays,
             )
         return cls(history, walks, [], capacity, cell_bits, counts, np.zeros(count, np.int64))
@@ -101,6 +101,7 @@ class Slices:
             "point_run_counts": scratch.get("point_run_counts", count, wp.int64),
             "same": scratch.get("same", max(count * room, 1), SameLeaves),
             "reused": scratch.get("reused", count, wp.int64),
+            # written in the last frame, so that any size will do
             "last_cached": read.get("cached", 1, Subtree),
             "last_counts": read.get("cached_counts", 1, wp.int64),
             "last_code": read.get("code", 1, wp.uint16),

@@ -50,6 +50,7 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
     if start:
         finest = min(max(start.step - 1, low), MAX_STEP)
         search.look(finest, min(finest + WINDOW, MAX_STEP), max_splits)
+    # Cheap counts at fractions of the budget show how fast splits grow.
     for fraction, min_splits in GOALS:
         goal = max(int(fraction * max_splits), min_splits)
         if goal < max_splits:
@@ -88,7 +89,8 @@ class _Search:
     def approach(self, goal: int, reach: int) -> None:
         """Search for a step with about `goal` splits; if the goal is the budget, for the finest step that meets it.
 
-        It narrows `low` and `high` and adds to the known counts. reach: number of steps in the first window.
+        It narrows `low` and `high` and adds to the known counts. A NEAR-th of a goal other than the budget is enough.
+        reach: number of steps in the first window.
         """
         beyond, stride = self.low, 1  # just finer than `beyond` there are more splits
         while beyond < self.high and (goal == self._max_splits or NEAR * self._reached < goal):
@@ -111,6 +113,7 @@ class _Search:
 
     def _predict_step(self, goal: int) -> int:
         """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
+        # `_reached`: splits at `high`, or a number that the next finer step exceeds
         growth = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
         # The growth is measured to the first coarser step with fewer splits by that factor, at least 0.9, at most 0.5.

@@ -35,7 +35,7 @@ class Terms:
 
     @classmethod
     def shares(cls, bound: float, *parts: float) -> "Terms":
-        """Divide a bound in proportion to its three terms, which are in one unit, as metres, in the order above.
+        """Divide a bound in proportion to its parts, all in one unit: geometric, by precision, and by the source.
 
         All terms are 0 if the parts are.
         """
@@ -75,6 +75,7 @@ def weighed_as(error_m: float, source: float, mean: float) -> float:
     mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
     """
     remaining = left_of(error_m, source)
+    # The largest w with w * mean <= remaining + source and w * (mean - 0.2) <= remaining.
     return min((remaining + source) / mean, remaining * (1.25 / (1.25 * mean - 0.25)))
 
 
@@ -102,7 +103,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     detail_slope = steepest(field.parts) * abs(vertical_scale)
     detail = detail_slope * (moved_cells * (lattice.step_x + lattice.step_y) + spare) if detail_slope else 0.0
-    near = (0.0, 0.0)
+    near = (0.0, 0.0)  # fraction of the lean that counts per metre from the anchor; all of it without one
     if (lattice.anchor_x or lattice.anchor_y) and moved_cells:
         relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / moved_cells
         near = relative_error / lattice.step_x if x else 0.0, relative_error / lattice.step_y if y else 0.0

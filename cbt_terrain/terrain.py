@@ -107,6 +107,7 @@ class Terrain:
     """
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False) -> None:
+        """Make a terrain without a mesh. threads: None for all cores. whole: the raster's border cuts no triangle."""
         self.field = field
         self.threads = launch.checked_threads(threads)
         self.history = FrameHistory()
@@ -375,11 +376,8 @@ class Terrain:
             max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
 
     def _placed_domain(self, shape: _Shape) -> Domain:
-        """Return the height field with its vertical scale and offset and the float32 rounding bounds at this depth.
-
-        The last result is cached.
-        """
-        key = shape._replace(morph_until=1.0)  # it places no leaf
+        """Return the height field at this scale and offset, with float32's rounding at this depth; cached."""
+        key = shape._replace(morph_until=1.0)  # the domain does not depend on it
         if self._placed is None or self._placed[0] != key:
             scaling = shape.vertical_scale, shape.vertical_offset
             rounded = rounding(self.field, shape.depth + 2 * shape.meshlet, *scaling)

@@ -113,7 +113,7 @@ def derived_components(path: Path) -> int:
         count += 1
     if not count and len(parts) > 2 and parts[-2].endswith(MAPS):
         count = 1  # the maps of one terrain
-    # and the folder of shaped land or of maps that these are in
+    # The folder of shaped land or of maps that these are in was named here, too.
     return count + (count < len(parts) - 1 and parts[-1 - count].endswith((LAND, MAPS)))
 
 

@@ -92,7 +92,7 @@ class _Preparation:
             traceback.print_exc()
         finally:
             self.fraction = None
-            _tried.update(module for group in groups for module in group)
+            _tried.update(module for group in groups for module in group)  # `prepare_modules` does not try them again
             for ready in self.ready:
                 ready.set()
             for process in processes:

@@ -84,7 +84,10 @@ class ChildJob:
         variables: dict[str, str] | None = None,
         report: dict | None = None,
     ):
-        """Start a child process, or finish at once with `report` if there is one."""
+        """Start a child process, or finish at once with `report` if there is one.
+
+        While the child's message is one of `watched`, it reads the file `reading`, and long silence ends it.
+        """
         self._what, self._fix, self._reading, self._watched = what, fix, reading, watched
         self._progress, self.cancelled = JobProgress(), False
         self._num_lines = 0
@@ -279,7 +282,7 @@ def wait_for(
     """Start a job, wait for it and return its report.
 
     on_progress(fraction, message) is called repeatedly; an exception from it stops the job. on_preview(preview) is
-    called once if the job makes a preview. Raises TerrainError. The store is then as it was before.
+    called once if the job makes a preview. Raises TerrainError, after which the store is as it was before.
     """
     previewed = False
     with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
@@ -306,6 +309,7 @@ def ask(module: str, request: dict, what: str, on_progress: Tell = lambda _fract
 
     on_progress(fraction, message) is called repeatedly; an exception from it stops the child.
     """
+    # It is watched from the start, until it sends another message.
     job = partial(ChildJob, what=f"Reading {what}", fix=CHECK_FILE, reading=what, watched=(JobProgress.message,))
     return wait_for(lambda: job(module, request, variables=VARIABLES), on_progress)
 

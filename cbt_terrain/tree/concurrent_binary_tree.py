@@ -71,6 +71,7 @@ class ConcurrentBinaryTree:
         self.bits = bitfield.Bitfield()
         self._state = np.zeros(5, np.int32)  # counters and flags by bitfield.PAGES_USED and the like
         self.bits.state = shared(self._state, wp.int32)
+        # `top`: level of the highest word; a word of 64 bits covers 6 levels of the tree
         self.bits.max_depth, self.bits.top = max_depth, (max_depth - 1) // 6
         self._arrays: dict[str, np.ndarray] = {}
         self._runs: list[writing.LeafRun] = []  # kept for the next `set_leaves`

@@ -57,7 +57,7 @@ class CameraPath:
                 f"The camera path has no place and direction at frame {frame:g}",
                 expected="keyframes whose frames, eyes and targets are neither too near each other nor too far apart",
             )
-        # A curve may swing beyond its keyframes, so far that `exp` would overflow.
+        # values[6] is log(tan(fov / 2)). A curve may swing beyond its keyframes, so far that `exp` would overflow.
         fov = math.degrees(2 * math.atan(math.exp(min(max(float(values[6]), -50.0), 50.0))))
         fov = min(max(fov, SMALLEST_FOV), LARGEST_FOV)
         return View.look(values[:3], values[3:6], fov_deg=fov, resolution=resolution, clip=self.clip)

@@ -57,6 +57,7 @@ def localise(
     planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
     factor, fade, fringe = _off_screen(view, criterion, planes, box)
     largest, smallest = slants_of(view, placement, criterion)
+    # Rows of 0 mean that one slant, the largest, serves the whole frame.
     slants = slant_rows(view, placement) / largest if largest > smallest else np.zeros((2, 2))
     numbers = {
         "eye": eye,

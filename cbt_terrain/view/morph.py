@@ -15,10 +15,10 @@ MAX_MORPH = 4.0  # takes over three quarters more triangles than without, and is
 
 @lru_cache(maxsize=64)
 def mean_ramp(k: float) -> float:
-    """Return m(k), the mean of the ratio over the ramp from 1 to k, 1 <= k <= MAX_MORPH: 1.21 at k = 1.5.
+    """Return m(k), the mean of the ratio of error to criterion over the ramp from 1 to k: 1.21 at k = 1.5.
 
-    It is the integral of 6 u (1 - u) / (1 - c u) over u from 0 to 1, c = 1 - 1 / k. As a power series in c it has no
-    logarithm, whose last bits differ from machine to machine.
+    Geomorphing raises errors by this factor, 1 <= k <= MAX_MORPH. It is the integral of 6 u (1 - u) / (1 - c u) over u
+    from 0 to 1, c = 1 - 1 / k. As a power series in c it has no logarithm, whose last bits differ by machine.
     """
     c, power, mean, n = 1.0 - 1.0 / k, 1.0, 0.0, 0
     while power > 1e-18:

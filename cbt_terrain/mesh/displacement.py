@@ -76,7 +76,7 @@ def reuse_points(history: FrameHistory) -> list[int]:
     """
     leaves, before = history.next.leaves, history.last.leaves
     assert leaves is not None and before is not None, "points are reused from a frame to the next"
-    vertices = before.counts[:, 1]
+    vertices = before.counts[:, 1]  # of each slice in the last frame
     _copy(history, history.next.reused_points, before.base, np.cumsum([0, *vertices[:-1]]))
     return leaves.slots.tolist()
 

@@ -61,6 +61,7 @@ def template(meshlet: int) -> Template:
     tables.segments, tables.levels, tables.triangles = segments, 2 * meshlet, len(triangles)
     tables.inner_points, tables.inner_lines = len(inner_points), len(inner_lines)
     tables.points, tables.lines = 3 * segments + tables.inner_points, 3 * segments + tables.inner_lines
+    # first for leaves of even depth, which store corners and sides mirrored, then for leaves of odd depth
     tables.corners = table([corners[:, _MIRRORED_CORNERS], corners], wp.int32, -1)
     tables.sides = table([sides[:, _MIRRORED_SIDES], sides], wp.int32, -1)
     tables.weights = table([b[1:] for b in inner_points], wp.vec2i, (-1, 2))

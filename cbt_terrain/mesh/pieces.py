@@ -39,6 +39,7 @@ class Pieces:
             whole: int64 [n], the whole triangle at each point, -1 beyond the raster.
             places: float64 [n, 2], metres.
         """
+        # Pieces are sorted by their whole triangle: those of `whole` are first .. end - 1.
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
         pieces, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
         for k in range(int((end - first).max(initial=0))):

@@ -85,7 +85,7 @@ def _refine_to_limit(
         slices = _walk(field, request, history, threads, max_leaves)
     low, too_many = int(may_fit), 0  # step 0 is not searched after a walk of it
     while slices is None:
-        last_relaxed = start if start and start.step else None
+        last_relaxed = start if start and start.step else None  # step 0 is no hint for a search beyond it
         found = hints.step = search(field.lattice, request, history, threads, max_leaves, last_relaxed, low)
         criterion.limit, low = limit_at_step(found.step), found.step + 1
         if criterion.limit > relaxed * relaxed:
@@ -180,6 +180,7 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
     """Store the leaves of the slices that have any as the next frame's `Leaves`, and in the tree; return them."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
     used = np.flatnonzero(counts[:, 0])  # slices that have leaves
+    # edges that each slice has on the four sides of each square
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)
     code = history.next.arrays.numpy("code")
     base = np.array([w.leaf_base for w in walks], np.int64)[used]

@@ -94,6 +94,7 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     lengths_by_view = [unit_lengths(v, placement, plan.steps) for v in views]
     longest = tuple(max(of_views) for of_views in zip(*lengths_by_view, strict=True))
     offset = max(largest_offset(v, placement, plan.off) for v in views)
+    # Shifted float32 corners lengthen edges by up to this factor, so edges get a smaller limit.
     allowed = min(_stretch(longest, plan.unit_bits, plan.depth, offset), 1 + MAX_STRETCH)
     return Spans(*by_view, tuple(scales), edge_spans / allowed, longest, allowed, offset, plan.unit_bits)
 

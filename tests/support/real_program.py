@@ -122,7 +122,8 @@ def program(bare_program, extension_zip):
     """
     bare_program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
     quiet = "import bpy; preferences = bpy.context.preferences; preferences.view.show_splash = False; "
-    quiet += "preferences.system.viewport_aa = 'OFF'; bpy.ops.wm.save_userpref()"
+    quiet += "preferences.system.viewport_aa = 'OFF'; preferences.system.use_region_overlap = False; "
+    quiet += "bpy.ops.wm.save_userpref()"
     # An empty asset library, or the first window would write one.
     quiet += f"; from {EXTENSION}.operators.assets import library; folder = library.library_folder(create=True); "
     quiet += "(folder / library.BLEND).touch(); (folder / library.STAMP).write_text(library._stamp())"

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Droplets: short gullies and small fans from rain that runs a few hundred metres, for use after rivers.
 
-A mask scales erosion; deposition follows from it.
+A mask scales erosion; deposition follows from it. Droplets start in tiles of four colours: tiles of one colour, which
+do not touch, run in parallel, the colours one after another.
 """
 
 import math
@@ -40,7 +41,8 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     elif min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
         change = np.zeros(ground.heights.shape, np.float32)
     else:
-        change = _smooth(rain_on(ground, values)[0].astype(np.float32), ground.missing)
+        change, _lost = rain_on(ground, values)
+        change = _smooth(change.astype(np.float32), ground.missing)
     return Change(change, {"sediment": np.maximum(change, 0.0), "wear": np.maximum(-change, 0.0)})
 
 
@@ -78,22 +80,22 @@ def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.nda
         heights[ground.missing] = np.nan
     mask = np.ones(heights.shape, np.float32) if ground.mask is None else np.ascontiguousarray(ground.mask, np.float32)
     rain.ground, rain.mask, rain.change = flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)
-    carried = 0.0
+    lost = 0.0
     for colour, tiles in enumerate(_tiles(rain, ground)):
-        lost = np.zeros(len(tiles))
-        inputs = [flat(tiles, wp.int32), rain, flat(lost, wp.float64)]
+        lost_by_tile = np.zeros(len(tiles))
+        inputs = [flat(tiles, wp.int32), rain, flat(lost_by_tile, wp.float64)]
         cost = 5.0 * rain.drops * rain.steps
         launch.spread(kernels.rain_on_tiles, len(tiles), inputs, step="droplets", threads=ground.threads, cost=cost)
-        carried += math.fsum(lost)
+        lost += math.fsum(lost_by_tile)
         ground.progress((colour + 1) / 4)
-    return change, carried
+    return change, lost
 
 
 def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.DropletRain":
     """Return the droplets' parameters for kernels, without arrays; a step is as long as the smaller spacing of samples.
 
     values: `droplets` is their number per square kilometre. They start in tiles of `rows` x `columns` samples; none
-    reaches half a tile, so that distant tiles run in parallel.
+    reaches half a tile beyond its own.
     """
     from ...kernels.land import droplets as kernels
 
@@ -103,10 +105,10 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _num_steps(values, stride)
     rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
     rain.rows, rain.columns = (
-        _tile(rain.steps * stride / step, brush)
+        _tile_side(rain.steps * stride / step, brush)
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
     )
-    rain.across = -(-_whole_shape(ground)[1] // rain.columns)
+    rain.across = -(-_whole_shape(ground)[1] // rain.columns)  # tiles from west to east
     per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
     simulated = min(per_sample, MAX_PER_SAMPLE)
     rain.drops = round(simulated * rain.rows * rain.columns)
@@ -131,7 +133,7 @@ def _num_steps(values: Mapping[str, float], stride: float) -> int:
     return max(1, int(values["reach"] / stride))
 
 
-def _tile(reach: float, brush: int) -> int:
+def _tile_side(reach: float, brush: int) -> int:
     """Return the samples along a tile's side: more than twice as far as a droplet with its last brush can reach.
 
     reach: of a droplet, in samples. brush: radius of the brush with which it deposits, in samples.
@@ -185,14 +187,14 @@ def _halo(values: Mapping[str, float], step: float) -> float:
     return 8.0 * (values["reach"] + max(0.5 * BRUSH, step) + 5.0 * step)
 
 
-def example(shape: Evaluate) -> None:
+def example(evaluate: Evaluate) -> None:
     """Assert that a funnel fills from its flanks and conserves mass, and that a plain does not change."""
     x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
     far = np.maximum(x[:, None], x)
-    change = shape("droplets", 10.0 + 5.0 * far, 10.0).heights
+    change = evaluate("droplets", 10.0 + 5.0 * far, step=10.0).heights
     assert change[far < 3].mean() > 3.0 and change[(far > 12) & (far < 30)].mean() < -0.5
     assert abs(change.sum(dtype=np.float64)) < 1e-6 * np.abs(change).sum(dtype=np.float64)
-    assert not shape("droplets", np.full((33, 65), 10.0), 10.0).heights.any()
+    assert not evaluate("droplets", np.full((33, 65), 10.0), step=10.0).heights.any()
 
 
 DROPLETS = HeightOperator(

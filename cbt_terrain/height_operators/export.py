@@ -100,7 +100,7 @@ def _write_exr(rows: ExportedRows, strips: Iterable[np.ndarray], path: Path) -> 
 
     strips: arrays of LINES rows, from the north; the last may be shorter. Raises TerrainError.
     """
-    width, height = (axis.inside for axis in rows.axes)
+    width, height = (axis.inside for axis in rows.axes)  # numbers of columns and rows
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
             exr = ExrFile(partial, width, channels=1, depth=32, text="", pool=pool, lines=height)

@@ -20,7 +20,7 @@ class ExportedRows:
     With one they are points of the surface, bilinear between the values of a layer.
 
     Attributes:
-        axes: positions of columns, and of rows.
+        axes: positions of columns, and of rows; `inside` is the number of them.
     """
 
     def __init__(self, field: HeightField, name: str, step: float) -> None:

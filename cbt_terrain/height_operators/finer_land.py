@@ -57,7 +57,7 @@ def with_shaped_tiles(
         return shaped
 
     def read(box: FinerBox) -> np.ndarray:
-        """Return the finer heights of a tile after shaping."""
+        """Return the finer heights of a tile after shaping. box: in finer samples, 2^bits to a side of a cell."""
         number = finer.numbers[box.y0 // SIDE, box.x0 // SIDE]
         # A stored tile has one more sample before its first row and column.
         heights = finer.heights[number, 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
@@ -109,9 +109,9 @@ class CachedRecords(FinerRecords):
         self._cache = cache
 
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
-        """Yield the record of a tile that the cache has, and a function that returns its array, None for limits.
+        """Yield the record of a tile and a function that returns its array (None for limits), if the cache has them.
 
-        kind: LIMITED, MEASURED or RANGED. inputs: digest of all that determines the result. place: not needed for that.
+        kind: LIMITED, MEASURED or RANGED. inputs: digest of all that determines the result. place: unused.
         """
         if kind in self.SHAPES:
             found = self._cache.find(kind, _key(kind, inputs), *self.SHAPES[kind])

@@ -92,7 +92,7 @@ class Bed:
         The `heights` of the result are those of the bed, at the border at least `outlet_level`. The lower path of lake
         outlets affects only the choice of receivers.
         """
-        heights = self.heights + np.float32(0.0)
+        heights = self.heights + np.float32(0.0)  # a copy with 0 for -0, as `route` makes
         heights[self.border] = np.maximum(heights[self.border], self.outlet_level)
         chosen = heights.copy()
         chosen[self.path] = np.minimum(chosen[self.path], self.path_level)
@@ -111,12 +111,12 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
     before, drainage = bed.heights, bed.drain(_noise_of_step(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
     bed.heights = raised.copy()
-    river, filled = _incise(bed, drainage, years, values)
-    load = None if filled is None else _deposit(bed, drainage, river, raised, filled, years)
+    river, water_surface = _incise(bed, drainage, years, values)  # no surface without deposition
+    load = None if water_surface is None else _deposit(bed, drainage, river, raised, water_surface, years)
     uplift = np.float32(years) * bed.uplift[bed.border]
     bed.heights[bed.border] = raised[bed.border] = before[bed.border] + uplift  # was raised to outlet_level
     if values["creep"] > 0.0:
-        _creep(bed, years, values["creep"], drainage.base, filled)
+        _creep(bed, years, values["creep"], drainage.base, water_surface)
     bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
     return load
 
@@ -150,7 +150,7 @@ def vary_rock(bed: Bed, variety: float) -> None:
     """Multiply the erodibility by noise, so that rivers are not alike. variety: standard deviation of its logarithm."""
     grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
     position = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
-    # The factor is about exp(2 t), where t is 0.5 * variety times the noise.
+    # The kernel multiplies by about exp(2 * strength * noise), so its strength is half the variety.
     inputs = [grid, *position, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
     rows, columns = bed.shape
     launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)
@@ -180,12 +180,12 @@ def _incise(
     # Largest height above the receiver, metres, by direction: the steepest slope times the distance.
     r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.inverse_distance])))
     r.to, r.order = flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
-    r.area = flat(drainage.catchments, wp.float64)
+    r.area = flat(drainage.catchments, wp.float64)  # in samples
     r.erodibility, r.weight = flat(bed.erodibility, wp.float32), flat(bed.weight, wp.float32)
     r.rate, r.h = flat(rate, wp.float32), flat(bed.heights, wp.float32)
     r.filled = r.rate if filled is None else flat(filled, wp.float32)  # not written without `lakes`
     launch.spread(kernels.find_rates, rows, [r], step="rivers", threads=bed.threads, cost=columns / 8)
-    launch.once(kernels.cut_down, [r], step="rivers")
+    launch.once(kernels.cut_down, [r], step="rivers")  # writes `h` and `filled`
     return r, filled
 
 
@@ -254,7 +254,7 @@ def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
     rock[wet], sediment[wet], scratch[wet] = bed.heights[wet] - before, before, before
     arrays = [flat(a, wp.float32) for a in (rock, sediment, scratch)]
     for apart in APART:
-        open_water = _inside(lake.reshape(bed.shape), apart - 1).reshape(-1)
+        open_water = _away_from_shore(lake.reshape(bed.shape), apart - 1).reshape(-1)
         segments = (flat(ends, wp.int32) for ends in _segments(open_water))
         inputs = [SETTLING, bed.shape[1], apart, *segments, flat(open_water.view(np.uint8), wp.uint8), *arrays]
         launch.once(kernels.settle, inputs, step="rivers")
@@ -272,7 +272,7 @@ def _segments(lake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return samples[first], samples[last]
 
 
-def _inside(lake: np.ndarray, distance: int) -> np.ndarray:
+def _away_from_shore(lake: np.ndarray, distance: int) -> np.ndarray:
     """Return the lake samples that are surrounded by lake within a distance in samples, bool [rows, columns]."""
     inside = lake
     for axis in (0, 1) if distance else ():  # no lake touches the border, so that nothing wraps around

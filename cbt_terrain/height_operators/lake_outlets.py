@@ -31,14 +31,14 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     if not wet.any():
         return
     surface = floor + coarser.state[LAKE][coarse]
-    # Directions of receivers (`neighbour`), and drainage areas in samples of this level.
+    # Directions of receivers (`neighbour`; 4 for none), and drainage areas in samples of this level.
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
     flow = coarser.layers["flow"][coarse] / np.float32(ground.step_x * ground.step_y)
     path_level, max_ground = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
     heights = bed.heights.reshape(bed.shape)
 
     def middle(here: Positions, after: Positions) -> Positions:
-        """Return this level's samples halfway between coarse samples, which are neighbours or the same."""
+        """Return this level's samples halfway between neighbouring coarse samples, or at one that is given twice."""
         j, i = (n + m + s.start for n, m, s in zip(here, after, coarse, strict=True))
         return j, i
 
@@ -47,9 +47,9 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
 
         Under lakes it is lowered only where the floor is above that surface.
         """
-        (j, i), level = middle(here, after), surface[after]
-        lowered = ~(wet[here] | wet[after]) | (heights[j, i] > level)
-        np.minimum.at(path_level, (j[lowered], i[lowered]), level[lowered])
+        (j, i), outflow_level = middle(here, after), surface[after]
+        lowered = ~(wet[here] | wet[after]) | (heights[j, i] > outflow_level)
+        np.minimum.at(path_level, (j[lowered], i[lowered]), outflow_level[lowered])
 
     def breach_dams(here: Positions, after: Positions) -> None:
         """Limit the ground halfway between coarse samples to the higher of both ends."""
@@ -65,8 +65,8 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         y, x = np.unique(np.stack(below)[:, to[ends] != 4], axis=1)  # a path ends where there is no receiver
         ends = y, x
     is_cut = np.zeros(bed.shape, bool)  # samples where a tile is cut out of the level
-    for side, border in zip(sides(bed.shape), ground.rims, strict=True):
-        is_cut[side] |= not border
+    for side, is_border in zip(sides(bed.shape), ground.rims, strict=True):
+        is_cut[side] |= not is_border
     unchanged = is_cut | bed.fixed.reshape(bed.shape)
     dams = np.isfinite(max_ground) & ~unchanged
     heights[dams] += np.minimum(max_ground - heights, np.float32(0.0))[dams] * bed.weight.reshape(bed.shape)[dams]

@@ -118,6 +118,7 @@ class LevelPlan:
         """Add the planned nanoseconds of all entries at a level."""
         tiles = self.with_neighbours(level, self.needed[level.number])
         for numbers in self.runs(level) if level.is_whole or tiles else ():
+            # Without the last margin, which is that of the run's result.
             for number, margin in zip(numbers, self.margins(level, numbers)[:-1], strict=True):
                 entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:

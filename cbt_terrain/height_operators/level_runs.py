@@ -115,7 +115,7 @@ class LevelRun:
             # A mask that reads the whole level starts a run, so that only the first one is reused for tiles.
             first_mask = mask if number == self.numbers[0] else first_mask
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
-            changes += [change] if level.number else []
+            changes += [change] if level.number else []  # no finer level reads those of level 0
         sums = [TileSums.zeros(level) for _ in self.numbers]
         if all(self.shaping.plan.how(number, level) == UPSAMPLED for number in self.numbers):
             return changes, sums
@@ -148,6 +148,7 @@ class LevelRun:
         changes, to which those of the tile are added.
         """
         level, changes = self.work.level, []
+        # What each entry reads, narrower from entry to entry, and last the result.
         windows = [level.window(tile, *margin) for margin in self.shaping.plan.margins(level, self.numbers)]
         land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
         for number, arrays, entry_sums, target in zip(self.numbers, self.coarse, sums, windows[1:], strict=True):

@@ -64,7 +64,7 @@ class LandWindow:
     """
 
     window: Window
-    total: np.ndarray
+    total: np.ndarray  # of the changes of heights, metres
     layers: dict[str, np.ndarray]
 
     def crop(self, window: Window) -> "LandWindow":
@@ -118,7 +118,7 @@ class LevelWork:
             step_y=level.step_y,
             first=(window[0].start, window[1].start),
             whole=level.shape,
-            size=self.plan.levels[0].size,
+            size=self.plan.levels[0].size,  # of the raster, metres
             level=level.number,
             target=None if target is None else within(target, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),

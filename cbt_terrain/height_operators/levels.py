@@ -91,7 +91,10 @@ def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) 
 
 
 def _coarser_ground(ground: OperatorGround) -> OperatorGround:
-    """Return the ground at every second sample, as an operator reads it at the next coarser level."""
+    """Return a whole level's ground at every second sample, as an operator reads it at the next coarser level.
+
+    The caller sets `whole`.
+    """
     return replace(
         ground,
         step_x=2 * ground.step_x,

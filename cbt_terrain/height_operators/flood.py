@@ -215,7 +215,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a sea at rest keeps its bits, and that a basin holds 60 mm after an hour of rain at 60 mm/h."""
+    """Assert that a sea at rest keeps its bits, and that a basin holds 60 mm everywhere after an hour of such rain."""
     bed = np.tile(np.float32(-5.0) + np.arange(16, dtype=np.float32), (12, 1))
     layers = evaluate("flood", bed, step=7.0, sea=0.25, rain=0.0, minutes=5.0).layers
     assert (layers["water_depth"] == np.maximum(np.float32(0.25) - bed, 0.0)).all()
@@ -223,7 +223,7 @@ def example(evaluate: Evaluate) -> None:
     basin = np.full((13, 11), 50.0, np.float32)
     basin[1:-1, 1:-1] = 0.0
     depth = evaluate("flood", basin, step=7.0, sea=-1.0, rain=60.0, minutes=60.0).layers["water_depth"]
-    assert abs(depth[1:-1, 1:-1].mean() - 0.06).max() < 1e-4
+    assert abs(depth[1:-1, 1:-1] - 0.06).max() < 1e-4
 
 
 FLOOD = HeightOperator(

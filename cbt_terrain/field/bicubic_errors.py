@@ -9,6 +9,8 @@ which gives the codes of the errors themselves (codes.py).
 A cell's curvature is at least that of a cell n steps away times 2^-n, so any cell of the raster may count. If no
 curvature of the tile is below a bound of all curvatures times 2^-n, cells n steps away have no effect. A tile with
 planar parts fails this test; then its window includes all cells for which 2^-n times the bound is not 0 in float32.
+
+`off` is the largest distance of the bicubic surface from the bilinear one.
 """
 
 from collections.abc import Iterator
@@ -102,12 +104,14 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
             whole = _layout_from(lattice, TILE_DEPTHS, first)
             for values, target in ((window.errors, errors), (window.off, off)):
                 more = [flat(target, wp.float32)]
-                _rows(kernels.keep_rows, lattice, window, tile, TILE_DEPTHS, whole, [values], more, threads)
+                _launch_rows(kernels.keep_rows, lattice, window, tile, TILE_DEPTHS, whole, [values], more, threads)
         del window  # before the next one takes its memory
     for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
         below, above = _layout_from(lattice, bisections - 1, first), _layout_from(lattice, bisections, first)
-        _add_errors(field, bisections, below, above, wp.vec2i(0, 0), off, errors, threads)
-    raise_to({g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, 0)
+        _add_errors(field, bisections, below, above, corner=wp.vec2i(0, 0), off=off, errors=errors, threads=threads)
+    raise_to(
+        {g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, unused=0
+    )
     table = codes.tables(exponents)
     for group, part in _whole_groups(lattice, parts):
         codes.encode_part(errors[part.start - first : part.stop - first], table[group], out[part], threads)
@@ -139,10 +143,12 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
         inputs += [flat(array, wp.float32) for array in (window.off, window.errors, window.curvatures)]
         launch_step(patches.patch_errors, north - south, inputs, threads, 20.0 * (east - west))
         curvatures = flat(window.curvatures, wp.float32)
+        # Half of each neighbour's curvature, a quarter of those after it, and so on.
         hierarchy.saturate_cells(cells, 0.5, curvatures, "bicubic hierarchy", threads)
         # Cells outside the window are more than `around` - ALIGNED steps away from those that count.
         if _smallest(field.lattice, window, tile) >= np.float32(np.ldexp(bound, ALIGNED - around)):
             break
+    # A cell's error also bounds triangles whose longest edge is a side of the cell.
     inputs = [cells, curvatures, flat(window.errors, wp.float32)]
     launch_step(kernels.cover_sides, items(cells), inputs, threads)
     for bisections in range(1, len(window.depths)):
@@ -160,18 +166,18 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
     box = across, up
     depths, base = [], 0
     for bisections in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
-        whole, side, depth = stored_at(lattice, lattice.cell_depth - bisections), bisections // 2, Depth()
+        whole, shift, depth = stored_at(lattice, lattice.cell_depth - bisections), bisections // 2, Depth()
         # One more row and column than fit, where the raster has them: diamonds beyond its border are stored, too.
-        counts = [-(-(end - first) >> side) + 1 for first, end in box]
-        depth.columns = min(counts[0], whole.columns - (box[0][0] >> side))
-        depth.rows = min(counts[1], whole.rows - (box[1][0] >> side))
+        counts = [-(-(end - first) >> shift) + 1 for first, end in box]
+        depth.columns = min(counts[0], whole.columns - (box[0][0] >> shift))
+        depth.rows = min(counts[1], whole.rows - (box[1][0] >> shift))
         depth.sides, depth.first, depth.step, depth.base = whole.sides, 0, 1, base
         depth.pages = -(-(depth.columns + depth.sides) // PAGE)
         base += depth.pages * -(-(depth.rows + depth.sides) // PAGE) * PAGE * PAGE
         depths.append(depth)
-    cells = depths[1].base if len(depths) > 1 else base
+    cell_entries = depths[1].base if len(depths) > 1 else base
     errors, off = np.zeros(base, np.float32), np.zeros(base, np.float32)
-    return _Window(box, depths, errors, off, np.zeros(cells, np.float32))
+    return _Window(box, depths, errors, off, np.zeros(cell_entries, np.float32))
 
 
 def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
@@ -191,7 +197,7 @@ def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
 
 
 def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
-    """Return the largest errors of a window, metres, by number of a group that tiles encode, cells and curvatures too.
+    """Return the largest error of a window, metres, for each group that tiles encode, for the cells and the curvatures.
 
     Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
@@ -213,14 +219,14 @@ def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out
     for bisections in range(min(TILE_DEPTHS, len(window.depths))):
         depth = lattice.cell_depth - bisections
         whole, more = stored_at(lattice, depth), [packed_table, lattice.group(depth), flat(out, wp.uint8)]
-        _rows(kernels.encode_rows, lattice, window, tile, bisections, whole, [window.errors], more, threads)
+        _launch_rows(kernels.encode_rows, lattice, window, tile, bisections, whole, [window.errors], more, threads)
     whole = stored_at(lattice, lattice.cell_depth)
     whole.base = lattice.node_count  # curvatures follow the errors
     more = [packed_table, lattice.groups + 1, flat(out, wp.uint8)]
-    _rows(kernels.encode_rows, lattice, window, tile, 0, whole, [window.curvatures], more, threads)
+    _launch_rows(kernels.encode_rows, lattice, window, tile, 0, whole, [window.curvatures], more, threads)
 
 
-def _rows(
+def _launch_rows(
     kernel: wp.Kernel,
     lattice: Lattice,
     window: _Window,
@@ -237,13 +243,13 @@ def _rows(
     whole: layout of this depth in the raster's array that the kernel writes. values: arrays of the window that it
     reads. more: its other arguments, the written array last.
     """
-    side, part = bisections // 2, window.depths[bisections]
+    shift, part = bisections // 2, window.depths[bisections]
     axes = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
     first, counts = [], []
     for (low, high), (window_start, _), (cells, count) in zip(tile, window.box, axes, strict=True):
         is_last_tile = high == cells
-        end = count + part.sides if is_last_tile else (high - window_start) >> side
-        first.append((low - window_start) >> side)
+        end = count + part.sides if is_last_tile else (high - window_start) >> shift
+        first.append((low - window_start) >> shift)
         counts.append(end - first[-1])
     inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections)]
     inputs += [*(flat(array, wp.float32) for array in values), *more]

@@ -33,13 +33,13 @@ def rectangle_ranges(
     bits = max(int(np.floor(np.log2(max(smallest * FRACTION, 1.0)))), FINEST_BITS)
     if bits > lattice.levels:
         return np.broadcast_to((field.min_height, field.max_height), (len(rows), len(columns), 2)).copy()
-    ranges = _cells(field, bits).astype(np.float64)
+    ranges = _all_stored(field, bits).astype(np.float64)
     for axis, sides in ((0, rows), (1, columns)):
-        limits = np.array(sides) / 2.0**bits
-        first = np.clip(np.floor(limits[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
-        last = np.clip(np.ceil(limits[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
+        in_cells = np.array(sides) / 2.0**bits
+        first = np.clip(np.floor(in_cells[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
+        end = np.clip(np.ceil(in_cells[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
         # `reduceat` also reduces from each end to the next first cell: every other result is used.
-        pairs = np.stack([first, last], axis=1).ravel()
+        pairs = np.stack([first, end], axis=1).ravel()
         padded = np.concatenate([ranges, np.take(ranges, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
@@ -62,7 +62,7 @@ def _heights(field: HeightField, ranges: np.ndarray) -> np.ndarray:
     return field.range_base + ranges * field.range_step + (-change, change)
 
 
-def _cells(field: HeightField, bits: int) -> np.ndarray:
+def _all_stored(field: HeightField, bits: int) -> np.ndarray:
     """Return the stored ranges, uint16 [rows, columns, 2], row 0 south, of all cells of 2^bits samples a side.
 
     bits: FINEST_BITS to lattice.levels.

@@ -66,7 +66,7 @@ def fill_rows(
     """
     height, width = shape
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
-    above = np.full((len(chunks) + 1, width), -1, np.int32)  # nearest valid row from the end of each chunk on
+    above = np.full((len(chunks) + 1, width), -1, np.int32)  # nearest valid row from the start of each chunk on
     for number, rows in reversed([*enumerate(chunks)]):
         above[number] = _first_valid(~missing_in(rows), range(rows.start, rows.stop), above[number + 1])
     below = np.full(width, -1, np.int32)
@@ -97,7 +97,8 @@ def _nearest(
     """Return, for rows from `first` on, the nearest valid row of each column, and the column of the nearest sample.
 
     Both are int32 like `missing`; the nearest valid sample of [y, x] is in column c = column[y, x], row nearest[y, c].
-    Columns at valid samples are undefined. below, above: nearest valid rows outside these rows, -1 for none.
+    Columns at valid samples are undefined. below, above: nearest valid rows outside these rows, -1 for none. Row
+    numbers are those of the raster.
     """
     height, width = missing.shape
     nearest, column = np.empty((2, height, width), np.int32)
@@ -108,6 +109,7 @@ def _nearest(
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
     jobs = []
     for begin, end in launch.ranges(height, threads):
+        # Memory for the lower envelope of parabolas.
         apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
         start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
         jobs.append([mask, width, first, begin, end, nearest_array, apex, start, flat(column, wp.int32)])

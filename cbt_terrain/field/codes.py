@@ -117,14 +117,15 @@ def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threa
     """Write the codes of one group's errors: for each the first value of the table that is not below it.
 
     errors: float32 metres; one above the last value gets the last code. values: the group's table, float32 [256]
-    metres, rising. codes: uint8, zeroed.
+    metres, rising. codes: uint8, zeroed, because zeros are not written.
     """
     from ...kernels import wp
     from ...kernels.field import codes as kernels
 
     arrays = [flat(array, wp.float32) for array in (values, errors)]
-    first = flat(_first_codes(values.tobytes(), kernels.CODE_BITS), wp.uint8)
-    inputs = [BLOCK, wp.int64(len(errors)), arrays[0], first, arrays[1], flat(codes, wp.uint8)]
+    # The search for a code starts at that of the error with its lowest bits cleared.
+    start_codes = flat(_first_codes(values.tobytes(), kernels.CODE_BITS), wp.uint8)
+    inputs = [BLOCK, wp.int64(len(errors)), arrays[0], start_codes, arrays[1], flat(codes, wp.uint8)]
     launch.spread(
         kernels.encode_errors, -(-len(errors) // BLOCK), inputs, step="error codes", threads=threads, cost=BLOCK
     )

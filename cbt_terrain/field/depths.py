@@ -39,7 +39,7 @@ def plane_limit(lattice: Lattice) -> int:
 
 
 def depth_in_plane(lattice: Lattice, positions: np.ndarray, corner_verts: np.ndarray, level: np.ndarray) -> int | None:
-    """Return the deepest bisection that float32 represents at all triangles of a mesh; None if its own levels are.
+    """Return the deepest bisection that float32 represents at all triangles of a mesh; None if it represents the mesh.
 
     Lattice lines at a triangle's level have to be 2^-PLANE_BITS of its farthest coordinate apart, or more.
 

@@ -125,8 +125,8 @@ def tables(
 
     These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
     edges. parts: summands of the displacement. steps: metres between samples. levels: a root square has 2**levels cells
-    a side. Entry 0 holds at all depths, and is the only bound before `smooth_from`, since triangles may meet several
-    cells there (drawn ones in the first bound, leaves in the second): with a mask it is the depth of half a cell.
+    a side. smooth_from: depth from which a triangle meets one cell only, that of half a cell with a mask. Entry 0 holds
+    at all depths, and is the only bound of drawn triangles (first bound) and leaves (second) before `smooth_from`.
     """
     limit = 2 * highest(parts)
     bounds = [(limit, limit)]

@@ -195,16 +195,16 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
     from ...kernels import wp
     from ...kernels.field import detail as kernels
 
-    layers, heights, masks, c = [], [], [], kernels.PackedLayers()
+    layers, heights, masks, packed = [], [], [], kernels.PackedLayers()
     num_pixels = num_mask_bytes = 0
     for layer in layers_below(ground):
         if isinstance(layer.detail, Tiled):
-            d, net = layer.detail.packed(finest)
-            d.pixel, num_pixels = num_pixels, num_pixels + net.size
-            heights.append(net.reshape(-1))
+            packed_layer, control_heights = layer.detail.packed(finest)
+            packed_layer.pixel, num_pixels = num_pixels, num_pixels + control_heights.size
+            heights.append(control_heights.reshape(-1))
         else:
-            d = layer.detail.packed(finest)
-        d.masked = int(layer.mask is not None)
+            packed_layer = layer.detail.packed(finest)
+        packed_layer.masked = int(layer.mask is not None)
         if layer.mask is not None:
             expected = lattice.height, lattice.width
             if layer.mask.values.shape != expected:
@@ -212,14 +212,14 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
                     f"A mask of displacement has the shape {layer.mask.values.shape}",
                     expected=f"{expected}, the shape of the height map",
                 )
-            d.mask, num_mask_bytes = num_mask_bytes, num_mask_bytes + layer.mask.values.size
+            packed_layer.mask, num_mask_bytes = num_mask_bytes, num_mask_bytes + layer.mask.values.size
             masks.append(layer.mask.values)
-        layers.append(d)
-    c.count, c.layer = len(layers), wp.array(layers, dtype=kernels.PackedDetail, device="cpu")
-    c.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
-    c.masks = flat(_joined(masks), wp.uint8)
-    c.columns, c.rows = lattice.width, lattice.height
-    c.anchor_x, c.anchor_y = lattice.anchor_x, lattice.anchor_y
-    c.west, c.south = -0.5 * lattice.cells_x * lattice.step_x, -0.5 * lattice.cells_y * lattice.step_y
-    c.per_x, c.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    return c
+        layers.append(packed_layer)
+    packed.count, packed.layer = len(layers), wp.array(layers, dtype=kernels.PackedDetail, device="cpu")
+    packed.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
+    packed.masks = flat(_joined(masks), wp.uint8)
+    packed.columns, packed.rows = lattice.width, lattice.height
+    packed.anchor_x, packed.anchor_y = lattice.anchor_x, lattice.anchor_y
+    packed.west, packed.south = -0.5 * lattice.cells_x * lattice.step_x, -0.5 * lattice.cells_y * lattice.step_y
+    packed.per_x, packed.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
+    return packed

@@ -33,9 +33,9 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()
-    sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])
+    sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])  # of the raster, and with padding
     cell_bits = domain.unit_bits - lattice.levels  # log2 of a cell's units
-    domain.east, domain.north = (NO_BORDER if cells == span else cells << cell_bits for cells, span in sides)
+    domain.east, domain.north = (NO_BORDER if cells == padded else cells << cell_bits for cells, padded in sides)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
@@ -50,7 +50,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
-    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
+    domain.cell_base, domain.cell_pages = base[-2], pages[-1]  # after all groups
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
     domain.cell_group, domain.curvature_group = lattice.groups, lattice.groups + domain.bicubic
     domain.error = flat(error_for(field, meshlet), wp.uint8)

@@ -82,7 +82,7 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         for tile in tiles:
             limits[tile.row, tile.column] = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
     arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
-    # Codes of errors reach twice the largest change, the error of diamonds too large for stored ones.
+    # Diamonds too large for a stored error have twice the largest change.
     exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
     table, scale = codes.tables([exponent])[0], hierarchy.range_scale(low, high)
     for corner in corners:
@@ -90,8 +90,8 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         rectangle = around(tiles)
         fill_errors(rectangle, tiles, errors, threads, steps=steps, table=table)
         fill_ranges(rectangle, tiles, ranges, threads, steps=steps, scale=scale, off=off)
-        without_holes = rectangle._replace(heights=_known_heights(smooth, bits, rectangle))
-        fill_bounds(without_holes, tiles, bounds, threads, steps=steps, exponent=exponent, off=off)
+        only_known = rectangle._replace(heights=_known_heights(smooth, bits, rectangle))  # NaN in holes
+        fill_bounds(only_known, tiles, bounds, threads, steps=steps, exponent=exponent, off=off)
     arrays["finer_values_c"][:] = exponent, *scale, low, high, off
 
 
@@ -124,7 +124,7 @@ def _fill_heights(smooth: HeightField, finer: FinerTiles, heights: np.ndarray) -
     for row, column in np.argwhere(finer.numbers >= 0).tolist():
         number = finer.numbers[row, column]
         x, y = (SIDE * at - 1 + np.arange(STRIDE) for at in (column, row))
-        weights = border_weights((column, row), known, border_margin(bits), last, 1)
+        weights = border_weights((column, row), known, border_margin(bits), last, around=1)
         heights[number] = _mixed_heights(smooth, bits, finer.heights[number], weights, x, y)
         extend_beyond(heights[number], column, row, last)
         inner = heights[number, 1:-1, 1:-1]

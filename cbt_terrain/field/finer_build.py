@@ -122,18 +122,18 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
 
 
 def corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
-    """Yield the first tile of each square of BLOCK x BLOCK tiles, in a margin of one tile, that meets any tile.
+    """Yield the corner of each square of BLOCK x BLOCK tiles, with a margin of one tile, that has any tile.
 
-    numbers: `FinerTiles.numbers`.
+    A corner is column and row of the first tile of the margin, -1 outside of the table. numbers: `FinerTiles.numbers`.
     """
     rows, columns = numbers.shape
     first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
     for row, column in product(range(first_row, rows, BLOCK), range(first_column, columns, BLOCK)):
-        if (_part_of(numbers, (column, row)) >= 0).any():
+        if (_numbers_in(numbers, (column, row)) >= 0).any():
             yield column, row
 
 
-def _part_of(numbers: np.ndarray, corner: Tile) -> np.ndarray:
+def _numbers_in(numbers: np.ndarray, corner: Tile) -> np.ndarray:
     """Return the numbers of the tiles of a square and its margin, from its first tile on."""
     column, row = corner
     return numbers[max(row, 0) : row + BLOCK + 2, max(column, 0) : column + BLOCK + 2]
@@ -157,12 +157,15 @@ def rectangle_around(
         surface: returns the heights of the raster's surface, as `raster_heights`.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
-    row, column = (min(tile[axis] for tile in tiles) - 1 for axis in (0, 1))
-    rows, columns = (
+    row, column = (min(tile[axis] for tile in tiles) - 1 for axis in (0, 1))  # of the margin's first tile
+    sample_rows, sample_columns = (
         SIDE * (max(tile[axis] for tile in tiles) + 2 - first) + 1 for axis, first in ((0, row), (1, column))
     )
-    near = numbers[max(row, 0) : row + rows // SIDE, max(column, 0) : column + columns // SIDE]
-    change, all_heights = np.zeros((rows, columns), np.float32), np.full((rows, columns), np.nan, np.float32)
+    near = numbers[max(row, 0) : row + sample_rows // SIDE, max(column, 0) : column + sample_columns // SIDE]
+    change, all_heights = (
+        np.zeros((sample_rows, sample_columns), np.float32),
+        np.full((sample_rows, sample_columns), np.nan, np.float32),
+    )
     for down, across in np.argwhere(near >= 0):
         y, x = SIDE * (max(row, 0) + down), SIDE * (max(column, 0) + across)
         finer = heights[near[down, across], 1:-1, 1:-1]
@@ -173,7 +176,7 @@ def rectangle_around(
         area = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
         change[area], all_heights[area] = difference, finer
     # Repeat the values of the raster's border beyond it.
-    for axis, count, first, end in ((1, columns, SIDE * column, last[0]), (0, rows, SIDE * row, last[1])):
+    for axis, count, first, end in ((1, sample_columns, SIDE * column, last[0]), (0, sample_rows, SIDE * row, last[1])):
         clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
         change, all_heights = (np.take(values, clamped, axis) for values in (change, all_heights))
     return MeasuredRectangle(column, row, np.ascontiguousarray(all_heights), np.ascontiguousarray(change))
@@ -200,7 +203,7 @@ def _measured(
     corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
     limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, steps, records)
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits_of_tiles, np.maximum)])
-    # Codes of errors reach twice the largest change, the error of diamonds too large for stored ones.
+    # The last limits are those of all tiles. Diamonds too large for a stored error have twice the largest change.
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
@@ -246,9 +249,9 @@ def _measure_limits(
     steps: tuple[float, float],
     records: FinerRecords,
 ) -> np.ndarray:
-    """Return the limits of the change in each tile, float32 [rows, columns, 2], from records or measured and noted.
+    """Return the largest change and slope of each tile, float32 [rows, columns, 2], from records or measured and noted.
 
-    inputs: of `inputs_of_tiles`. steps: metres of a finer cell.
+    numbers, heights: of all tiles (`FinerTiles`). inputs: of `inputs_of_tiles`. steps: metres of a finer cell.
     """
     limits = np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners_of_squares(numbers):

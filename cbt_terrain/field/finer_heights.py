@@ -132,8 +132,8 @@ def fill_heights(
 ) -> Iterator[float]:
     """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done.
 
-    Arguments are those of `with_finer_tiles`. numbers: int [rows, columns] of the table of tiles, their indices in
-    `heights`, -1 for none.
+    Arguments are those of `with_finer_tiles`. known: grouped by window. numbers: int [rows, columns] of the table of
+    tiles, their indices in `heights`, -1 for none.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     windows = [list(tiles) for _window, tiles in groupby(known, window_of)]
@@ -145,8 +145,8 @@ def fill_heights(
 
     reused: set[Tile] = set()  # tiles of windows that have their heights already
     digests, known_tiles = [], set(known)
-    for number, tiles in enumerate(windows):
-        yield LOOKED * number / len(windows)
+    for index, tiles in enumerate(windows):
+        yield LOOKED * index / len(windows)
         digests.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
         if _is_filled(tiles, digests[-1], numbers, heights, inner_heights, records):
             reused.update(tiles)
@@ -158,8 +158,8 @@ def fill_heights(
         if inner is not None:
             inner_heights((column, row))[:] = inner
     # The finer heights of each known tile, also in those samples that its neighbours share.
-    for number, tiles in enumerate(windows):
-        yield LOOKED + (1.0 - LOOKED) * number / len(windows)
+    for index, tiles in enumerate(windows):
+        yield LOOKED + (1.0 - LOOKED) * index / len(windows)
         for tile in tiles:
             box = _box_of(tile, last)
             if box.x0 <= box.x1 and box.y0 <= box.y1:
@@ -169,7 +169,7 @@ def fill_heights(
                         _lay(box_heights, box, heights[numbers[row, column]], column, row)
         if tiles[0] not in reused:
             sums = digest_of(map(inner_heights, tiles))
-            records.note(FILLED, window_of(tiles[0])[::-1], inputs=digests[number], sums=sums)
+            records.note(FILLED, window_of(tiles[0])[::-1], inputs=digests[index], sums=sums)
     for row, column in np.argwhere(numbers >= 0):
         extend_beyond(heights[numbers[row, column]], column, row, last)
 
@@ -199,17 +199,17 @@ def _is_filled(
     tiles: its known ones. inputs: of `_inputs_of_window`. The others are those of `fill_heights`.
     """
     place = window_of(tiles[0])[::-1]
-    for record, arrays in records.find(FILLED, place, inputs):
+    for record, earlier_arrays in records.find(FILLED, place, inputs):
         if record["inputs"] != inputs:
             continue
-        if arrays is not None:
-            stored = [arrays("heights", tile) for tile in tiles]
+        if earlier_arrays is not None:  # else the window was filled in this computation
+            stored = [earlier_arrays("heights", tile) for tile in tiles]
             if any(array is None for array in stored):
                 continue
             for tile, array in zip(tiles, stored, strict=True):
                 heights[numbers[tile[1], tile[0]]] = array
         if record["sums"] == digest_of(map(inner_heights, tiles)):
-            records.use(FILLED, place, record, arrays is not None)
+            records.use(FILLED, place, record, is_earlier=earlier_arrays is not None)
             return True
     return False
 
@@ -239,7 +239,7 @@ def digest_of(arrays: Iterable[np.ndarray], *texts: str) -> str:
 
 def _lay(box_heights: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
     """Write the heights of a box that are not NaN into the samples of a tile. column, row: the tile's place."""
-    x, y = SIDE * column - 1, SIDE * row - 1
+    x, y = SIDE * column - 1, SIDE * row - 1  # first samples of the tile, those around it included
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
     y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)
     if x0 <= x1 and y0 <= y1:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), by rectangles of tiles."""
+"""Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), by rectangles of tiles.
+
+The arrays that are filled are those of `FinerTiles`: an entry for the number of each tile.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -61,9 +64,9 @@ def fill_errors(
     steps: of finer samples, metres. table: metres of the codes.
     """
     small = rectangle.lattice(steps)
-    metres = np.zeros(small.node_count, np.float32)
-    hierarchy.build_errors(rectangle.change, small, metres, threads)
-    images = list(_images(small.layout(), metres * UP))  # above the rounding of the change to float32
+    change_errors = np.zeros(small.node_count, np.float32)
+    hierarchy.build_errors(rectangle.change, small, change_errors, threads)
+    images = list(_images(small.layout(), change_errors * UP))  # above the rounding of the change to float32
     for tile in tiles:
         stored = np.concatenate([_pages(image, rectangle.samples_of(tile), shift) for image, shift in images])
         errors[tile.number] = 0  # an earlier attempt may have left others, and zeros are not written
@@ -87,21 +90,21 @@ def fill_bounds(
     """
     small, table = rectangle.lattice(steps), codes.tables([exponent])[0]
     cells = hierarchy.stored_at(small, small.cell_depth)
-    of_change, metres = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
+    change_errors, surface_errors = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
     # Errors inside the finer cells, where each surface is a saddle.
-    hierarchy.build_twists(rectangle.change, cells, of_change, threads)
-    hierarchy.build_twists(rectangle.heights, cells, metres, threads)
-    # In finer cells the walk adds the raster's error, which is at most `off`, and the change's code. No bound above may
+    hierarchy.build_twists(rectangle.change, cells, change_errors, threads)
+    hierarchy.build_twists(rectangle.heights, cells, surface_errors, threads)
+    # In finer cells kernels add the raster's error, which is at most `off`, and the change's code. No bound above may
     # be smaller than this sum.
-    coded = table[np.minimum(np.searchsorted(table, of_change[cells.base :] * UP), len(table) - 1)]
-    np.maximum(metres[cells.base :], coded, out=metres[cells.base :])
+    coded = table[np.minimum(np.searchsorted(table, change_errors[cells.base :] * UP), len(table) - 1)]
+    np.maximum(surface_errors[cells.base :], coded, out=surface_errors[cells.base :])
     filled = np.nan_to_num(rectangle.heights)
-    hierarchy.measure_triangles(filled, small, metres, threads, measured=rectangle.heights)
+    hierarchy.measure_triangles(filled, small, surface_errors, threads, measured=rectangle.heights)
     missing = np.pad(np.isnan(rectangle.heights).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
     images = []
-    for image, shift in _images(small.layout(), metres, with_cells=False):
+    for image, shift in _images(small.layout(), surface_errors, with_cells=False):
         rows, columns = image.shape
-        # Above the rounding of `off`, of this sum, and of the sum of both errors in the walk.
+        # Above the rounding of `off`, of this sum, and of the sum of both errors in kernels.
         bound = (image + np.float32(off)) * UP * UP * UP
         images.append((np.where(_are_covered(missing, (rows, columns), shift), bound, np.float32(np.inf)), shift))
     for tile in tiles:
@@ -114,14 +117,14 @@ def _are_covered(missing: np.ndarray, shape: tuple[int, int], shift: int) -> np.
     """Return whether heights are known in the whole box of each diamond of a group, bool of `shape`.
 
     missing: number of unknown finer samples south and west of each sample. shift: log2 of the finer cells between two
-    vertices of the group. A box reaches 3 halves of a cell's side from its centre, or 2 halves of an edge from its
-    middle.
+    vertices of the group. A diamond's box reaches 3 halves of a side from a cell's centre, and one side from the
+    middle of a side.
     """
     j, i = np.indices(shape, np.int32, sparse=True)
     odd_x, odd_y = i & 1, j & 1
     is_larger = (odd_x | odd_y) == 0  # the two coarser depths of the group
-    parity = np.where(is_larger, (i ^ j) >> 1 & 1, odd_x ^ odd_y)
-    reach = np.where(is_larger, 2, 1) * (3 - parity) << shift
+    is_edge = np.where(is_larger, (i ^ j) >> 1 & 1, odd_x ^ odd_y)  # else the vertex is a cell's centre
+    reach = np.where(is_larger, 2, 1) * (3 - is_edge) << shift
     ends = []
     for at, count in ((j, missing.shape[0] - 1), (i, missing.shape[1] - 1)):
         ends.append((np.clip((at << shift) - reach, 0, count), np.clip((at << shift) + reach + 1, 0, count)))
@@ -146,13 +149,13 @@ def fill_ranges(
     """
     small, heights = rectangle.lattice(steps), np.nan_to_num(rectangle.heights)
     low, high = outward(heights, off) if off else (heights, heights)
-    low_ranges = np.zeros((small.range_count, 2), np.uint16)
-    hierarchy.build_ranges(low, small, *scale, low_ranges, threads)
+    surface_ranges = np.zeros((small.range_count, 2), np.uint16)
+    hierarchy.build_ranges(low, small, *scale, surface_ranges, threads)
     if off:
-        high_ranges = np.zeros_like(low_ranges)
+        high_ranges = np.zeros_like(surface_ranges)
         hierarchy.build_ranges(high, small, *scale, high_ranges, threads)
-        low_ranges[:, 1] = high_ranges[:, 1]  # now the ranges of the surface between both
-    images = list(_images(small.range_layout(), low_ranges, False))
+        surface_ranges[:, 1] = high_ranges[:, 1]  # now the ranges of the surface between both
+    images = list(_images(small.range_layout(), surface_ranges, with_cells=False))
     for tile in tiles:
         area = rectangle.samples_of(tile)
         # Ranges are those of a lattice of every other sample.
@@ -174,7 +177,7 @@ def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float3
 def _images(
     layout: tuple[np.ndarray, np.ndarray], values: np.ndarray, with_cells: bool = True
 ) -> Iterator[tuple[np.ndarray, int]]:
-    """Yield the values of each stored group of depths as rows of vertices, and log2 of their spacing, 1 in group 0.
+    """Yield the values of each stored group of depths as rows of vertices, and log2 of the cells between two.
 
     layout: of the values (lattice.py). with_cells: also yield those of the cells.
     """
@@ -192,10 +195,11 @@ def _pages(image: np.ndarray, area: tuple[slice, slice], shift: int) -> np.ndarr
 
     area: the tile's rows and columns of finer samples in the rectangle of `image`.
     """
+    # A tile's last line belongs to the next tile.
     y, x = (slice(side_range.start >> shift, side_range.stop - 1 >> shift) for side_range in area)
     part, rest = image[y, x], image.shape[2:]
     side = max(len(part), PAGE)
     full = np.zeros((side, side, *rest), image.dtype)  # a coarse group has less than a page
     full[: len(part), : len(part)] = part
-    full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)
+    full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)  # as in `_images`
     return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)

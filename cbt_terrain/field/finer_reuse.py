@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measured finer tiles of an earlier attempt or store, which are used again where nothing has changed."""
+"""Measured finer tiles of an earlier attempt or store, which are used again where nothing has changed.
+
+A record counts only if its digest "inputs" is the present one. One of this attempt comes with None instead of arrays.
+"""
 
 from itertools import product
 
@@ -15,9 +18,10 @@ NAMES = {MEASURED: "errors", RANGED: "ranges"}  # of arrays, by the kind of thei
 def inputs_of_tiles(
     plain: HeightField, bits: int, numbers: np.ndarray, heights: np.ndarray
 ) -> dict[tuple[int, int], str]:
-    """Return by row and column of each tile a digest of all that determines its change.
+    """Return a digest of all that determines a tile's change, by row and column of the tile.
 
     These are the heights of the tile and its neighbours, the raster's samples below them, and the raster's ends nearby.
+    bits, numbers, heights: of all tiles (`FinerTiles`).
     """
     lattice, digests = plain.lattice, {}
     for row, column in np.argwhere(numbers >= 0).tolist():
@@ -27,6 +31,7 @@ def inputs_of_tiles(
     for row, column in digests:
         around = [digests.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
         ends = (lattice.cells_x << bits) - SIDE * column, (lattice.cells_y << bits) - SIDE * row
+        # Only ends that the tile or its neighbours meet make a difference.
         place = [min(column, 1), min(row, 1), *(min(end, 3 * SIDE) for end in ends)]
         inputs[row, column] = digest_of([], repr((bits, steps, place, around)))
     return inputs
@@ -37,27 +42,27 @@ def limits_before(records: FinerRecords, tile: Tile, inputs: str) -> list[float]
 
     They are the largest change, metres, and its largest slope. inputs: of `inputs_of_tiles`.
     """
-    for record, arrays in records.find(LIMITED, tile, inputs):
+    for record, earlier_arrays in records.find(LIMITED, tile, inputs):
         if record["inputs"] == inputs:
-            records.use(LIMITED, tile, record, arrays is not None)
+            records.use(LIMITED, tile, record, is_earlier=earlier_arrays is not None)
             return record["limits"]
     return None
 
 
 def is_measured(records: FinerRecords, kind: str, tile: Tile, inputs: str, array: np.ndarray) -> bool:
-    """Return whether a tile has its errors or ranges (`array`), of this computation or copied from an earlier store.
+    """Return whether a tile has its errors or ranges, in `array` already or copied to it from an earlier store.
 
     kind: MEASURED or RANGED. inputs: digest of all that determines them.
     """
-    for record, arrays in records.find(kind, tile, inputs):
+    for record, earlier_arrays in records.find(kind, tile, inputs):
         if record["inputs"] != inputs:
             continue
-        if arrays is not None:
-            earlier = arrays(NAMES[kind], tile)
+        if earlier_arrays is not None:
+            earlier = earlier_arrays(NAMES[kind], tile)
             if earlier is None:
                 continue
             array[...] = earlier
         if record["sums"] == digest_of([array]):
-            records.use(kind, tile, record, arrays is not None)
+            records.use(kind, tile, record, is_earlier=earlier_arrays is not None)
             return True
     return False

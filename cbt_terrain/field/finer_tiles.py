@@ -119,7 +119,7 @@ class FinerTiles:
         tiles.bits = self.bits
         tiles.rows, tiles.columns = self.numbers.shape
         tiles.tiles = flat(self.numbers, wp.int32)
-        tiles.heights = codes.pack_samples(self.heights.reshape(-1, STRIDE), None)
+        tiles.heights = codes.pack_samples(self.heights.reshape(-1, STRIDE), steps=None)
         tiles.errors = flat(self.errors, wp.uint8)
         tiles.table = shared(codes.tables([self.exponent])[0], wp.float32)
         tiles.bounds, tiles.bounds_table = flat(self.bounds, wp.uint8), shared(bounds_table(self.exponent), wp.float32)

@@ -227,7 +227,7 @@ class HeightField:
 
     @property
     def table(self) -> np.ndarray:
-        """Return the metres of all error codes, float32 [groups, 256]."""
+        """Return the metres of all error codes, float32 [parts, 256]: a row for each of `codes.parts`."""
         return codes.tables(self.exponents)
 
     def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
@@ -284,8 +284,8 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     with caching:
         surface = surfaces.pop(wanted, None)
         if surface is None:
-            reach = highest(bound_terms(detail, plain.finest_edge, plain.lattice))
-            low, high = plain.min_height - reach, plain.max_height + reach
+            displacement = highest(bound_terms(detail, plain.finest_edge, plain.lattice))  # metres, at most
+            low, high = plain.min_height - displacement, plain.max_height + displacement
             surface = replace(plain, surface=wanted, min_height=low, max_height=high)
             surfaces.setdefault(plain.surface, plain)
         surfaces[wanted] = surface

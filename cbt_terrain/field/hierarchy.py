@@ -57,17 +57,17 @@ def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, bis
     (layout.columns, layout.rows), layout.sides = extent, int(bisections % 2)
     layout.base, layout.pages, layout.first, layout.step = int(base[group]), int(pages[group]), 0, 1
     if bisections:
-        # Steps between vertices of the image from a corner to the middle of a side: one, or two in the coarser half of
-        # the group. Middles of sides begin at 0, centres at the first middle.
-        half = 1 << (bisections - 1) // 2 % 2
-        layout.first, layout.step = (0, half) if bisections % 2 else (half, 2 * half)
+        # Half a cell's side in vertices of the image: 1, or 2 in the two coarser depths of the group. Middles of sides
+        # have positions in half sides from a corner on, and centres in whole sides from the first centre on.
+        half_side = 1 << (bisections - 1) // 2 % 2
+        layout.first, layout.step = (0, half_side) if bisections % 2 else (half_side, 2 * half_side)
     return layout
 
 
 def upward(finest: int, layout_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
     """Yield all depths above `finest`, the deepest first: its number, the layout below it, its layout, and its `items`.
 
-    layout_of(depth): layout of a depth.
+    layout_of(depth): layout of a depth. items: number of items of a launch over its diamonds.
     """
     finer = layout_of(finest)
     for depth in range(finest - 1, 0, -1):
@@ -105,7 +105,7 @@ def build_twists(measured: np.ndarray, cells: Depth, errors: np.ndarray, threads
     width] metres, NaN where samples do not count.
     """
     out, (height, width) = flat(errors, wp.float32), measured.shape
-    inputs = [pack_samples(measured, None), cells, out]
+    inputs = [pack_samples(measured, steps=None), cells, out]
     launch.spread(kernels.twists, height - 1, inputs, step="error hierarchy", threads=threads, cost=0.4 * (width - 1))
     saturate_cells(cells, 0.25, out, "error hierarchy", threads)
 
@@ -125,7 +125,9 @@ def measure_triangles(
     knows only a part of the coarser diamonds, ends below them.
     """
     out = flat(errors, wp.float32)
-    raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
+    raster = pack_samples(samples, steps=None)
+    counted = pack_samples(samples if measured is None else measured, steps=None)
+    # How far blocks are from bilinear patches: the kernels below skip blocks that cannot raise an error.
     patches = kernels.PatchDistances()
     rows, patches.columns = ((count - 1) // kernels.BLOCK for count in samples.shape)
     patches.metres = wp.empty(rows * patches.columns, dtype=wp.float32, device="cpu")
@@ -147,20 +149,16 @@ def measure_triangles(
         if coarser.sides:
             spread(kernels.side_errors, count, [raster, counted, patches, side // 2, finer, coarser], 2 * cost)
         else:
-            spread(
-                kernels.centre_errors,
-                count,
-                [raster, counted, patches, side, int(depth == 1), finer, coarser],
-                4 * cost,
-            )
+            is_root = int(depth == 1)
+            spread(kernels.centre_errors, count, [raster, counted, patches, side, is_root, finer, coarser], 4 * cost)
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 
 def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
-    """Raise each cell's value to at least part^n of that of every cell n steps between neighbours away.
+    """Raise each cell's value to at least part^n times the value of any cell n steps away.
 
-    cells: layout of the cells in `out`, the array of all values, which is changed in place. part: 0 .. 1. step: name of
-    the timed step.
+    n counts steps between neighbours in a row or a column. cells: layout of the cells in `out`, the array of all
+    values, which is changed in place. part: 0 .. 1. step: name of the timed step.
     """
     spread = partial(launch.spread, step=step, threads=threads)
     inputs = [wp.float32(part), cells, out]
@@ -209,7 +207,7 @@ def build_ranges(
         return
     finest = ranges_at(lattice, lattice.range_depth)
     scale = wp.float64(base), wp.float64(step)
-    inputs = [pack_samples(samples, None), *before, *scale, finest, flat(ranges, wp.uint16)]
+    inputs = [pack_samples(samples, steps=None), *before, *scale, finest, flat(ranges, wp.uint16)]
     cost = 6.0 * lattice.width
     launch.spread(
         range_kernels.finest_ranges, finest.rows + 1, inputs, step="height ranges", threads=threads, cost=cost

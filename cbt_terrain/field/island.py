@@ -17,6 +17,7 @@ def island(size: int, seed: int = DEFAULT_SEED) -> np.ndarray:
     from ...kernels.field.island import raise_island
 
     samples = np.empty((size, size), np.float32)
-    inputs = [size, 0, wp.uint32(seed & 0xFFFFFFFF), flat(samples, wp.float32)]
+    first_row = 0
+    inputs = [size, first_row, wp.uint32(seed & 0xFFFFFFFF), flat(samples, wp.float32)]
     launch.spread(raise_island, size, inputs, step="island", threads=None, cost=30.0 * size)
     return samples

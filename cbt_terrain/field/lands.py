@@ -24,7 +24,7 @@ class BuiltInTerrain:
         label, about: its texts in menus.
         side: metres of its square.
         launched: launched(size, first_row, seed) returns the kernel that computes its rows, and the kernel's arguments
-            between offset and samples. It imports the kernel.
+            but the first, offset, and the last, samples. It imports the kernel.
         preset: name of the stack of effects that suits it, "" for none.
         cost: cost of a sample, in lookups.
     """

@@ -189,7 +189,7 @@ def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
         if group == (levels + 1) // 2:
             wide, high = lattice.extent(lattice.cell_depth)
         else:
-            # The coarsest depth with middles of sides has the outermost entries: see `extent`.
+            # The group's coarsest cells reach farthest beyond the border (`extent`). Their centres have depth 2q + 1.
             q = max(levels - 2 - 2 * group, 0)
             side = levels - q - 2 * group  # log2 of the group's vertices along a cell of that depth
             wide, high = ((n << side) + 1 for n in lattice.extent(2 * q + 1))

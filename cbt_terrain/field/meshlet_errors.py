@@ -50,7 +50,8 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
     """Turn the codes `errors` in place into those of leaves that are drawn `2 * meshlet` bisections finer.
 
     Each pass gives a diamond the largest error of its children, which keeps parents above children. Curvatures of a
-    bicubic surface may follow the errors (bicubic.py). table: float32 [groups, 256] metres.
+    bicubic surface may follow the errors (bicubic.py). table: float32 [parts, 256] metres, a row for each of
+    `codes.parts`: the groups of depths, from `lattice.groups` on the cells and their curvatures.
     """
     has_curvatures = len(errors) > lattice.node_count
     out = flat(errors, wp.uint8)
@@ -79,13 +80,13 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
     read_group, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
     parts, row_size = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE
     rows, band = errors[parts[read_group]].reshape(-1, row_size), max(1, BAND // row_size)
-    before = np.empty((0, row_size), np.uint8)  # the old codes of the row of pages south of a band
+    south = np.empty((0, row_size), np.uint8)  # the old codes of the row of pages south of a band
     for first in range(0, len(rows), band):
-        old_codes = np.concatenate([before, rows[first : first + band + 1]])
+        old_codes = np.concatenate([south, rows[first : first + band + 1]])
         old_cells = stored_at(lattice, lattice.cell_depth)
-        old_cells.base = -(first - len(before)) * row_size  # entry of `old_codes` for the image's first row
-        before = old_codes[len(before) :][band - 1 : band]
-        for group in range(lattice.groups, read_group + 1):
+        old_cells.base = -(first - len(south)) * row_size  # entry of `old_codes` for the image's first row
+        south = old_codes[len(south) :][band - 1 : band]
+        for group in range(lattice.groups, read_group + 1):  # errors of cells, and their curvatures if there are any
             cells = stored_at(lattice, lattice.cell_depth)
             cells.base = parts[group].start
             translated = codes.translation(table[read_group], table[group], factor)

@@ -74,7 +74,7 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
             _merge(entry, new / entry.name)
         return
     is_store = (entry / store_folder.JSON_NAME).is_file()
-    target = next(path for path in map(new.joinpath, names_of(entry.name)) if _move_to(entry, path))
+    target = next(path for path in map(new.joinpath, names_of(entry.name)) if _try_move(entry, path))
     moved.stores += [target.name] if is_store else []
     for ending in BESIDE:
         folder = entry.with_name(entry.name + ending)
@@ -82,7 +82,7 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
             _merge(folder, target.with_name(target.name + ending))
 
 
-def _move_to(source: Path, target: Path) -> bool:
+def _try_move(source: Path, target: Path) -> bool:
     """Move an entry, and return True, if the target is free or holds a copy of it from an interrupted move.
 
     Return False, with both as they were, if the target holds something else.
@@ -99,15 +99,15 @@ def _move_to(source: Path, target: Path) -> bool:
 def _merge(source: Path, target: Path) -> None:
     """Move a folder of shaped land or maps into one that may exist.
 
-    For an entry with a name in both folders the target's one stays, because names stand for content there. Raises
-    NotOursError if either folder is a link.
+    An entry whose name the target has stays in both folders, because names stand for content there. Raises NotOursError
+    if either folder is a link.
     """
     for folder in (source, target):
         check_no_link(folder, "start Blender again")
-    if not _move_to(source, target):
+    if not _try_move(source, target):
         check_folder(target)
         for name in sorted(os.listdir(source)):
-            _move_to(source / name, target / name)
+            _try_move(source / name, target / name)
         _remove_if_empty(source)
 
 
@@ -158,7 +158,10 @@ def copy_entry(source: Path, target: Path) -> None:
     """
     with partial_files.private_folder(target.parent) as private:
         copy = private / target.name
-        shutil.copytree(source, copy, True, copy_function=_copy_file) if source.is_dir() else _copy_file(source, copy)
+        if source.is_dir():
+            shutil.copytree(source, copy, symlinks=True, copy_function=_copy_file)
+        else:
+            _copy_file(source, copy)
         if not are_equal(source, copy):
             raise OSError(f"its copy in {target.parent} differs")
         os.rename(copy, target)

@@ -78,7 +78,7 @@ def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None
     """
     files = [file for file in sorted(source.iterdir()) if file.suffix == ".npy"]
     for file in files:
-        open_regular(file).close()
+        open_regular(file).close()  # raises for a link before anything is copied
     total = sum(int(file.stat().st_size) for file in files) or 1
     done = 0
     for file in files:

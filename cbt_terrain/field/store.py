@@ -195,6 +195,7 @@ def is_intact(field: HeightField) -> bool:
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
     arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
+    # Results of extremes.py and attributes/finer_pyramid.py are tuples that begin with a mapped array.
     arrays += [result[0] for key, result in field.cache.results.items() if key[0] in ("tops", finer_tiles.PYRAMID)]
     layers = [result for key, result in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
@@ -273,7 +274,7 @@ class Draft:
             "version": VERSION if field.raster.finer is None else FINER_VERSION,
             "data": self.folder.name,
             "digest": digest,
-            "key": field.raster.digest,
+            "key": field.raster.digest,  # identifies the heights
             "holes": field.valid is not None,
             "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             "steps": field.steps and [field.steps.first, field.steps.scale, field.steps.offset],

@@ -88,7 +88,8 @@ class Tiled:
         splits = tuple(
             Split(a * s.far, a * s.curvature * per * per, a * s.steep * per, a * s.highest) for s in net.splits
         )
-        return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per, 2 * texel, splits)]
+        highest, steep = a * net.splits[0].highest, a * net.splits[0].steep * per
+        return [DetailTerm(highest, steep, shortest=2 * texel, splits=splits)]
 
     def packed(self, finest: float) -> "tuple[kernels.PackedDetail, np.ndarray]":
         """Return the detail as kernels read it, and its control heights for the amplitude 1, float32 [rows, columns].
@@ -129,11 +130,11 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     for k, values in enumerate(heights):
         splits, far = [], 0.0  # with each coarser net's surface as the smooth part; far: range of the rest
         for j in range(k, len(heights)):
-            side = 2.0 ** (j - k)
+            side = 2.0 ** (j - k)  # metres between the pixels of net j
             curvature, steep, highest = bounds[j]
             splits.append(Split(far, curvature / (side * side) * OUTWARD, steep / side * OUTWARD, highest * OUTWARD))
             far += ranges[j] * OUTWARD if j < len(ranges) else 0.0
-        splits.append(Split(_range(values.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))
+        splits.append(Split(_range(values.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))  # no smooth part
         nets.append(_Net(np.ascontiguousarray(values), tuple(splits)))
     return tuple(nets)
 
@@ -171,7 +172,8 @@ def _bounds(net: np.ndarray) -> tuple[float, float, float]:
     along = [np.roll(net, -1, axis) - net for axis in (1, 0)]  # from this pixel to the next
     second = [step - np.roll(step, 1, axis) for step, axis in zip(along, (1, 0), strict=True)]
     mixed = np.roll(along[0], -1, 0) - along[0]
-    # The piece between this pixel and the next has the control heights from one pixel before to two after.
+    # The piece between this pixel and the next has the control heights from one pixel before to two after. Pairs are
+    # the first and last pixels of its differences: along y, then along x.
     a, b = _max_around(second[0], (-1, 2), (0, 1)), _max_around(second[1], (0, 1), (-1, 2))
     c = _max_around(mixed, (-1, 1), (-1, 1))
     curvature = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) * (a - b) + c * c)  # eigenvalue of [[a, c], [c, b]]

@@ -50,8 +50,9 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     masks = {"masks": field.samples.shape, "mask_maxima": (int(mask_levels(field.lattice)[-1]),)}
     for prefix, shape in masks.items():
         for file in sorted(file for file in folder.glob(f"{prefix}_*.npy") if is_array_file(file)):
-            count = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))  # masks of the set
-            derived[file.name] = (count, *shape), np.uint8
+            # The file's checksums are shorter than a mask.
+            num_masks = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))
+            derived[file.name] = (num_masks, *shape), np.uint8
     for name, (shape, dtype) in derived.items():
         if os.path.lexists(folder / name):
             try:

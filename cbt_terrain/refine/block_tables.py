@@ -28,10 +28,10 @@ def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[
         """Append the leaves and new vertices below a triangle, `bisections_left` bisections deep, in curve order."""
         if not bisections_left:
             leaves.append(state)
-            if state % 2 == 0:  # its third edge is new, and so is the end of it
+            if state % 2 == 0:  # the edge that the curve does not cross is new, and its end is a new vertex
                 vertices.append(apex if state == curve.HYP_LEG else right)
             return
-        # LEFT_STATES and RIGHT_STATES hold 4 bits for each state
+        # LEFT_STATES and RIGHT_STATES hold a child's state, 0 .. 5, in 4 bits for each state of the parent
         middle = (left[0] + right[0]) // 2, (left[1] + right[1]) // 2
         walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, bisections_left - 1)
         walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, bisections_left - 1)

@@ -62,12 +62,13 @@ def ramp_start(
     of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
     continuous where the step changes, and no vertex jumps.
     """
-    factor_at_step, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
+    factor_at_step, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares  # limits are of squares
     max_leaves = max(request.max_leaves, roots)
     # no step keeps to the budget, or the next finer one does, too
     if step > MAX_STEP or (step == 0 and leaves < NEAR * max_leaves):
         return factor_at_step
     marks = history.hints.marks
+    # count at the next finer step, which may be -1: so the limits are finer, not the step
     _, splits = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_leaves, finer_by=1)
     history.hints.marks = marks  # those of the search
     # leaves at the next finer step, and where the limit is between both counts, 0 .. 1
@@ -93,7 +94,8 @@ def count_splits(
     number of steps by which the limits are finer.
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
-    cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2  # cells are square: an even number of bisections
+    # Cells are square: an even number of bisections. The last step, MAX_STEP + 1, has no limit.
+    cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
     slices, spacing = len(cuts) - 1, max_splits // 64 + 1  # spacing: measured diamonds between two marks
     arrays = {
@@ -132,7 +134,8 @@ def _cut_tree(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int,
     """Return the cells at which the tree is cut for the threads: evenly by the work of the last count.
 
     marks: positions along the curve, in root squares, between which the last count did equal work. cell_bits:
-    bisections of a square down to cells. Any cut gives the same mesh.
+    bisections of a square down to cells. max_splits: largest count of splits; a small one is not worth several threads.
+    Any cut gives the same mesh.
     """
     end = lattice.squares << cell_bits
     if threads < 2 or max_splits < launch.SLICE_ITEMS or len(marks) < threads:

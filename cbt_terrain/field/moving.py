@@ -99,8 +99,8 @@ def _try_move(source: Path, target: Path) -> bool:
 def _merge(source: Path, target: Path) -> None:
     """Move a folder of shaped land or maps into one that may exist.
 
-    An entry whose name the target has stays in both folders, because names stand for content there. Raises NotOursError
-    if either folder is a link.
+    For a name in both folders the target's entry stays, because names stand for content there; the source's stays, too,
+    if it differs. Raises NotOursError if either folder is a link.
     """
     for folder in (source, target):
         check_no_link(folder, "start Blender again")

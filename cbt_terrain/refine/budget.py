@@ -94,7 +94,7 @@ def count_splits(
     number of steps by which the limits are finer.
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
-    # Cells are square: an even number of bisections. The last step, MAX_STEP + 1, has no limit.
+    # Cells are square: an even number of bisections. Steps include MAX_STEP + 1, which stands for none.
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
     slices, spacing = len(cuts) - 1, max_splits // 64 + 1  # spacing: measured diamonds between two marks

@@ -29,6 +29,7 @@ from .terms import MARGIN, Terms, weighed_as
 
 # If no factor on the criterion meets a triangle limit, the factor of the root triangles is reported, up to this.
 MAX_FACTOR = 1e100
+NO_THRESHOLD = -1.0  # of `Outcome.search`: any value is above it
 # Reasons why a bound exceeds the request; if several apply, the first is reported.
 REASONS = ("max_triangles", "max_depth", "precision", "source")
 
@@ -81,8 +82,8 @@ class Outcome:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
 
         what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. threshold: in the unit of the result's
-        `value`, -1 for any. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must then be the
-        tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
+        `value`, or NO_THRESHOLD. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must then be
+        the tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
         hundredth.
         """
         stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
@@ -98,17 +99,17 @@ class Outcome:
             result,
         ]
         launch.once(find_largest, inputs, step="bound")
-        bound2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
-        return None if total < 0.0 else Excess(math.sqrt(bound2), fixed, total)
+        value2, fixed_m, total_m = self.buffers.numpy("excess")[:3].tolist()
+        return None if total_m < 0.0 else Excess(math.sqrt(value2), fixed_m, total_m)
 
-    def factor(self, what: int, request: float) -> float:
+    def relaxation(self, what: int, request: float) -> float:
         """Return the finite factor by which the mesh exceeds a request, which is in the unit of `search`.
 
         If no factor meets the triangle limit, the mesh is the root triangles, and the factor is theirs.
         """
         if self.relaxed < math.inf:
             return self.relaxed
-        worst = replace(self, max_depth=1).search(what, -1.0)
+        worst = replace(self, max_depth=1).search(what, NO_THRESHOLD)
         return min(max(worst.value / request, 1.0), MAX_FACTOR) if worst else 1.0
 
     def stopped_above(self, what: int, threshold: float) -> Excess | None:
@@ -174,20 +175,20 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway.
     `tolerance` is that of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
     """
-    fixed = outcome.search(FIXED, -1.0)
+    fixed = outcome.search(FIXED, NO_THRESHOLD)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
     morph_factor, source = mean_ramp(criterion.morph_until), outcome.domain.source
-    relaxed_request = criterion.error_px * outcome.factor(ERROR, criterion.error_px / morph_factor)
+    relaxed_request = criterion.error_px * outcome.relaxation(ERROR, criterion.error_px / morph_factor)
     tolerance = relaxed_request / morph_factor
     morph_error = relaxed_request - tolerance
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
     source_low, source_high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
     guaranteed = _guaranteed(tolerance, fixed.value, source_low, source_high)
-    limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error is beyond the relief
+    limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error exceeds relief + min_fixed
     too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
-    guaranteed, worst = outcome.tighten(ERROR, tolerance, guaranteed, tolerance)
+    guaranteed, worst = outcome.tighten(ERROR, tolerance, guaranteed, request=tolerance)
     guaranteed = min(guaranteed + morph_error, limit)
     worst_leaf = too_coarse or worst or fixed
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
@@ -212,12 +213,12 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
         return None
     fixed, source, morph_factor = _rounding_error(outcome), outcome.domain.source, mean_ramp(criterion.morph_until)
     tolerance = weighed_as(criterion.error_m, source, morph_factor)
-    factor = outcome.factor(METRES, tolerance)
+    factor = outcome.relaxation(METRES, tolerance)
     tolerance *= factor
     guaranteed, limit = _guaranteed(tolerance, fixed, source, source), outcome.relief + fixed
     relaxed_request, morph_error = criterion.error_m * factor, (morph_factor - 1) * tolerance
     too_coarse = outcome.stopped_above(METRES, min(guaranteed, limit))
-    guaranteed, _worst = outcome.tighten(METRES, tolerance, guaranteed, relaxed_request - morph_error)
+    guaranteed, _worst = outcome.tighten(METRES, tolerance, guaranteed, request=relaxed_request - morph_error)
     precision = (too_coarse.fixed if too_coarse else fixed) - source
     value = too_coarse.value + morph_error if too_coarse else min(guaranteed + morph_error, limit)
     return _limit_bound(relaxed_request, value, precision, source, stopped=too_coarse is not None)
@@ -226,17 +227,18 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
 def bound_edge_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
     """Return the bound of the longest edge between float32 corners, pixels; None without that criterion.
 
-    The search measures edges in spans, `spans.edge` of them a pixel. `longer`: factor by which rounding to float32
+    The search measures edges in spans, `spans.edge` of them a pixel. `lengthening`: factor by which rounding to float32
     lengthens edges.
     """
     if not criterion.edge_px:
         return None
     morph_factor = mean_ramp(criterion.morph_until)
-    relaxed_request = criterion.edge_px * outcome.factor(EDGE, criterion.edge_px / morph_factor * spans.edge)
+    relaxed_request = criterion.edge_px * outcome.relaxation(EDGE, criterion.edge_px / morph_factor * spans.edge)
     tolerance = relaxed_request / morph_factor
-    too_coarse, longer = outcome.stopped_above(EDGE, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
+    too_coarse = outcome.stopped_above(EDGE, tolerance * spans.edge)
+    lengthening = spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
-    return Bound(min(longest * longer, LARGEST), _edge_reason(too_coarse, longer))
+    return Bound(min(longest * lengthening, LARGEST), _edge_reason(too_coarse, lengthening))
 
 
 def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | None:
@@ -248,12 +250,13 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     if not criterion.area_px:
         return None
     request, morph_factor = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
-    factor = outcome.factor(AREA, request / morph_factor * spans.edge)
+    factor = outcome.relaxation(AREA, request / morph_factor * spans.edge)
     relaxed_request, tolerance = request * factor, request * factor / morph_factor
-    too_coarse, longer = outcome.stopped_above(AREA, tolerance * spans.edge), spans.excess_of_edges(outcome.deepest)
+    too_coarse = outcome.stopped_above(AREA, tolerance * spans.edge)
+    lengthening = spans.excess_of_edges(outcome.deepest)
     longest = too_coarse.value / spans.edge + (relaxed_request - tolerance) if too_coarse else relaxed_request
     area = 0.5 * longest * longest if too_coarse else criterion.area_px * factor * factor
-    return Bound(min(area * longer * longer, LARGEST), _edge_reason(too_coarse, longer))
+    return Bound(min(area * lengthening * lengthening, LARGEST), _edge_reason(too_coarse, lengthening))
 
 
 def factor_of(criterion: Criterion, outcome: Outcome, bounds: list[Bound | None]) -> float:
@@ -308,9 +311,9 @@ def _limit_bound(request: float, value: float, precision: float, source: float, 
     return Bound(value, reason, Terms.shares(value, geometric, precision, source))
 
 
-def _edge_reason(too_coarse: Excess | None, longer: float) -> str:
+def _edge_reason(too_coarse: Excess | None, lengthening: float) -> str:
     """Return the reason why a bound on edges exceeds the request, "" if it does not.
 
-    too_coarse: the worst leaf if the depth limit stopped one. longer: factor by which rounding lengthens edges.
+    too_coarse: the worst leaf if the depth limit stopped one. lengthening: factor by which rounding lengthens edges.
     """
-    return "max_depth" if too_coarse else "precision" if longer > 1 else ""
+    return "max_depth" if too_coarse else "precision" if lengthening > 1 else ""

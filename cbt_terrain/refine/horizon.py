@@ -21,7 +21,7 @@ from ..run.locks import cached
 from ..view.criterion import LARGEST
 from ..view.view import KINDS, ORTHOGRAPHIC
 
-BIN_COST = 2000.0  # of a bin's rings, in lookups
+BIN_COST, BLOCK_COST = 2000.0, 20.0  # of a bin's rings, and of a block's extremes, in lookups
 # With geomorphing, ground gets coarser gradually, until rays to it are this slope (height over distance) below the
 # horizon.
 RAMP = 0.15
@@ -74,8 +74,8 @@ def fill_horizons(
     # the longest leg of the deepest leaves
     margin_units = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
-        start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])
-        inputs = [domain, blocks, criterion, k, start, margin_units, relaxed]
+        clip_start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])
+        inputs = [domain, blocks, criterion, k, clip_start, margin_units, relaxed]
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
 
@@ -87,26 +87,27 @@ def horizon_of(
     max_depth: bisections of the mesh's deepest leaf. The maps can test whether light or a view reaches a point.
     """
     views = criterion.views.numpy().copy().view(np.recarray)
-    entries = place_rings(domain, views, LARGEST)
-    hiding = CriterionArrays()
-    hiding.view_count, hiding.error_px2, hiding.metres2 = len(views), criterion.error_px2, criterion.metres2
-    hiding.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
+    entries = place_rings(domain, views, factor=LARGEST)  # any: users read the maps only
+    result = CriterionArrays()
+    result.view_count, result.error_px2, result.metres2 = len(views), criterion.error_px2, criterion.metres2
+    result.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
     if entries:
-        fill_horizons(field, domain, hiding, max_depth, factor, Buffers(), threads)
-    return hiding
+        fill_horizons(field, domain, result, max_depth, factor, Buffers(), threads)
+    return result
 
 
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
     """Return the blocks of a field's surface; they are computed once, and a large raster's are kept in its store."""
     blocks = HorizonBlocks()
     if field.interpolation == "bilinear":
-        low, first, wide = extremes(field, np.minimum)
+        low, level_firsts, row_blocks = extremes(field, np.minimum)
         # `outward`: fraction of itself by which a stored extreme may be inside the surface's range
         high, blocks.outward = extremes(field, np.maximum)[0], OUTWARD
     else:
-        low, high, first, wide = cached(field.cache.results, ("blocks",), lambda: _patch_blocks(domain, threads))
+        values = cached(field.cache.results, ("blocks",), lambda: _patch_blocks(domain, threads))
+        low, high, level_firsts, row_blocks = values
     blocks.low, blocks.high = flat(low, wp.float32), flat(high, wp.float32)
-    blocks.first, blocks.wide = flat(first, wp.int64), flat(wide, wp.int32)
+    blocks.first, blocks.wide = flat(level_firsts, wp.int64), flat(row_blocks, wp.int32)
     return blocks
 
 
@@ -118,11 +119,11 @@ def _patch_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, ...]:
     columns, rows = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
     finest = np.empty((rows, columns, 2), np.float32)
     inputs = [domain, columns, flat(finest, wp.float32)]
-    launch.spread(fill_blocks, rows, inputs, step="horizon", threads=threads, cost=20.0 * columns)
-    levels, first, wide = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
+    launch.spread(fill_blocks, rows, inputs, step="horizon", threads=threads, cost=BLOCK_COST * columns)
+    levels, level_firsts, row_blocks = concatenate_levels(halvings(finest, np.minimum), int(FINEST))
     # the highest heights are stored negated, so that one minimum serves both
     low, negative_high = levels.reshape(-1, 2).T
-    return low.copy(), -negative_high, first, wide
+    return low.copy(), -negative_high, level_firsts, row_blocks
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
@@ -131,16 +132,16 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
     Rings extend to the raster's far corner. They start at the largest of three distances from the eye: one raster cell,
     the raster's nearest point, and the clip start.
     """
-    cells = (domain.samples.columns - 1, domain.samples.rows - 1)
-    unit = 1 << (domain.unit_bits - domain.levels)
+    cell_counts = (domain.samples.columns - 1, domain.samples.rows - 1)
+    cell_units = 1 << (domain.unit_bits - domain.levels)
     near, far = 0.0, 0.0
     eyes = [float(e) for e in view.eye]
-    sides = zip(eyes, (domain.west, domain.south), (domain.unit_x, domain.unit_y), cells, strict=False)
-    for eye, low, step, count in sides:
-        high = low + count * unit * step
+    axes = zip(eyes, (domain.west, domain.south), (domain.unit_x, domain.unit_y), cell_counts, strict=False)
+    for eye, low, unit_m, cells in axes:
+        high = low + cells * cell_units * unit_m
         near, far = max(near, low - eye, eye - high), max(far, eye - low, high - eye)
-    start = _max_clip_distance(domain, view.near2, view.cosine2, view.weight)
-    first = max(ring_of(max(near, unit * min(domain.unit_x, domain.unit_y))), ring_of(start) + 1)
+    clip_start = _max_clip_distance(domain, view.near2, view.cosine2, view.weight)
+    first = max(ring_of(max(near, cell_units * min(domain.unit_x, domain.unit_y))), ring_of(clip_start) + 1)
     return first, ring_of(far) + 1 - first
 
 

@@ -54,13 +54,14 @@ def refine(
     # nothing.
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
+            # Points morph up to the ratio `morph_until`, from a factor at most a step coarser: see `ramp_start`.
             max_factor = relaxed * (request.morph_until * math.sqrt(limit_at_step(1)) if morphs else 1.0)
             fill_horizons(field, domain, criterion, depth, max_factor, history.scratch, threads)
         slices, step = _refine_to_limit(field, request, history, threads, relaxed)
         if slices is not None:
             break
     assert slices is not None, "no limit applies to the last attempt"
-    leaves, factor = _end(history, slices, field.lattice), math.sqrt(criterion.limit)  # a factor on squares
+    leaves, factor = _store_leaves(history, slices, field.lattice), math.sqrt(criterion.limit)  # a factor on squares
     if morphs and request.is_limited:
         factor = ramp_start(field.lattice, request, history, threads, step, leaves.total)
     return leaves, factor
@@ -71,8 +72,8 @@ def _refine_to_limit(
 ) -> tuple[Slices | None, int]:
     """Return the finest walk over the leaves that keeps to the triangle limit, and its relaxation step.
 
-    There is no walk (None) if that relaxes the criterion by more than `relaxed`. The step is kept in the hints, and the
-    factor of its squares in the criterion. Raises TerrainError for a field whose errors are damaged.
+    There is no walk (None) if that relaxes the criterion by more than `relaxed`. The step is kept in the hints, and its
+    factor on squared limits in `criterion.limit`. Raises TerrainError for a field whose errors are damaged.
     """
     criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)
@@ -114,7 +115,7 @@ def replay(
     worst = history.scratch.get("replay_worst", 1, wp.float32)
     launch.once(replay_kernels.replay, [domain, slices.walks[0], shared(depths, wp.uint8), worst], step="refine")
     slices.read_counts()
-    return _end(history, slices, lattice), float(history.scratch.numpy("replay_worst")[0])
+    return _store_leaves(history, slices, lattice), float(history.scratch.numpy("replay_worst")[0])
 
 
 def _walk(
@@ -133,15 +134,15 @@ def _walk(
     domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)
     history.hints.make_room(expected // (len(cuts) - 1))
-    # For edges alone, intervals decide so fast that caching costs as much as it saves; each map of horizons hides other
-    # ground.
+    # Caching does not pay for edges alone, which intervals decide fast, nor with maps of horizons, which hide other
+    # ground in each frame.
     caches = criterion.view_count == 1 and criterion.error_px2 < math.inf and not criterion.view.rings.count
-    motion = history.reuse_subtrees(domain, criterion, depth) if caches else None
+    view_motion = history.reuse_subtrees(domain, criterion, depth) if caches else None
     if not caches:
         history.replace_leaves()
     while True:
         slices = Slices.of(history, lattice, cuts, depth, max_leaves)
-        slices.bind_reuse(caches, motion)
+        slices.bind_reuse(caches, view_motion)
         inputs = [[domain, criterion, walk, reuse] for walk, reuse in zip(slices.walks, slices.reuses, strict=True)]
         launch.slices(kernels.walk, inputs, step="refine", recorded=history.next.arrays.launches)
         leaves = slices.read_counts()[:, 0]
@@ -152,19 +153,19 @@ def _walk(
         history.hints.make_room(leaves.max())
     room = slices.reuses[0].room
     history.next.subtrees = CachedSubtrees(domain, criterion, depth, len(cuts) - 1, room) if caches else None
-    history.next.reused_points = slices.reused_points() if motion else None
+    history.next.reused_points = slices.reused_points() if view_motion else None
     return slices
 
 
 def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
-    """Return where the curve is cut for the threads: evenly by the cost of the last frame. Results are the same.
+    """Return where the curve is cut for the threads: evenly by the cost of the last frame. No result depends on it.
 
     These are numbers of deepest cells, ascending, from 0 to the end of the last root square.
     """
     tree, last = history.tree, history.last.leaves
     assert tree is not None, "refine and replay have a tree"
     end = lattice.squares << tree.max_depth - lattice.square_bits
-    # without the numbers after the last square, up to a power of two, which are a leaf each
+    # Numbers of squares are padded to a power of two; each unused one is a leaf, which does not count here.
     leaves = tree.leaf_count - (1 << lattice.square_bits) + lattice.squares
     if threads < 2 or leaves < launch.SLICE_ITEMS:
         return [0, end]
@@ -172,15 +173,16 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
     if last is not None and last.total == leaves:
         leaves_before, costs = (np.cumsum([0, *by_slice]) for by_slice in (last.counts[:, 0], last.work))
     cut_leaves = np.interp(np.arange(1, threads) / threads * costs[-1], costs, leaves_before).astype(np.int64)
-    inner = tree.cells_of(tree.decode(np.minimum(cut_leaves, leaves - 1))).tolist()
-    return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]
+    heap_ids = tree.decode(np.minimum(cut_leaves, leaves - 1))
+    first_cells = tree.cells_of(heap_ids).tolist()
+    return [0, *sorted({cut for cut in first_cells if 0 < cut < end}), end]
 
 
-def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
+def _store_leaves(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
     """Store the leaves of the slices that have any as the next frame's `Leaves`, and in the tree; return them."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
     used = np.flatnonzero(counts[:, 0])  # slices that have leaves
-    # edges that each slice has on the four sides of each square
+    # Edges that each slice has on the four sides of each square. `before`: those that earlier slices have.
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)
     code = history.next.arrays.numpy("code")
     base = np.array([w.leaf_base for w in walks], np.int64)[used]
@@ -189,7 +191,7 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
     # A slice whose first cells belong to the last leaf of a square begins with the next square.
     squares_of = (cells >> cell_bits) + (starts_square & (cells & ((1 << cell_bits) - 1) > 0))
     history.next.leaves = leaves = Leaves(
-        counts=np.ascontiguousarray(counts[used, :3]),
+        counts=np.ascontiguousarray(counts[used, :3]),  # leaves, vertices, edges
         squares=squares_of.astype(np.int32),
         before=np.array([sides[:slot, q].sum(axis=0) for slot, q in zip(used, squares_of, strict=True)], np.int32),
         sides=sides.sum(axis=0),
@@ -205,7 +207,7 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
 def _tree_parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
     """Return the parts of the tree that the slices have written, and one for the unused squares."""
     parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
-    if unused and history.tree:  # numbers after the last square, up to a power of two, are a leaf each
+    if unused and history.tree:  # each unused number of a square, up to a power of two, is a leaf
         codes = shared(np.zeros(unused, np.uint16), wp.uint16)
         parts.append(LeafPart(codes, 0, unused, history.tree.cell_count))
     return parts

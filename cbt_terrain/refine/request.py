@@ -43,7 +43,7 @@ def refinable_domain(
 ) -> Domain:
     """Return the placed field as a refinement reads it.
 
-    rounding: largest errors of float32 positions, metres. meshlet: leaves are drawn as 4**meshlet triangles.
+    rounding: how far float32 positions can move the mesh. meshlet: leaves are drawn as 4**meshlet triangles.
     """
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
@@ -69,9 +69,9 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     arrays.error_px2, arrays.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
     # Twice the area is the squared leg of a right triangle of two equal legs.
     arrays.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
-    # `weighed_as` has divided by the mean already
+    # `weighed_as` has divided by the mean already; the margin covers the rounding of the bound.
     arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
-    arrays.diagonal2, arrays.axis2 = spans.lengths
+    arrays.diagonal2, arrays.axis2 = spans.lengths  # squared already
     arrays.limit = 1.0  # factor on all squared limits: not relaxed yet
     views = views or [LocalView()]  # kernels get an array that is not empty
     arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")

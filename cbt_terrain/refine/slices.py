@@ -99,7 +99,7 @@ class Slices:
             "cached_counts": written.get("cached_counts", count, wp.int64),
             "point_runs": scratch.get("point_runs", max(count * room, 1), Run),
             "point_run_counts": scratch.get("point_run_counts", count, wp.int64),
-            "same": scratch.get("same", max(count * room, 1), SameLeaves),
+            "same": scratch.get("same", max(count * room, 1), SameLeaves),  # an entry for each run
             "reused": scratch.get("reused", count, wp.int64),
             # written in the last frame, so that any size will do
             "last_cached": read.get("cached", 1, Subtree),
@@ -107,10 +107,10 @@ class Slices:
             "last_code": read.get("code", 1, wp.uint16),
             "last_point": read.get("point", 1, wp.vec2i),
         }
-        slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion and last.subtrees else (0, 1)
+        last_slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion and last.subtrees else (0, 1)
         self.reuses = [written.struct(Reuse, slot) for slot in range(count)]
         for reuse in self.reuses:
-            bind(reuse, slack=SLACK if caches else 0.0, room=room, last_slots=slots, last_room=last_room, **arrays)
+            bind(reuse, slack=SLACK if caches else 0.0, room=room, last_slots=last_slots, last_room=last_room, **arrays)
             if motion:
                 reuse.motion = motion
         self.reused = scratch.numpy("reused")[:count]
@@ -129,9 +129,9 @@ class Slices:
         ends = scratch.numpy("ends").tolist()
         parts = [LeafPart(w.code, int(w.leaf_base), counts[k], ends[k]) for k, w in enumerate(self.walks)]
         if self.history.next.reused_points is not None:
-            runs = scratch.numpy("point_run_counts").tolist()
+            num_runs = scratch.numpy("point_run_counts").tolist()  # also those of `same`
             for k, reuse in enumerate(self.reuses):
-                parts[k] = parts[k]._replace(same=reuse.same, first_same=k * int(reuse.room), num_same=runs[k])
+                parts[k] = parts[k]._replace(same=reuse.same, first_same=k * int(reuse.room), num_same=num_runs[k])
         return parts
 
     def reused_points(self) -> Runs:

@@ -55,8 +55,8 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
         goal = max(int(fraction * max_splits), min_splits)
         if goal < max_splits:
             search.approach(goal, REACH_OF_PARTS)
-    if not start and search.window(max_splits, search.low, 1, REACH)[0] == 0:
-        return Found(0)
+    if not start and search.window(max_splits, beyond=search.low, widening=1, reach=REACH)[0] == 0:
+        return Found(0)  # the next count would begin there
     search.approach(max_splits, REACH)
     return Found(search.high, int(search.known[search.high]))
 
@@ -64,13 +64,14 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
 class _Search:
     """State of a search: no step finer than `low` fits, `high` fits (beyond MAX_STEP: none is known to fit).
 
-    `known`: splits of each step, 0 where they are not counted.
+    `known`: splits of each step, 0 where they are not counted. `_reached`: splits at `high`, or a number that the next
+    finer step exceeds.
     """
 
     def __init__(self, splits: Splits, max_splits: int, low: int) -> None:
         self._splits, self._max_splits, self.low, self.high = splits, max_splits, low, MAX_STEP + 1
         self.known = np.zeros(MAX_STEP + 2, np.int64)
-        self._reached = 0  # splits at `high`, or a number that the next finer step exceeds
+        self._reached = 0
 
     def look(self, finest: int, coarsest: int, goal: int) -> int:
         """Count splits at the steps finest .. coarsest, where there are at most `goal`; return the first such step.
@@ -80,7 +81,7 @@ class _Search:
         first, counts = self._splits(finest, coarsest, goal)
         self.known[first : coarsest + 1] = counts
         if len(counts) and first <= self.high:
-            # A finer step of the window has more than `goal` splits.
+            # Unless the window begins at `first`, the next finer step has more than `goal` splits.
             self.high, self._reached = first, int(counts[0]) if first == finest else goal
         if goal == self._max_splits and first > finest:
             self.low = max(self.low, first)
@@ -92,31 +93,30 @@ class _Search:
         It narrows `low` and `high` and adds to the known counts. A NEAR-th of a goal other than the budget is enough.
         reach: number of steps in the first window.
         """
-        beyond, stride = self.low, 1  # just finer than `beyond` there are more splits
+        beyond, widening = self.low, 1  # every step finer than `beyond` has more splits than the goal
         while beyond < self.high and (goal == self._max_splits or NEAR * self._reached < goal):
-            finest, coarsest = self.window(goal, beyond, stride, reach)
+            finest, coarsest = self.window(goal, beyond, widening, reach)
             first = self.look(finest, coarsest, goal)
             if first > finest:
                 beyond = first
-            stride *= WIDER
+            widening *= WIDER
 
-    def window(self, goal: int, beyond: int, stride: int, reach: int) -> tuple[int, int]:
+    def window(self, goal: int, beyond: int, widening: int, reach: int) -> tuple[int, int]:
         """Return the first and last step between which to search for `goal` splits.
 
-        beyond: every finer step has more splits. stride: grows after failures. The window begins at least `stride`
-        steps finer than `high`, the finest step that is known to fit, and has `stride` * `reach` steps.
+        beyond: every finer step has more splits. widening: grows after failures. The window begins at least `widening`
+        steps finer than `high`, the finest step that is known to fit, and has `widening` * `reach` steps.
         """
         if self.high > MAX_STEP:  # no step is known to fit
             return beyond, MAX_STEP
-        finest = max(beyond, min(self._predict_step(goal) - 1, self.high - stride))
-        return finest, min(self.high, finest + stride * reach)
+        finest = max(beyond, min(self._predict_step(goal) - 1, self.high - widening))
+        return finest, min(self.high, finest + widening * reach)
 
     def _predict_step(self, goal: int) -> int:
         """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
-        # `_reached`: splits at `high`, or a number that the next finer step exceeds
         growth = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
-        # The growth is measured to the first coarser step with fewer splits by that factor, at least 0.9, at most 0.5.
+        # The slope is measured to the first coarser step with 1 / growth times the splits, limited to 0.5 .. 0.9.
         fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / growth, 0.5), 0.9) * known[0]))
         slope = SPLITS_PER_ERROR / STEPS_PER_OCTAVE
         if len(fewer):

@@ -107,7 +107,8 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     if (lattice.anchor_x or lattice.anchor_y) and moved_cells:
         relative_error = times * 2.0**-SINGLE_BITS * OUTWARD / moved_cells
         near = relative_error / lattice.step_x if x else 0.0, relative_error / lattice.step_y if y else 0.0
-    return Rounding(z * OUTWARD + detail, lean, moved_cells * climb * abs(vertical_scale), near)
+    max_lean = moved_cells * climb * abs(vertical_scale)
+    return Rounding(height=z * OUTWARD + detail, lean=lean, max_lean=max_lean, near=near)
 
 
 def position_rounding(
@@ -120,7 +121,7 @@ def position_rounding(
         (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y),
     )
     for cells, span, step, anchor in sides:
-        # of lattice lines at this depth; then the largest coordinate from the anchor
+        # spacing: of lattice lines at this depth. largest: distance from the anchor to an end of the squares.
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
         largest = max(0.5 * cells * step + anchor, (span - 0.5 * cells) * step - anchor)
         errors_in_plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))

@@ -39,14 +39,14 @@ def balance_mass(
         net: the coarser level's change, interpolated to this level. Its sum over that level's samples is 0.
         ground: this level or tile; only its position in the whole level is read.
     """
-    # A gain is metres by which a sample rises above the coarser change; it is summed over 2^gathered samples a side.
+    # gain: metres by which samples rise above the coarser change, summed to a level that is `gathered` halvings coarser
     without_deposits = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
     unpadded = tuple(slice(start, None) for start, _ in padding)
     deposited, gain, gathered = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
     for halvings in HALVINGS:  # take gains from the deposits nearby, and give them losses; the rest from farther away
         available, gain = _gather(deposited, halvings), _gather(gain, halvings - gathered)
-        fraction, gathered = _fraction(gain, available), halvings
+        fraction, gathered = _clipped_ratio(gain, available), halvings
         gain = gain - fraction * available
         deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
     deposited, eroded_before = deposited[unpadded], eroded
@@ -54,7 +54,7 @@ def balance_mass(
     if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
         for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
             available = np.pad(available, padding)
-            fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, gathered))
+            fraction = _clipped_ratio(np.maximum(sign * gain, 0.0), _gather(available, gathered))
             added = np.float32(sign) * _interpolate(fraction, available.shape, gathered) * available
             eroded = eroded + added[unpadded]
     # Of a whole raster, deposits far away make up for the rest: nothing was near enough, or the coarser level's sum was
@@ -62,11 +62,11 @@ def balance_mass(
     if all(ground.rims):
         total = deposited.sum(dtype=np.float64)
         without_deposits -= (eroded - eroded_before).sum(dtype=np.float64)
-        deposited = deposited - np.float32(_fraction(without_deposits + total, total)) * deposited
+        deposited = deposited - np.float32(_clipped_ratio(without_deposits + total, total)) * deposited
     return deposited, eroded
 
 
-def _fraction(gain: np.ndarray | float, available: np.ndarray | float) -> np.ndarray:
+def _clipped_ratio(gain: np.ndarray | float, available: np.ndarray | float) -> np.ndarray:
     """Return the fraction of the available material to remove, at most 1; negative to add material, at least -1.
 
     gain: material to remove. Both are in one unit.

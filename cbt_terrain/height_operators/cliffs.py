@@ -27,7 +27,7 @@ def limit_at_cliffs(
 
 
 def _max_around(samples: np.ndarray, first: tuple[int, int]) -> np.ndarray:
-    """Return the maximum of the coarser level's samples around each sample; of one that is coarser itself, its value.
+    """Return for each sample the maximum of the coarser level's samples around it; these samples keep their values.
 
     samples: of this level, of which every second one is of the coarser level. first: row and column of the first
     sample in the whole level.

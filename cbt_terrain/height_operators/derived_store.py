@@ -137,7 +137,7 @@ def use(user: int, land: Land) -> None:
     """
     if _in_use.get(user) != land.folder:
         _in_use[user] = land.folder
-        for folder in (land.folder, land.of_views_alone.folder):
+        for folder in (land.folder, land.of_views_alone.folder):  # a viewport may show either
             with suppress(OSError):
                 owned_files.touch(folder)  # the folders that were not used for longest are removed first
 

@@ -119,7 +119,7 @@ def drop_triangles(
         return surface, NONE_SWAPPED
     near = np.zeros(len(surface.positions), bool)
     near[surface.triangles[triangles]] = True
-    work = _Work(surface, near, 0, room, threads)
+    work = _Work(surface, near, sides=0, room=room, threads=threads)
     launch.once(kernels.remove_flagged, [shared(triangles.view(np.uint8), wp.uint8), work.m], step="cut")
     return work.close()
 

@@ -77,15 +77,16 @@ def reuse_points(history: FrameHistory) -> list[int]:
     leaves, before = history.next.leaves, history.last.leaves
     assert leaves is not None and before is not None, "points are reused from a frame to the next"
     vertices = before.counts[:, 1]  # of each slice in the last frame
-    _copy(history, history.next.reused_points, before.base, np.cumsum([0, *vertices[:-1]]))
+    first_vertex = np.cumsum([0, *vertices[:-1]])
+    _bind_last_points(history, history.next.reused_points, base=before.base, first=first_vertex)
     return leaves.slots.tolist()
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
     """Prepare `displace` to copy the `points` inside each leaf that both frames have, from the last frame.
 
-    now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace`: for all
-    other points 1, a list that does not exist, so that they are not copied, and for these points 0.
+    now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace`: 1,
+    which is no list, for all other points, which are not copied; 0 for these.
     """
     scratch, before = history.scratch, history.last.vertices
     assert before is not None, "points are reused from the last frame"
@@ -96,12 +97,12 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
     firsts = before.first_inner, now.first_inner
     inputs = [before.leaves, now.leaves, *levels, *firsts, points, runs.runs, runs.counts]
     launch.once(meshlet_kernels.find_common_points, inputs, step="meshlets", recorded=history.next.arrays.launches)
-    zero = np.zeros(1, np.int64)
-    _copy(history, runs, zero, zero)
+    zero = np.zeros(1, np.int64)  # the points of meshlets are in one row
+    _bind_last_points(history, runs, base=zero, first=zero)
     return [1, 0]
 
 
-def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
+def _bind_last_points(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
     """Bind runs of points to copy, with the last frame's positions, normals and uv, to the arguments of `displace`.
 
     base: int64 [slices], first entry of each slice's points in the last frame. first: int64 [slices], number of the

@@ -17,8 +17,9 @@ RECORDS = {"known": Known, "relief": Relief, "ends": Ends}
 class Geomorph:
     """Parameters of the ramp on which points morph.
 
-    `criterion`: the criterion that the leaves were refined for. `end`: the ratio, more than 1, at which a point is on
-    the surface. `relaxed`: the factor by which a triangle limit coarsened the criterion; the ramp begins there.
+    `criterion`: the criterion that the leaves were refined for. `end`: the ratio of error to criterion, more than 1,
+    at which a point is on the surface. `relaxed`: the factor by which a triangle limit coarsened the criterion; the
+    ramp begins there.
     """
 
     criterion: CriterionArrays

@@ -23,10 +23,11 @@ class TornMesh(TerrainError):
 
 
 def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Buffers) -> None:
-    """Number the next frame's vertices and edges along the curve, each slice from its exact base; join the slices.
+    """Number the next frame's vertices and edges along the curve, the slices side by side; then join the slices.
 
     The mesh is in scratch arrays that begin with "leaf_"; the levels of leaves are in `level_in`. Raises TornMesh where
-    a damaged field or tree gives leaves that do not fit together.
+    a damaged field or tree gives leaves that do not fit together. An import is a vertex or edge of an earlier slice, a
+    fix a triangle that has one.
     """
     leaves, scratch, arrays = history.next.leaves, history.scratch, history.next.arrays
     assert leaves is not None, "refine has not been called"

@@ -268,8 +268,10 @@ def factor_of(criterion: Criterion, outcome: Outcome, bounds: list[Bound | None]
     if outcome.relaxed < math.inf:
         return outcome.relaxed
     requests = criterion.error_px, criterion.error_m, criterion.edge_px, criterion.area_px
-    ratios = [bound.value / request for bound, request in zip(bounds, requests, strict=True) if bound]
-    return max(1.0, *ratios[:3], *map(math.sqrt, ratios[3:]))
+    *ratios, of_area = (
+        bound.value / request if bound else 0.0 for bound, request in zip(bounds, requests, strict=True)
+    )
+    return max(1.0, *ratios, math.sqrt(of_area))
 
 
 def _rounding_error(outcome: Outcome) -> float:

@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.refine.budget import count_splits, limit_at_step
+from adaptive_terrain.cbt_terrain.refine.contract import Bound, factor_of
 from adaptive_terrain.cbt_terrain.refine.request import RefinementRequest
 from adaptive_terrain.cbt_terrain.refine.slices import Slices
 from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, find_finest_step
@@ -184,6 +186,16 @@ def test_a_limit_below_the_root_triangles_does_not_coarsen(most):
     flown = Terrain(field, 1)
     flown.update(replace(coarse, max_triangles=None), [view])
     assert flown.update(coarse, [view]).relaxed == Terrain(field, 1).update(coarse, [view]).relaxed == 1.0
+
+
+@pytest.mark.parametrize("metres", [None, Bound(3.0)])
+def test_the_factor_of_an_area_is_the_root_of_its_ratio(metres):
+    """Where no factor meets the limit, with and without another criterion."""
+    asked, no_factor = (
+        Criterion(error_px=0.0, error_m=1.0 if metres else 0.0, area_px=2.0),
+        SimpleNamespace(relaxed=math.inf),
+    )
+    assert factor_of(asked, no_factor, [None, metres, None, Bound(200.0)]) == 10.0
 
 
 def test_a_limit_that_does_not_bind_is_searched_for_once(counted):

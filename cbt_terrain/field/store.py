@@ -112,9 +112,10 @@ def read_json(path: Path, file: Path | None = None) -> dict:
     except (OSError, ValueError, RecursionError) as reason:
         raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
     is_finer = isinstance(content, dict) and "finer" in content
-    if not isinstance(content, dict) or content.get("version") != (FINER_VERSION if is_finer else VERSION):
+    needed = FINER_VERSION if is_finer else VERSION
+    if not isinstance(content, dict) or content.get("version") != needed:
         version = content.get("version") if isinstance(content, dict) else None
-        raise TerrainError(f"The store {path} has version {version}", expected=f"version {VERSION}", fix=REMEDY)
+        raise TerrainError(f"The store {path} has version {version}", expected=f"version {needed}", fix=REMEDY)
     try:
         check_entries(content)
         if content["sum"] != _sum_of(content):

@@ -254,6 +254,8 @@ def damage(path, how):
         (path / "store.json").write_text('{"version": 2, "da')
     elif how == "other version":
         (path / "store.json").write_text(json.dumps(content | {"version": 99}))
+    elif how == "other version with finer tiles":
+        (path / "store.json").write_text(json.dumps(content | {"version": 6, "finer": {}}))
     elif how == "no term of the source":
         del content["source_max"]
         (path / "store.json").write_text(json.dumps(content | {"version": 3}))
@@ -275,6 +277,7 @@ DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
     "other version": "version 99; expected version 6",
+    "other version with finer tiles": "version 6; expected version 7",
     "no term of the source": "version 3; expected version 6: import it again",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",

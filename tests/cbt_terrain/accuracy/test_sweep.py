@@ -95,8 +95,11 @@ def test_a_sweep_of_finer_tiles_has_both_surfaces():
     field = finer_field(rows=33, columns=33, known=((0, 0),))
     settings = settings_for(field, TimedFrame([SEEN]))
     assert {s.interpolation for s in settings} == {"bilinear", "bicubic"} and any(s.fitted for s in settings)
-    some = [s for s in settings if s.error in (PIXELS[0], settings[-1].error)]
-    assert {s.interpolation for s in some} == {"bilinear", "bicubic"}
+    some = [s for s in settings if s.error == (PIXELS[0] if s.unit == "px" else 1.0)]
+    assert {(s.unit, s.interpolation) for s in some if s.is_plain} == set(
+        itertools.product(("px", "m"), ("bilinear", "bicubic"))
+    )
+    assert any(s.fitted for s in some)
     for row in sweep(field, some, [TimedFrame([SEEN])]):
         assert 0 < row.error <= row.bound * (1 + 1e-6)
 

@@ -89,8 +89,8 @@ def preview(
 ) -> Preview:
     """Return the whole terrain with the coarsest level of a stack, at most MAX_PREVIEW_SAMPLES along a side.
 
-    Leading entries that equal those of a recent preview of the same source are not applied again. A bound on a mesh of
-    the preview is relative to these heights, which are those of the raster without its finer tiles.
+    Leading entries that equal those of a recent preview of the same source are not applied again. Bounds on a mesh of
+    the preview are measured against these heights, which lack the source's finer tiles.
 
     images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators. Raises
     TerrainError for a mask that reads a missing layer.
@@ -185,7 +185,7 @@ def _ground(source: HeightField, level: Level) -> OperatorGround:
         level.step_x,
         level.step_y,
         whole=level.shape,
-        size=levels_of(source.lattice)[0].size,
+        size=levels_of(source.lattice)[0].size,  # metres; `level` may extend beyond the raster
         level=level.number,
         missing=samples.missing,
         layers=samples.layers,

@@ -90,6 +90,7 @@ def _example(shape: Evaluate) -> None:
     assert not level.heights.any()
     slope = 4.0 * np.arange(200)[None, :] + np.zeros((150, 1))
     rough = shape("relief", slope, 10.0, wave=160.0, roughness=0.3).heights
+    # 24 m: the roughness over half a wave; 0.4: the slope.
     assert 0.02 * 24.0 * 0.4 < rough.std() < 24.0 * 0.4
     beds = shape("relief", slope, 10.0, wave=20.0, roughness=0.0, plains=0.0, beds=60.0, dip=0.0).heights
     assert 2.0 < np.abs(beds).max() < 60.0

@@ -128,7 +128,7 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
         return
     coarse = _coarse_samples(bed, ground, coarser)
     cell_weight, load, comes_in = _inflow(coarse, bed.shape)
-    ring = _ring(coarse, ground, comes_in)
+    ring = _ring(coarse, ground, comes_in)  # the outermost coarse samples with known receivers
     # Water of a lake on the ring leaves only at its sample with the largest area, and not there if it comes in there.
     for lake in _lakes(coarse, ring):
         largest = lake[np.argmax(ring.flow[lake])]
@@ -142,11 +142,11 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
 
 
 def _inflow(coarse: _Coarse, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what flows into a tile over its cuts, float64 of the tile's `shape`, and which coarse samples it is from.
+    """Return the water and sediment that enter at each sample of a tile, and from which coarse samples water enters.
 
     The first array is the drainage area that each sample stands for, in samples: 1, and that of water that enters
-    there. The second is sediment, metres times samples a year. The last, bool, is whether the water of a coarse sample
-    is inside, or comes in further downstream.
+    there. The second is sediment, metres times samples a year. Both are float64 of the tile's `shape`. The last, bool
+    for each coarse sample, is True if it is inside or its water enters further downstream.
     """
     cell_weight, load = np.ones(shape), np.zeros(shape)
 
@@ -170,14 +170,14 @@ def _inflow(coarse: _Coarse, shape: tuple[int, int]) -> tuple[np.ndarray, np.nda
     y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
     entry = _entries(coarse, y, x)
     comes_in = coarse.inside[entry]
-    # The water of a river that winds along the cut, leaves and comes back is in the tile already.
-    back = entry[0][y, x], entry[1][y, x]  # where the water of each sample's receiver is in the tile
-    add(coarse.inside & ~coarse.inside[y, x] & coarse.inside[back], *back, sign=-1.0)
+    # A river that winds along the cut may leave and come back: its water, which the tile has already, is taken away.
+    reentry = entry[0][y, x], entry[1][y, x]  # where the water of each sample's receiver enters
+    add(coarse.inside & ~coarse.inside[y, x] & coarse.inside[reentry], *reentry, sign=-1.0)
     return cell_weight, load, comes_in
 
 
 def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coarse:
-    """Return the coarser level's surface, flow, sediment and receivers at its samples in a tile.
+    """Return the coarser level's water, sediment and receivers at its samples in a tile, as `_Coarse` defines them.
 
     `coarser`: its change, interpolated to the tile; every second sample of it is one of the coarser level. Receivers
     along a cut follow from drainage area, since the ground beyond is unknown there.
@@ -191,24 +191,24 @@ def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coa
     surface, wet = floor + lake, lake > 0.0
     steps = 2 * ground.step_x, 2 * ground.step_y
     ways = (route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor))
-    inside = np.zeros(floor.shape, bool)
+    inside = np.zeros(floor.shape, bool)  # two samples from cuts, as `_Coarse` explains
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
-    flow, load = (
+    flow, load = (  # in samples of this level, and metres times these a year
         (array[coarse] * samples_per_m2).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD])
     )
     by_surface, by_floor = ways
     to = np.where(wet, by_floor, by_surface).astype(int)
     outermost, cut = _around(to.shape, ground.rims, inset=0)
     for j, i in zip(*(n[cut & ~fixed[outermost]] for n in outermost), strict=True):
-        to[j, i] = _way_back(j, i, surface, flow)
+        to[j, i] = _receiver_at_edge(j, i, surface, flow)
     return _Coarse(odd, surface, flow, load, wet, inside, to)
 
 
-def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
+def _receiver_at_edge(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
     """Return the D8 direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
 
-    The receiver is the neighbour that is no higher and has the smallest larger drainage area.
+    It is the neighbour with the least drainage area of those that have more than the sample and are no higher.
     """
     south, west = max(j - 1, 0), max(i - 1, 0)
     neighbours = np.s_[south : j + 2, west : i + 2]
@@ -235,16 +235,16 @@ def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple
 
 
 def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column of each sample's receiver.
+    """Return row and column of each sample's receiver, that of `coarse.to` except in some lakes.
 
-    On the floor of a lake the path to its pit is reversed towards the outlet, which may be outside. A lake's sample
-    outside whose drainage area does not grow downstream gets the neighbour inside with the largest one instead.
+    In a lake it leads along the floor to the outlet, which may be outside. If the drainage area of a lake's sample
+    outside does not grow that way, its neighbour inside with the largest one becomes its receiver.
     """
     y, x = np.indices(coarse.to.shape)
     y, x = neighbour(y, x, coarse.to)
     inner_flow = np.where(coarse.inside, coarse.flow, -1.0)
     turned = coarse.wet & ~coarse.inside & (coarse.to != 4) & (coarse.flow[y, x] <= coarse.flow)
-    for j, i in zip(*np.nonzero(turned), strict=True):  # none is outermost: their receivers have more flow (_way_back)
+    for j, i in zip(*np.nonzero(turned), strict=True):  # none is outermost: their receivers have more flow
         near = inner_flow[j - 1 : j + 2, i - 1 : i + 2]
         if near.max() > coarse.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)
@@ -292,11 +292,12 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
 def _close(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
     """Close border samples of a tile's bed to water, and set the levels above which it leaves at others.
 
-    A closed sample has a level WALL metres above the coarser surface, an open one of a lake that surface; all others
-    have none. Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where
-    about as much leaves, as a river that winds along the cut would count with every bend. Then water is routed, up to
-    ROUNDS times, and those left open near an inflow are closed where more than MORE times the coarser outflow leaves: a
-    stream may leave to join one outside and come back with it, and a tile, which ends at the outlet, would lose it.
+    The level is WALL metres above the coarser surface at a closed sample, and that surface at an open one of a lake;
+    other samples have none. Samples near an inflow are closed too, since finer ground may dam it and lead it away; but
+    not where about as much leaves, as a river that winds along the cut would count with every bend. Then water is
+    routed, up to ROUNDS times, and those left open near an inflow are closed where more than MORE times the coarser
+    outflow leaves: a stream may leave to join one outside and come back with it, and a tile, which ends at the outlet,
+    would lose it.
     """
     wet = coarse.wet[ring.at]
     may_close = ring.cut & ~ring.shut
@@ -304,7 +305,7 @@ def _close(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> 
     outflow = _max_along(np.where(may_close, ring.flow, 0.0), WANDER)
     may_close &= ~wet  # those of lakes are decided in `set_boundary`
     shut = ring.shut | (may_close & (inflow > LESS * outflow))
-    samples, ring_index = _along(bed, ground, coarse, ring)
+    samples, ring_index = _samples_along_cut(bed, ground, coarse, ring)
     for _ in range(ROUNDS):
         is_border = (shut | wet)[ring_index]
         bed.border = samples[is_border]
@@ -317,10 +318,12 @@ def _close(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> 
         shut |= may_close & _max_along(too_much, WANDER)
 
 
-def _along(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
-    """Return the samples along the cut where water may leave, and the index in the ring of each one's nearest, int64.
+def _samples_along_cut(
+    bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples along the cut where water may leave, and the index of the ring's sample nearest to each.
 
-    Samples are those of the tile, in C order.
+    Samples are numbers in the tile, in C order; both int64.
     """
     outermost, cut = _around(bed.shape, ground.rims, inset=0)
     halves = ((n - odd + 1) // 2 for n, odd in zip(outermost, coarse.odd, strict=True))  # in coarse samples

@@ -52,13 +52,14 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
     if coarser is not None:
-        years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]
+        years, steps = _years_again(ground, values), STEPS_AGAIN[min(_spacing_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     move_border = border_motion(bed, origin, coarser, years)
     first_draw, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
         # At the coarsest level all steps of the first half have one noise of receivers (see SPREAD).
+        # `step_load`: metres times samples, None without deposition.
         step_load = step(bed, years / steps, values, max(number, first_draw))
         if step_load is not None and number >= steps // 2:  # the years that the finer level simulates again
             load += step_load
@@ -118,10 +119,10 @@ def _years_again(ground: OperatorGround, values: Mapping[str, float]) -> float:
     """
     shaping = SHAPES_GROWN if values["rise"] > 0.0 else SHAPES_AGED
     longest = shaping / max(values["erodibility"], 1e-12)
-    return min(AGAIN * values["years"], longest) * 0.5 ** (_halvings(ground) - 1)
+    return min(AGAIN * values["years"], longest) * 0.5 ** (_spacing_halvings(ground) - 1)
 
 
-def _halvings(ground: OperatorGround) -> int:
+def _spacing_halvings(ground: OperatorGround) -> int:
     """Return the number of halvings of the spacing from the coarsest level to this one."""
     side, count = max(ground.whole), 0
     while side > COARSEST:
@@ -143,8 +144,8 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     before = ground.heights.reshape(-1)
     fixed = (before <= sea) | missing
     origin = np.where(missing, before, np.maximum(before, sea))
-    weight = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
-    uplift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * weight)
+    mask = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
+    uplift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * mask)
     # The layer is a factor on `rise`.
     uplift *= (ground.layers["uplift"] if "uplift" in ground.layers else _fade(ground)).reshape(-1)
     for side in sides(shape):
@@ -156,15 +157,15 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
         heights=origin.copy(),
         sediment=np.zeros(n, np.float32),
         fixed=fixed,
-        weight=weight,
-        erodibility=weight.copy(),
+        weight=mask,
+        erodibility=mask.copy(),
         uplift=uplift,
-        cell_weight=np.ones(n),
+        cell_weight=np.ones(n),  # `set_boundary` adds water from outside
         first=ground.first,
         seed=ground.seed,
         threads=ground.threads,
     )
-    bed.curvature = curvature_of(bed)
+    bed.curvature = curvature_of(bed)  # of the ground before all steps, which creep preserves
     if coarser is not None:
         # Fraction of the coarser change that is there when the years begin that this level simulates again.
         done = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
@@ -209,9 +210,9 @@ def _diffused_change(bed: "Bed", coarser: Change) -> tuple[np.ndarray, np.ndarra
     still = (bed.fixed | (bed.weight == 0.0)).reshape(bed.shape).astype(np.uint8)
     for side in sides(bed.shape):
         still[side] = 1
-    settings = SPREAD * bed.step_x * bed.step_y, still.reshape(-1), np.ones(len(bed.weight), np.float32)
+    spread_m2, weight = SPREAD * bed.step_x * bed.step_y, np.ones(len(bed.weight), np.float32)
     arrays = coarser.heights, coarser.layers["sediment"]
-    change, sediment = (diffuse(bed, array.reshape(-1).copy(), *settings) for array in arrays)
+    change, sediment = (diffuse(bed, a.reshape(-1).copy(), spread_m2, still.reshape(-1), weight) for a in arrays)
     return change, sediment
 
 
@@ -220,10 +221,10 @@ def _restore_cliffs(
 ) -> None:
     """Undo the smearing of cliffs, once at the start of a level, by changing the bed.
 
-    `_diffused_change` smears the coarser change over cliffs and so digs trenches at them. Heights are limited to
-    those of the coarser level's samples around them, changed, up and down by one sample's steepest drop. What is
-    raised counts as sediment. change: float32 [rows, columns] m, the coarser level's change before it was diffused.
-    origin: heights before any change.
+    `_diffused_change` smears the coarser change over cliffs and so digs trenches at them. So each height
+    is limited to one sample's steepest drop above and below the coarser level's samples around it, after their change.
+    What is raised counts as sediment. change: float32 [rows, columns] m, the coarser level's change before it was
+    diffused. origin: heights before any change.
     """
     before = origin.reshape(bed.shape)
     after = np.maximum(before + change, np.float32(values["sea"]))
@@ -251,7 +252,7 @@ def grow(
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that an islet of one sample loses what erosion over a corner takes at least, over a side at most.
+    """Assert that an islet of one sample loses no less than erosion over a corner takes, and no more than over a side.
 
     That is F / (1 + F) of its height in every step, with F of kernels/land/fluvial.py. Nothing else changes.
     """
@@ -259,9 +260,9 @@ def example(evaluate: Evaluate) -> None:
     heights[4, 4] = 8.0
     values = {"years": 2e5, "erodibility": 4e-6, "hillslope": 2e4, "creep": 0.0, "variety": 0.0}
     change = evaluate("rivers", heights, step=20.0, **values)
-    wave = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0  # F over a side, in each of 10 steps
-    remaining, highest = 8.0 + change.heights[4, 4], 8.0 / (1.0 + wave * 0.5**0.5) ** 10
-    assert 8.0 / (1.0 + wave) ** 10 - 1e-5 < remaining < highest + 1e-5
+    f_side = 4e-6 * 20e3 * math.sqrt(2e4 + 400.0) / 20.0  # F over a side, in each of 10 steps; 400 m2: the islet
+    remaining, highest = 8.0 + change.heights[4, 4], 8.0 / (1.0 + f_side * 0.5**0.5) ** 10
+    assert 8.0 / (1.0 + f_side) ** 10 - 1e-5 < remaining < highest + 1e-5
     assert abs(change.layers["wear"][4, 4] - (8.0 - remaining)) < 1e-5 and change.layers["flow"][4, 4] == 400.0
     change.heights[4, 4] = 0.0
     assert not change.heights.any()

@@ -86,7 +86,11 @@ def shape(
 
 
 def run_levels(shaping: Shaping) -> tuple[LevelState | None, bool]:
-    """Return the state of the last computed level, None if none was, and whether the run finished early."""
+    """Return the state of the last computed level, None if none was, and whether the run finished early.
+
+    Requested tiles are left out where the coarser level changed heights by no more than their allowed error, unless it
+    is uncertain.
+    """
     state: LevelState | None = None
     for level in reversed(shaping.plan.levels):
         max_change = None if state is None else state.max_change
@@ -114,12 +118,12 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
     uncertain = np.zeros(level.tile_count, bool)
     changes: list[Arrays | None] = []
     added = []
-    for numbers in shaping.plan.runs(level):
+    for numbers in shaping.plan.runs(level):  # of entries that are applied together
         coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
         results, sums = LevelRun(shaping, work, numbers, coarse).apply(tiles, land)
         for number, entry_sums in zip(numbers, sums, strict=True):
             how = shaping.plan.how(number, level)
-            total.max_change += entry_sums.max_change
+            total.max_change += entry_sums.max_change  # a bound on the change by all entries
             total.mean_square += entry_sums.mean_square
             if how != UPSAMPLED:
                 # Finer levels may have changes where this one has none.
@@ -159,7 +163,7 @@ def _summarize_entry(
         rms_m=rms,
         most_m=float(sums.max_change.max()),
         whole=whole,
-        made=1 if whole else len(tiles),
+        made=1 if whole else len(tiles),  # pieces, of which `computed` were not cached
         computed=sums.computed,
         ms=sums.ms,
         # Computed in tiles although the entry has contradicted a coarser level (`LevelPlan.doubt`).
@@ -179,8 +183,8 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
         zeros = np.zeros(raster_shape, np.float32)
         return Shaped(zeros, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
     left_max, left_mean_square = _left_out(shaping, state)
-    # After an early finish the change is added without spikes at cliffs. A coarse level that was requested as the
-    # finest is interpolated level by level.
+    # After an early finish the change is interpolated at once, without spikes at cliffs. If a coarse level was
+    # requested as the finest, the change is interpolated level by level, as layers always are.
     total, layers = _change_of_raster(shaping, state) if early else state.total, state.layers
     for level in reversed(levels[: state.level.number]):
         total = total if early else finer(total, level.shape)
@@ -209,10 +213,10 @@ def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
 
 
 def _left_out(shaping: Shaping, state: LevelState) -> tuple[float, float]:
-    """Return the largest change, metres, and the mean square change over tiles whose finer levels were not computed.
+    """Return the largest change, metres, and the mean square change of tiles without finer levels; (0, 0) for none.
 
-    These are all tiles of the last level. If that is the raster's own, they are its tiles that were not computed, with
-    the changes of the coarser level; (0, 0) without any.
+    If the last computed level is coarser than the raster, these are all its tiles. Else they are the raster's tiles
+    that were not computed, with the changes of the coarser level.
     """
     if state.level.number:
         return state.max_change.max(), state.mean_square.mean()

@@ -16,7 +16,7 @@ from .tiles import Wanted
 __all__ = ["ShapeJob", "child_main", "shape_store"]
 
 GENTLE = 10  # added to the niceness of a gentle job
-_enough = threading.Event()
+_finish_early = threading.Event()  # set in the child by `ShapeJob.finish_early`
 
 
 class ShapeJob(StoreJob):
@@ -88,13 +88,14 @@ def shape_store(
 
 def child_main() -> None:
     """Read a request from stdin, shape, and report progress on stdout."""
-    serve(_shape, lambda request: _job_name(request["source"]), _enough.set)
+    serve(_shape, lambda request: _job_name(request["source"]), _finish_early.set)
 
 
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     """Shape the requested store in the child process and return its report.
 
-    request: that of ShapeJob. begin: says that the child is ready, so threads may start.
+    request: that of ShapeJob; StoreJob adds the store and the folder for new arrays. begin: says that the child is
+    ready, so threads may start.
     """
     from .shape_store import run_shape
 
@@ -104,5 +105,5 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     wanted = request["wanted"] and [None if pairs is None else dict(map(tuple, pairs)) for pairs in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)
-    options = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
+    options = {"folder": request["folder"], "finish": _finish_early.is_set, "tiles": request["tiles"]}
     return run_shape(request["source"], stack, request["store"], wanted, on_progress, **options)

@@ -193,7 +193,7 @@ def _build(
 
 
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:
-    """Write the layers of the source and of the stack as arrays of the draft and return them by name.
+    """Write the layers of the source and of the stack as arrays of the draft and return them by name; depths add up.
 
     Raises TerrainError for a layer that is not finite.
     """

@@ -42,7 +42,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
         before = coarser.layers["snow"] - coarser.layers["slides"]  # the coarser level's snowfall
         # Adds the influence of ground beyond a tile's halo; it is 0 for the whole level.
         snowfall = np.maximum(snowfall + (before - coarse_snowfall), 0.0)
-        snowfall[_where_bare(ground) != 0] = 0.0
+        snowfall[_where_no_snow(ground) != 0] = 0.0
         clinging = np.minimum(clinging, snowfall)
         loose = snowfall - clinging
         start = _transfer_slides(loose, coarser.layers["slides"], before - coarse_clinging, ground)
@@ -68,7 +68,8 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
 
     def slopes(azimuth: np.ndarray) -> np.ndarray:
         """Return `horizon` with the slopes of the horizon in an azimuth, a unit vector to the east and north."""
-        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, horizon, ground.first)
+        steps = ground.step_x, ground.step_y
+        sweep(heights, steps, azimuth, scale=1.0, threads=ground.threads, out=horizon, first=ground.first)
         return horizon
 
     for azimuth in azimuths()[:AZIMUTHS]:
@@ -79,7 +80,7 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
         lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(horizon))
     arrays = [
         flat(heights, wp.float32),
-        flat(_where_bare(ground), wp.uint8),
+        flat(_where_no_snow(ground), wp.uint8),
         *(flat(a, wp.float32) for a in (sky, lee)),
     ]
     inputs = [_weather(ground, values), *arrays, flat(snowfall, wp.float32), flat(clinging, wp.float32)]
@@ -96,7 +97,7 @@ def _direction(degrees: float) -> np.ndarray:
     return np.array([math.sin(angle), math.cos(angle)]).astype(np.float32).astype(np.float64)
 
 
-def _where_bare(ground: OperatorGround) -> np.ndarray:
+def _where_no_snow(ground: OperatorGround) -> np.ndarray:
     """Return 1 where no snow stays, which is on water and in holes, uint8 [rows, columns]."""
     depth = ground.layers.get("water_depth")
     bare = np.zeros(ground.heights.shape, bool) if depth is None else depth > WET
@@ -115,7 +116,8 @@ def _weather(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.We
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
     weather.line, weather.fall, weather.aspect = values["line"], values["fall"], values["aspect"]
-    # Single precision hides the last bits of the C library.
+    # Sine and cosine of the sun's height, 90 degrees less the latitude. Single precision hides the last bits of the C
+    # library.
     weather.sun = wp.vec2d(float(np.float32(math.cos(latitude))), float(np.float32(math.sin(latitude))))
     return weather
 
@@ -136,7 +138,7 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
         step_x=2 * ground.step_x,
         step_y=2 * ground.step_y,
         first=(ground.first[0] // 2, ground.first[1] // 2),
-        whole=ground.whole,
+        whole=ground.whole,  # of this level; `_snowfall` does not read it
         level=ground.level + 1,
         missing=None if ground.missing is None else halve_samples(ground.missing),
         mask=None if ground.mask is None else halve_samples(ground.mask),
@@ -186,10 +188,11 @@ def _slide_snow(
     for k in range(sweeps):
         odd = k % 2
         # The order of slabs alternates, else those of one parity would give more than the others. The first half also
-        # settles pairs along the rows.
+        # settles pairs along the rows, first those whose western column has the parity of `west`.
+        west = (odd + ground.first[1]) % 2
         for along, parity in ((1, odd), (0, 1 - odd)):
             first = -((parity + ground.first[0]) % 2)  # -1 if only the second row of the first slab is in the raster
-            inputs = [first, along, (odd + ground.first[1]) % 2, arguments]
+            inputs = [first, along, west, arguments]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
             # Moving snow is in rows of one parity after each half; the mean of four halves hides that comb.

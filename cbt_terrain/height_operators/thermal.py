@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 BREAKING, RESTING, AT_FIRST = 10, 20, 20
 # The angle of repose varies in waves of at most this many metres, so that fans are no planes.
 LONGEST, OCTAVES = 500.0, 3
-# A pair removes SHARE of its excess, which is all of it, but at most MAX_FRACTION of the upper sample's scree: on steep
-# rock all of it would oscillate between neighbours. WEATHER: fraction of the excess of bare rock that breaks.
+# The upper sample of a pair gives the lower one SHARE of their excess, which leaves none, but at most MAX_FRACTION of
+# its scree: on steep rock all of it would oscillate between neighbours. WEATHER: fraction of the excess of bare rock
+# that breaks.
 SHARE, MAX_FRACTION, WEATHER = 0.5, 0.25, 0.05
 # Samples of halo for each sweep. With 1 the island's tiles have the bytes of the whole, though one sweep can carry
 # material over 6 samples.
@@ -94,7 +95,7 @@ def settle_scree(
     values: Mapping[str, float],
     times: int,
 ) -> np.ndarray:
-    """Return the scree after `times` the sweeps of one level, and update `left`, the rest of the `breakable` rock.
+    """Return the scree after `times` * (BREAKING + RESTING) sweeps, and update `left`, the rest of `breakable` rock.
 
     The scree is the mean after the last four halves of sweeps. All are float32 [rows, columns] m, see
     kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`. values: the operator's parameters
@@ -110,7 +111,7 @@ def settle_scree(
     for number in range(sweeps):
         if number == breaking:
             smooth_wear(left, breakable)
-            slope.weather = 0.0
+            slope.weather = 0.0  # no more rock breaks
         for _half in sweep(slope, number, ground.threads, recorded):
             # Moving scree is in rows of one parity after each half; the mean of four halves hides that comb.
             if number >= sweeps - 2:
@@ -123,12 +124,12 @@ def sweep(slope: "kernels.Slope", number: int, threads: int, recorded: dict | No
     """Run sweep `number`, from 0, and yield after each half. recorded: cache of launch.py for sweeps over one slope.
 
     The order of slabs alternates, else those of one parity would erode more than the others. The first half also
-    settles pairs along the rows.
+    settles pairs along the rows, first those whose western column has the parity of `number`.
     """
     from ...kernels.land import thermal as kernels
 
     spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
-    spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)
+    spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)  # sets slope.facing
     for along, parity in ((1, odd), (0, 1 - odd)):
         first = -((parity ^ slope.first_row) & 1)  # row of the first slab: -1 if only its second row is in the raster
         slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope]
@@ -137,7 +138,7 @@ def sweep(slope: "kernels.Slope", number: int, threads: int, recorded: dict | No
 
 
 def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
-    """Smooth the wear, `breakable` - `left`, by [1 2 1] / 4 along both axes, in place; conserves it.
+    """Smooth the wear, `breakable` - `left`, by [1 2 1] / 4 along both axes; changes `left` and conserves the wear.
 
     It removes the part that alternates from sample to sample. left, breakable: float32 [rows, columns], metres of rock
     that is left, and that was there before.
@@ -176,7 +177,7 @@ def pack_slope(
     slope.max_fraction, slope.share, slope.weather = MAX_FRACTION, SHARE, WEATHER
     slope.seed = ground.seed & 0xFFFFFFFF
     slope.base, slope.left, slope.scree = (flat(array, wp.float32) for array in (base, left, scree))
-    slope.facing = flat(np.empty_like(scree), wp.float32)
+    slope.facing = flat(np.empty_like(scree), wp.float32)  # `sweep` fills it
     return slope
 
 

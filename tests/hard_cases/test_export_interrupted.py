@@ -70,6 +70,7 @@ def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, 
     assert_complete(out, undisturbed)
 
 
+@pytest.mark.thorough
 def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
     """After three kills, each after one more frame, the existing files are whole and a rerun completes the rest."""
     out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments]

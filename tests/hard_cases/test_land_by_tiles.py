@@ -63,7 +63,9 @@ def rms(metres) -> float:
     return float(np.sqrt(np.mean(np.square(metres, dtype=np.float64))))
 
 
-@pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize(
+    "name", ["rivers", *(pytest.param(name, marks=pytest.mark.thorough) for name in BOUNDS if name != "rivers")]
+)
 def test_case_57_tile_by_tile_equals_the_whole(monkeypatch, name):
     """Tiles computed alone equal the whole: exactly but for rounding, to 0.1 % (thermal) or 5 % (rivers, snow)."""
     monkeypatch.setitem(HEIGHT_OPERATORS, "smooth", SMOOTH)
@@ -200,7 +202,11 @@ def basin():
 
 @pytest.mark.parametrize(
     ("ground", "parameters"),
-    [(badlands, {"erodibility": 1e-4}), (needles, {}), (basin, {"erodibility": 6e-5})],
+    [
+        (badlands, {"erodibility": 1e-4}),
+        pytest.param(needles, {}, marks=pytest.mark.thorough),
+        pytest.param(basin, {"erodibility": 6e-5}, marks=pytest.mark.thorough),
+    ],
 )
 def test_case_57_rivers_that_run_elsewhere_at_each_level(ground, parameters):
     """A single tile is within 5 % also if coarser levels lack the big rivers of the finer ones."""
@@ -214,7 +220,9 @@ def test_case_57_rivers_that_run_elsewhere_at_each_level(ground, parameters):
     assert rms((tile - whole)[inside]) < 0.05 * rms((whole - coarse)[inside])
 
 
-@pytest.mark.parametrize("preset", ["volcanic_island", "old_hills", "desert"])
+@pytest.mark.parametrize(
+    "preset", ["volcanic_island", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("old_hills", "desert"))]
+)
 def test_case_57_rivers_of_ordinary_land_are_made_in_tiles(preset):
     """A picture of one valley of the island computes only its tiles, for three presets."""
     found = fitted(read_stack(PRESETS / f"{preset}.json"), 0.0, 1000.0)
@@ -241,7 +249,7 @@ def test_case_57_neighbours_share_their_borders(monkeypatch):
     assert across.max() < 1.5 * rms[columns.start + BAND : columns.stop - 2 * BAND].max()
 
 
-@pytest.mark.parametrize("name", ["snow", "scree"])
+@pytest.mark.parametrize("name", [pytest.param("snow", marks=pytest.mark.thorough), "scree"])
 def test_case_57_slides_keep_their_mass_in_tiles(name):
     """Slides on cliffs: tiles within 1 %, the worst within 2 %; mass is kept to 2e-5; no depth is negative.
 

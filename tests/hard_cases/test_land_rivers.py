@@ -68,6 +68,7 @@ def test_case_55_what_rivers_cut_is_laid_down_or_leaves():
     assert bed.sediment.sum() > 1e3 and (bed.sediment >= 0).all()
 
 
+@pytest.mark.thorough
 def test_case_56_a_grown_range_converges():
     """Twice the samples give the same grown range to 2.5 % of its relief, and its mean height to 5 %."""
     fine = island(1025)

@@ -94,6 +94,7 @@ def test_case_57_four_tiles_of_scree_are_the_whole():
             assert np.array_equal(tile(rows, columns), whole[rows, columns])
 
 
+@pytest.mark.thorough
 def test_case_58_other_processors_give_the_same_bytes(tmp_path):
     """Code compiled without fused multiply-add and wide vectors gives the same bytes."""
     paths = [str(Path(__file__).parent), *sys.path]

@@ -48,7 +48,9 @@ def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
     return first, np.percentile(np.concatenate(second), 99.9)
 
 
-@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize(
+    "name", ["real", *(pytest.param(name, marks=pytest.mark.thorough) for name in FIELDS if name != "real")]
+)
 def test_case_60_jumps_fall_with_the_step_of_the_camera(name):
     """Jumps fall in proportion to the camera's step (slope 1 +- 0.1), and second differences with its square.
 
@@ -79,7 +81,7 @@ def shading(field, step: float, morph: float) -> float:
     return 255.0 * max(found)
 
 
-@pytest.mark.parametrize("name", ["rough", "real"])
+@pytest.mark.parametrize("name", [pytest.param("rough", marks=pytest.mark.thorough), "real"])
 def test_case_60_shading_changes_with_the_step_of_the_camera(name):
     """The change of shading falls in proportion to the camera's step, slope 1 +- 0.15."""
     field, steps = FIELDS[name](), np.array([8.0, 4.0, 2.0])

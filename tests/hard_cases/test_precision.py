@@ -112,6 +112,7 @@ def test_case_06_vertical_scales_of_a_billion_and_a_billionth():
     assert_invariants(Terrain(denormal, 1).update(Criterion(), [view]).surface, denormal.lattice)
 
 
+@pytest.mark.thorough
 def test_case_07_more_than_2_to_the_24_corners():
     """A mesh with 8.4 million triangles has odd and even indices above 2^24 and is one closed sheet."""
     field = rough(33, 33)

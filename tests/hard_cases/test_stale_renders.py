@@ -43,7 +43,9 @@ def blend(flight, add_terrain, tmp_path):
         ("", [2, 3], "frame 4 is not rendered, since its mesh would be stale. The terrain 'Hills' has a scale of 0"),
         ("bpy.data.objects['Hills'].adaptive_terrain.store = '/gone'", [], "There is no terrain store at '/gone'"),
         ("bpy.data.objects['Hills'].adaptive_terrain.camera_source = 'CHOSEN'", [], "No camera is chosen"),
-        ("scene.adaptive_terrain.stop_stale_renders = False", [2, 3, 4, 5, 6], ""),
+        pytest.param(
+            "scene.adaptive_terrain.stop_stale_renders = False", [2, 3, 4, 5, 6], "", marks=pytest.mark.thorough
+        ),
         ("scene.frame_start = 5", [5, 6], ""),
     ],
 )
@@ -86,7 +88,9 @@ bpy.app.handlers.render_post.append(lambda *_: print("triangles", len(terrain.da
 """
 
 
-@pytest.mark.parametrize("used", ["terrain.adaptive_terrain.store", "'/gone'"])
+@pytest.mark.parametrize(
+    "used", [pytest.param("terrain.adaptive_terrain.store", marks=pytest.mark.thorough), "'/gone'"]
+)
 def test_case_68_a_scene_that_a_compositor_takes_in(blend, used):
     """Terrains of another scene in the compositor are refined, though Blender announces only the rendered scene."""
     before = len(bpy.data.objects["Hills"].data.polygons)

@@ -20,7 +20,9 @@ from finer_views import assert_an_anchor_moves_the_surface_alone, assert_bounds_
 from invariants import assert_invariants
 
 
-@pytest.fixture(scope="module", params=[4, 1], ids=["2 m in 32 m", "16 m in 32 m"])
+@pytest.fixture(
+    scope="module", params=[4, pytest.param(1, marks=pytest.mark.thorough)], ids=["2 m in 32 m", "16 m in 32 m"]
+)
 def field(request):
     if request.param == 4:
         return interpolated(finer_field(), "bicubic")

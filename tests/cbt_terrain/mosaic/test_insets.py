@@ -184,7 +184,10 @@ def test_the_report_names_the_ring_and_unblended_seams(inset, tmp_path):
     assert not np.array_equal(blended.samples, sharp.samples)
 
 
-@pytest.mark.parametrize("steps", [(4.0, 4.0), (4.2, 4.2), (1.03, 3.7), (9.1, 30.0), (300.0, 300.0)])
+@pytest.mark.parametrize(
+    "steps",
+    [(4.0, 4.0), (4.2, 4.2), (1.03, 3.7), (9.1, 30.0), pytest.param((300.0, 300.0), marks=pytest.mark.thorough)],
+)
 def test_no_mark_beyond_the_reach_of_a_blend_is_read(steps, monkeypatch):
     grid = TargetGrid("", 0.0, 0.0, 1.0, 1.0, 0, 0, 40 * BLOCK, 40 * BLOCK)
     blend = insets.InsetBlend(np.array([0, 1]), np.array([steps, (1.0, 1.0)]), grid, None)

@@ -231,7 +231,13 @@ print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))
 """
 
 
-@pytest.mark.parametrize("names", [["slope"], ["sky", "sun"], ["splat_1", "wetness"]])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["sky", "sun"],
+        *(pytest.param(names, marks=pytest.mark.thorough) for names in (["slope"], ["splat_1", "wetness"])),
+    ],
+)
 def test_kernels_that_effects_launch_are_foreseen(names):
     """A new process loads the predicted kernels, or fewer."""
     done = subprocess.run([sys.executable, "-c", FORESEEN, *names], capture_output=True, text=True, timeout=300)

@@ -38,7 +38,9 @@ print(sorted({kernel.module.name for kernel in launch._loaded} - before))
 """
 
 
-@pytest.mark.parametrize("source", ["a.npy", "island", "dunes", "canyon"])
+@pytest.mark.parametrize(
+    "source", ["a.npy", "canyon", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("island", "dunes"))]
+)
 def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path):
     heights = hills(70, 50)
     heights[3:5, 7] = np.nan  # to be filled; and it fits no lattice

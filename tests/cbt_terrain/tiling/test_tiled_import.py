@@ -51,9 +51,12 @@ SOURCES = {
     "float64": (MOUNTAINS.astype(np.float64) + 1e-9, 5, {}),
     "undeclared no data": (np.where(MOUNTAINS < 400.0, -9999.0, MOUNTAINS), 5, {}),
 }
+FEW = "padded", "a tall strip", "filled", "holes", "no data in whole numbers"
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize(
+    "name", [*FEW, *(pytest.param(name, marks=pytest.mark.thorough) for name in SOURCES if name not in FEW)]
+)
 def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name):  # noqa: F811
     heights, bits, more = SOURCES[name]
     monkeypatch.setattr(cleaning, "FILLED_ROWS", 32)

@@ -104,6 +104,7 @@ def test_it_sweeps_every_setting_and_writes_all_files(terrain, scene, every_kind
     assert "2 px (current)" in page and "through the camera of the scene, 160 x 90 pixels, frame 4." in page
 
 
+@pytest.mark.thorough
 def test_it_measures_what_the_command_measures(terrain, tmp_path, every_kind):
     """The same triangles and errors; only times differ."""
     from adaptive_terrain.operators.cli import command_line

@@ -128,7 +128,7 @@ def test_a_linked_terrain_says_why_it_cannot_be_changed(terrain, tmp_path):
             getattr(bpy.ops.adaptive_terrain, name)()
 
 
-@pytest.mark.parametrize("land", ["CANYON", "DUNES"])
+@pytest.mark.parametrize("land", [pytest.param("CANYON", marks=pytest.mark.thorough), "DUNES"])
 def test_a_built_in_land_is_added_with_its_stack(scene, monkeypatch, tmp_path, land):
     """Of dunes there is none, and they get the size that was asked for."""
     given = lands.LANDS[land.lower()]

@@ -213,6 +213,7 @@ def test_without_live_update_nothing_is_shaped(terrain):
     assert not jobs.running and shaped_land.state_of(terrain).shown == "Preview"
 
 
+@pytest.mark.thorough
 def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, capsys):
     """With a disk that damages every file, the panel shows an error after some tries, and shaping stops."""
     opened, record = session.open_store, session.record_of(terrain)

@@ -15,6 +15,7 @@ NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island", "lig
 ON = ("island", "canyon", "mountains", "mountains", "island", "canyon", "mountains")  # the land of each
 KEEPING, BUILDING = "Keep the Land", "Build Different Mountains"
 SIZE = 201
+pytestmark = pytest.mark.thorough  # 11 s of CPU
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ def light_and_camera(size: float) -> None:
     scene.render.image_settings.file_format = "OPEN_EXR"
 
 
-@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("tiled", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_a_normal_map_shades_a_coarse_mesh_like_the_full_one(terrain, tmp_path, request, tiled):
     if tiled:
         request.getfixturevalue("small_tiles")

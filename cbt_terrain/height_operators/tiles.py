@@ -221,9 +221,9 @@ def add_coarser(
 ) -> list[dict[int, TileNeed]]:
     """Return the requested tiles and the tiles of coarser levels that contain them, by level.
 
-    A coarser tile needs the smallest error of itself and its finer tiles, and the tiles of its level that the windows
-    of these read. wanted: allowed error of each requested tile, metres, by level. halo: rows and columns that the
-    operators read beyond a tile, by level.
+    A coarser tile gets the smallest allowed error of itself and its finer tiles. The tiles of its level that the
+    windows of these finer tiles read are computed with it. wanted: allowed error of each requested tile, metres, by
+    level. halo: rows and columns that the operators read beyond a tile, by level.
     """
     needs = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):

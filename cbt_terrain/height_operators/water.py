@@ -40,8 +40,8 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     outlets = (heights <= values["sea"]) | (dry != 0)
     drainage = route(heights, ground.step_x, ground.step_y, outlets, threads)
     filled = drainage.filled()
-    area = drainage.areas(filled)
-    drainage.level_lakes(filled, area)
+    area = drainage.areas(filled)  # samples
+    drainage.level_lakes(filled, area)  # in place, each lake to the area of its outlet
     ground.progress(0.8)
     # normal: depth of a uniform flow, as hydraulics calls it.
     normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
@@ -49,6 +49,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)
     rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
     rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
+    # It writes `normal`, and `surface` without dams.
     launch.spread(kernels.flow_uniformly, shape[0], [rain], step="water", threads=threads, cost=10 * shape[1])
     # Filling the water surface as routing fills the ground raises lakes to the flow at their outlets.
     dammed = replace(drainage, heights=surface).filled()
@@ -84,8 +85,9 @@ def example(evaluate: Evaluate) -> None:
     layers = evaluate("water", roof, step=10.0, sea=-1.0).layers
     discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR
     assert abs(layers["discharge"][32, 2:15] / discharge - 1.0).max() < 1e-4
-    width = 3.0 * np.sqrt(discharge)
-    depth = (0.05 * discharge / width / math.sqrt(0.01)) ** 0.6
+    width = 3.0 * np.sqrt(discharge)  # with WIDTH of the kernels
+    roughness, slope = 0.05, 0.01  # the parameter's default, and the roof's
+    depth = (roughness * discharge / width / math.sqrt(slope)) ** 0.6
     assert abs(layers["water_depth"][32, 2:15] / depth - 1.0).max() < 1e-4
     assert abs(layers["water_speed"][32, 2:15] * depth * width / discharge - 1.0).max() < 1e-4
     roof[30:35, 22:26] = 5.0

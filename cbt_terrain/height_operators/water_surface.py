@@ -99,13 +99,13 @@ def water_surface(
         wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
-    signed_depth, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
+    signed_depth, water_height, wet = _extend_to_shore(heights, depth, wet, min_depth)
     corners, sides = _triangles(signed_depth, wet, missing)
-    used, numbers = _number_items(corners, heights.size)
+    used, vertex_numbers = _number_items(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
     west, south, _, _ = lattice.rectangle()
     x, y = west + column * lattice.step_x, south + row * lattice.step_y
-    positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
+    positions = np.stack([x, y, water_height.ravel()[used]], axis=-1).astype(np.float32)
     uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
     speeds = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
     attributes = {
@@ -115,19 +115,19 @@ def water_surface(
         "water_speed": Attribute(speeds.astype(np.float32), POINT, "m/s"),
         LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),
     }
-    lines, line_numbers = _number_items(sides, 4 * heights.size)
+    lines, line_numbers = _number_items(sides, 4 * heights.size)  # `_triangles` numbers sides in four directions
     start, towards = np.divmod(lines, 4)
     width = heights.shape[1]
     strides = np.array([1, width, width + 1, width - 1])  # from a sample to the next, EAST to NORTH_WEST
     ends = np.stack([start, start + strides[towards]], axis=-1)
-    surface = Surface(positions, numbers[corners], line_numbers[sides], numbers[ends], attributes)
+    surface = Surface(positions, vertex_numbers[corners], line_numbers[sides], vertex_numbers[ends], attributes)
     depths = signed_depth.ravel()[used]
     surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)  # keeps the side of positive depths
-    attributes = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
+    replaced = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
     for name in ("water_depth", "water_speed"):
-        attributes[name] = Attribute(np.maximum(attributes[name].array, 0.0), POINT, attributes[name].unit)
-    attributes[NORMALS] = Attribute(_normals(surface), POINT)
-    return surface.with_attributes(attributes)
+        replaced[name] = Attribute(np.maximum(replaced[name].array, 0.0), POINT, replaced[name].unit)
+    replaced[NORMALS] = Attribute(_normals(surface), POINT)
+    return surface.with_attributes(replaced)
 
 
 def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
@@ -138,22 +138,22 @@ def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
 def _extend_to_shore(
     heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, min_depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Extend water to the dry samples next to it.
+    """Extend water to the dry samples next to it, the shore.
 
-    Return its signed depth, negative at these, and the height of its surface, float64 [rows, columns] m, and the wet
-    samples with the shallow borders of lakes, bool. heights, depth: metres. wet: bool, samples under water. min_depth:
-    metres.
+    Return its signed depth, negative at the shore, and the height of its surface, float64 [rows, columns] m, and the
+    wet samples with the shallow borders of lakes, bool. heights, depth: metres. wet: bool, samples under water.
+    min_depth: metres.
     """
     ground = heights.astype(np.float64)
     surface = ground + depth
-    is_shore, level, _ = _shore(surface, depth, wet)
+    is_shore, near_level, _ = _shore(surface, depth, wet)
     # The shallow border of a lake belongs to it, so that its shore is where the ground comes out of the water.
-    wet = wet | (is_shore & (depth > 0.0) & (ground < level) & (abs(surface - level) < SAME))
-    is_shore, level, mean_depth = _shore(surface, depth, wet)
-    # The depth that is taken off at the shore: down to the water's level; on ground below that, a shallow border ends
-    # between samples, and a river that is higher than its banks half-way.
-    is_shallow = surface >= level - min_depth
-    below = np.where(level < ground, ground - level, np.where(is_shallow, level - ground, mean_depth))
+    wet = wet | (is_shore & (depth > 0.0) & (ground < near_level) & (abs(surface - near_level) < SAME))
+    is_shore, near_level, near_depth = _shore(surface, depth, wet)
+    # How far the water's surface is below the ground at the shore: down to the level of the water nearby. Where the
+    # ground is below that level, a shallow border ends between samples, and a river above its banks half-way.
+    is_shallow = surface >= near_level - min_depth
+    below = np.where(near_level < ground, ground - near_level, np.where(is_shallow, near_level - ground, near_depth))
     signed = np.where(wet, depth, np.where(is_shore, -below, 0.0))
     return signed, np.where(wet, surface, ground + signed), wet
 

@@ -51,7 +51,7 @@ from .tile_tasks import TileSource
 ORIGINAL_SHARE = 0.1  # of the progress of a resampled raster
 COARSE_SHARE = 0.4  # of the progress of a raster with finer tiles
 FINER = "Reading finer files"  # message meanwhile
-DOUBT = ", or check that the header of {} has its true size"
+DOUBT = ", or check that the header of {} has its true size"  # remedy for an implausibly large store
 
 
 def run_import(
@@ -263,8 +263,8 @@ def _provenance(
 ) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated.
 
-    land: the coarse land around loaded tiles; None if all tiles have one step. LOADED: steps of the coarse land and of
-    all samples, metres. REFINED: step and number of the loaded tiles.
+    land: the coarse land around loaded tiles; None if all tiles have one step. LOADED, if samples are left out: steps,
+    metres, of the coarse land or else of the raster, and of all samples. REFINED: step and number of the loaded tiles.
     """
     values = dataclasses.asdict(settings)
     values["source"], *more = map(absolute_source, settings.sources)
@@ -272,9 +272,9 @@ def _provenance(
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
     loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
     if land is not None:
-        step, full = loaded[LOADED]
-        loaded = {LOADED: [step * 2.0**land.bits, full], REFINED: [step, len(land.loaded)]}
-        loaded |= finer_provenance(raster, lattice, full)
+        step, full_step = loaded[LOADED]
+        loaded = {LOADED: [step * 2.0**land.bits, full_step], REFINED: [step, len(land.loaded)]}
+        loaded |= finer_provenance(raster, lattice, full_step)
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
@@ -319,7 +319,10 @@ def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) 
 
 
 def _read_heights(reader: HeightReader, place: Georeference, heights: np.ndarray, on_progress: Callable) -> None:
-    """Fill `heights` (row 0 south) from a raster; `reader` gets the figures, `on_progress` the fraction of rows."""
+    """Fill `heights` (row 0 south) from a raster.
+
+    reader: converts the values, and collects figures of them. on_progress: gets the fraction of rows.
+    """
     first = 0
     in_file_order = place.in_file_order(heights)
     for share, values in reader.raster.blocks():
@@ -339,5 +342,5 @@ def _source_max(reader: HeightReader) -> float:
         return 0.0
     scaling = scaling_of(raster, settings)
     step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
-    # Errors by resampled positions and by conversions of datums are in the unit of the file's values.
+    # `moved` by resampled positions and `shifted` by conversions of datums are in the unit of the file's values.
     return step + reader.converted + (raster.moved + raster.shifted) * abs(scaling[0])

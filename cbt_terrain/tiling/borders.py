@@ -161,7 +161,7 @@ def near_vertices(grid: TileGrid, number: int) -> tuple[np.ndarray, LatticeVerti
 
 def join_borders(
     grid: TileGrid,
-    rows: Sequence[tuple[int, Callable[[], np.ndarray]]],
+    tiles: Sequence[tuple[int, Callable[[], np.ndarray]]],
     opened: Opened,
     tables: Callable[[int], np.ndarray],
     unite: np.ufunc = np.maximum,
@@ -171,12 +171,12 @@ def join_borders(
     They are set to 0 before any tile's values are united with them.
 
     Args:
-        rows: numbers of tiles, and functions that return their values, uint8 as `TileErrors.border`.
+        tiles: their numbers, and functions that return their values, uint8 as `TileErrors.border`.
         opened: maps the array of the raster.
         tables: tables(number) returns the table of 256 by group with which a tile's values are translated.
     """
     for is_first in (True, False):
-        for number, values in rows:
+        for number, values in tiles:
             exists, vertices = near_vertices(grid, number)
             whole, entries = opened(), entries_of(grid.lattice, vertices)
             if is_first:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..field.heightfield import HeightField
+from ..field.lattice import PAGE
 from .measure_tile import LargeError
 from .tile_grid import TileBox, TileGrid, cell_entries, pages_of, tile_index
 
@@ -91,8 +92,9 @@ class CoarseLand:
         errors = np.zeros(local.node_count, np.float32)
         for group in range(local.groups):
             image = errors[base[group] : base[group + 1]]
-            # the vertices of two levels in rows; an image has pages of 32 x 32
-            rows = np.zeros((len(image) // (32 * int(pages[group])), 32 * int(pages[group])), np.float32)
+            # the vertices of two levels in rows; the image has them in pages of PAGE x PAGE
+            row_length = PAGE * int(pages[group])
+            rows = np.zeros((len(image) // row_length, row_length), np.float32)
             for level in range(2 * group, min(2 * group + 2, local.levels)):
                 half = 1 << level - 2 * group
                 # row and column of the first centre, and of the first middle of sides of either direction
@@ -100,10 +102,10 @@ class CoarseLand:
                     is_centre = y0 == x0
                     if is_centre and level == local.levels - 1 and not grid.holds_roots:
                         continue  # it depends on other tiles
-                    # the end of these vertices in the image
-                    wide, high = local.extent(2 * (local.levels - level) - is_centre)
-                    wide, high = (2 * half * n if is_centre else half * n + 1 for n in (wide, high))
-                    target = rows[y0 : high : 2 * half, x0 : wide : 2 * half]
+                    # columns and rows of cells with these vertices, then the ends of the vertices in `rows`
+                    counts = local.extent(2 * (local.levels - level) - is_centre)
+                    x_end, y_end = (2 * half * n if is_centre else half * n + 1 for n in counts)
+                    target = rows[y0 : y_end : 2 * half, x0 : x_end : 2 * half]
                     x = box.x0 + ((x0 + 2 * half * np.arange(target.shape[1])) << 2 * group)
                     y = box.y0 + ((y0 + 2 * half * np.arange(target.shape[0])) << 2 * group)
                     target[:] = self._errors_at(x, y[:, None], level, is_centre)

@@ -120,9 +120,10 @@ def exact_errors(tile: TileSamples, threads: int) -> tuple[np.ndarray, np.ndarra
     local = grid.local(tile.box)
     errors = np.zeros(local.node_count, np.float32)
     _fill_cells(errors, tile, threads)
-    coarsest = 1 if grid.holds_roots else 2
+    # `large_errors` measures the diamond at the tile's centre, of depth 1, unless the tile holds root squares.
+    coarsest_depth = 1 if grid.holds_roots else 2
     hierarchy.measure_triangles(
-        tile.inner_samples, local, errors, threads, measured=tile.inner_measured, coarsest=coarsest
+        tile.inner_samples, local, errors, threads, measured=tile.inner_measured, coarsest=coarsest_depth
     )
     return errors, None if tile.valid is None else refine_borders(tile.inner(tile.valid), local, errors, threads)
 
@@ -152,7 +153,10 @@ def code_errors(tile: TileSamples, errors: np.ndarray, kinds: np.ndarray | None,
 
 
 def _fill_cells(errors: np.ndarray, tile: TileSamples, threads: int) -> None:
-    """Write the errors of a tile's cells, saturated over the window, into the errors of its lattice."""
+    """Write the errors of a tile's cells into those of its lattice.
+
+    They are saturated over the window: at least a quarter of each neighbouring cell's error.
+    """
     local, measured = tile.grid.local(tile.box), tile.measured
     cells = hierarchy.stored_at(local, local.cell_depth)
     west, south = tile.box.x0 - tile.window.x0, tile.box.y0 - tile.window.y0
@@ -161,15 +165,15 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, threads: int) -> None:
         max(samples - 1, before + inside)
         for samples, before, inside in zip(measured.shape, (south, west), (cells.rows, cells.columns), strict=True)
     )
-    groups, blocks, quarter = -(-count // kernels.ROWS), -(-columns // COLUMN_BLOCK), wp.float32(0.25)
-    rows = flat(np.zeros(groups * kernels.ROWS * columns, np.float32), wp.float32)
-    inputs: list = [codes.pack_samples(measured, None), columns, rows]
+    row_groups, blocks, quarter = -(-count // kernels.ROWS), -(-columns // COLUMN_BLOCK), wp.float32(0.25)
+    cell_errors = flat(np.zeros(row_groups * kernels.ROWS * columns, np.float32), wp.float32)
+    inputs: list = [codes.pack_samples(measured, None), columns, cell_errors]
     spread = partial(launch.spread, step="error hierarchy", threads=threads)
     spread(kernels.window_twists, measured.shape[0] - 1, inputs, cost=0.1 * columns)
-    spread(kernels.saturate_window_rows, groups, [quarter, columns, rows], cost=0.8 * columns)
-    inputs = [COLUMN_BLOCK, quarter, columns, count, rows]
+    spread(kernels.saturate_window_rows, row_groups, [quarter, columns, cell_errors], cost=0.8 * columns)
+    inputs = [COLUMN_BLOCK, quarter, columns, count, cell_errors]
     spread(kernels.saturate_window_columns, blocks, inputs, cost=0.1 * COLUMN_BLOCK * count)
-    inputs = [columns, west, south, cells, rows, flat(errors, wp.float32)]
+    inputs = [columns, west, south, cells, cell_errors, flat(errors, wp.float32)]
     spread(kernels.store_cells, cells.rows, inputs, cost=0.1 * columns)
 
 
@@ -197,7 +201,7 @@ def large_triangles(grid: TileGrid, box: TileBox, height: Height) -> list[LargeT
         for x, y in _cells_over(grid, box, 2 * half):  # their diamonds have their vertex in the middle
             corners = _centre_corners(x, y, 2 * half, is_root, height)
             diamonds.append(LargeTriangles((2 * x + 1) * half, (2 * y + 1) * half, level, corners))
-        # Such a cell has a corner of each of two sides' diamonds.
+        # Two corners of a cell of `half` samples are middles of sides; it holds a triangle of the diamond of each.
         for x, y in _cells_over(grid, box, half) if level >= grid.bits else []:
             for dx in (0, 1):
                 dy = dx if (x + y) & 1 else 1 - dx
@@ -211,14 +215,14 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
 
     diamonds: position, level and triangles of each.
     """
-    counted, errors = tile.inner_measured, []
-    samples, cost = codes.pack_samples(counted, None), 0.1 * counted.shape[1]
+    measured, errors = tile.inner_measured, []
+    samples, cost = codes.pack_samples(measured, None), 0.1 * measured.shape[1]
     spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=cost)
     for x, y, level, corners in diamonds:
-        largest = np.zeros(len(counted), np.float64)
+        largest = np.zeros(len(measured), np.float64)
         for corner in corners:
             inputs = [samples, tile.box.x0, tile.box.y0, corner, flat(largest, wp.float64)]
-            spread(kernels.window_errors, len(counted), inputs)
+            spread(kernels.window_errors, len(measured), inputs)
         errors.append(LargeError(x, y, level, _rounded_up(float(largest.max()))))
     return errors
 
@@ -259,19 +263,21 @@ def _centre_corners(x: int, y: int, side: int, is_root: bool, height: Height) ->
 
 
 def _side_corner(x: int, y: int, right: int, up: int, half: int, height: Height) -> Corner:
-    """Return one right triangle of the diamond at the middle (x, y) of a side: the part towards `right` and `up`.
+    """Return the right triangle, of four in the diamond of a side, that is towards `right` and `up`.
 
-    x, y: in units of `half` samples, half the side. right, up: 1 or -1. height: function of a sample (i, j), metres.
+    x, y: middle of the side, in units of `half` samples, half the side. right, up: 1 or -1. height: function of a
+    sample (i, j), metres.
     """
     is_along_x = x & 1
     dx, dy = is_along_x * half, (1 - is_along_x) * half
     i, j = x * half, y * half
     begin, end = height(i - dx, j - dy), height(i + dx, j + dy)
     middle = 0.5 * (begin + end)
-    slope = (end - begin) / (2.0 * float(half))
+    slope_along = (end - begin) / (2.0 * float(half))
     across = up if is_along_x else right
-    rise = float(across) * (height(i + across * dy, j + across * dx) - middle) / float(half)
-    return _corner(i, j, right, up, half, middle, *((slope, rise) if is_along_x else (rise, slope)))
+    slope_across = float(across) * (height(i + across * dy, j + across * dx) - middle) / float(half)
+    slopes = (slope_along, slope_across) if is_along_x else (slope_across, slope_along)
+    return _corner(i, j, right, up, half, middle, *slopes)
 
 
 def _corner(x: int, y: int, right: int, up: int, legs: int, plane: float, slope_x: float, slope_y: float) -> Corner:

@@ -96,9 +96,9 @@ class TileGrid:
         return TileBox(box.x0, box.y0, box.x1 - east, box.y1 - north)
 
     def local(self, box: TileBox) -> Lattice:
-        """Return the lattice of a tile; the last ones of the raster include the padding that has entries.
+        """Return the lattice of a tile, with the padding beyond the raster's border that has entries.
 
-        This is at most one more square along each axis.
+        The padding is at most one more root square along each axis.
         """
         lattice = self.lattice
         cells, span = (lattice.cells_x, lattice.cells_y), lattice.span
@@ -115,6 +115,7 @@ class TileGrid:
         by_level = []
         for level in range(self.levels):
             half = 1 << level
+            # A last tile of the raster also has vertices at side + half, in the padding.
             along = np.arange(0, self.side + half + 1, half)
             across = np.unique([0, half, self.side - half, self.side, self.side + half])
             x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
@@ -230,7 +231,7 @@ class OwnedArea:
 
 
 def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterator[OwnedArea]:
-    """Yield the areas of the groups that a tile writes, those of its eastern and northern neighbours left out.
+    """Yield the area of each group's image that a tile writes; it ends before the eastern and northern neighbours'.
 
     with_cells: also yield the area of the raster's cells, the last group.
     """
@@ -254,13 +255,13 @@ def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> 
     local = grid.local(box)
     base, pages = local.layout()
     for area in owned_areas(grid, box, len(values) == local.node_count):  # ranges have no entries of cells
-        source, wide = values[base[area.group] : base[area.group + 1]], int(pages[area.group])
+        source, row_pages = values[base[area.group] : base[area.group + 1]], int(pages[area.group])
         if area.is_paged:
             target = area.paged(whole)
-            high, across = target.shape[:2]
-            target[:] = source.reshape(-1, wide, *target.shape[2:])[:high, :across]
+            high, wide = target.shape[:2]  # pages
+            target[:] = source.reshape(-1, row_pages, *target.shape[2:])[:high, :wide]
         else:
-            rows = rows_of(source, wide)[: area.height, : area.width]
+            rows = rows_of(source, row_pages)[: area.height, : area.width]
             whole[area.positions()[: rows.shape[0], : rows.shape[1]]] = rows
 
 

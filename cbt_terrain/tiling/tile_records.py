@@ -20,8 +20,10 @@ from .tile_grid import LatticeVertices, TileGrid, exist
 READ, MEASURED = "read", "measured"  # kinds of records
 FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED, finer_heights.RANGED  # ... of finer tiles
 SEAMS = "finer_seams"  # ... and of the borders of their files
-FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, metres
-STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"  # of a measured tile
+FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, a part that is read at once; metres
+# Of a measured tile: "errors" and "ranges" are digests of what they were measured from, "above" is the digest and the
+# list of its LargeErrors. A record without these entries marks a tile as not measured.
+STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"
 
 
 def line_of(record: dict) -> str:
@@ -66,7 +68,7 @@ def _is_read(record: dict, grid: TileGrid) -> bool:
         isinstance(record["inputs"], str)
         and _is_count(record["missing"], lattice.width * lattice.height)
         and (limits is None or (len(limits) == 2 and _are_metres(limits) and limits[0] <= limits[1]))
-        and _are_metres([figures[name] for name in FIGURES], 0.0)
+        and _are_metres([figures[name] for name in FIGURES], min_value=0.0)
         and all(_is_number(value) and _is_count(count) for value, count in figures["marks"])
         and _is_number(low)
         and _is_number(high)
@@ -82,8 +84,10 @@ def _is_finer(record: dict) -> bool:
         return isinstance(marks, dict) and all(isinstance(text, str) for item in marks.items() for text in item)
     if record["kind"] == finer_heights.LIMITED:
         change, slope = record["limits"]
-        return _are_metres([change, slope], 0.0)
-    if record["kind"] == finer_heights.FILLED and not _are_metres([record["figures"][name] for name in FIGURES], 0.0):
+        return _are_metres([change, slope], min_value=0.0)
+    if record["kind"] == finer_heights.FILLED and not _are_metres(
+        [record["figures"][name] for name in FIGURES], min_value=0.0
+    ):
         return False
     return isinstance(record["sums"], str)
 
@@ -91,16 +95,16 @@ def _is_finer(record: dict) -> bool:
 def _is_measured(record: dict, grid: TileGrid) -> bool:
     """Return whether the record of a measured tile has valid entries."""
     groups = grid.local(grid.box(record["number"])).groups
-    around, large = record["above"]
+    above_digest, large = record["above"]
     exponents = record["exponents"]
     return (
-        all(isinstance(text, str) for text in (record["errors"], record["ranges"], around))
+        all(isinstance(text, str) for text in (record["errors"], record["ranges"], above_digest))
         and len(record["largest"]) == len(exponents) == groups + 1
         and len(record["climbs"]) == 2
-        and _are_metres([*record["largest"], *record["climbs"]], 0.0)
+        and _are_metres([*record["largest"], *record["climbs"]], min_value=0.0)
         and all(type(number) is int and MIN_EXPONENT <= number <= MAX_EXPONENT for number in exponents)
         and _are_vertices([item[:3] for item in large], grid)
-        and _are_metres([error for _, _, _, error in large], 0.0)
+        and _are_metres([error for _, _, _, error in large], min_value=0.0)
     )
 
 

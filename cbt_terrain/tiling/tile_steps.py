@@ -173,16 +173,16 @@ def measured(
             heights[x, y] = work.height(x, y)
         return heights[x, y]
 
-    triangles = [] if grid.holds_roots else large_triangles(grid, box, height)
+    triangles = [] if grid.holds_roots else large_triangles(grid, box, height)  # fills `heights`
     state: dict[str, Any] = {
         name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
     }
-    around_digest = _digest((errors_digest, sorted(heights.items())))
+    above_digest = _digest((errors_digest, sorted(heights.items())))
     ranges_digest = _digest((errors_digest, limits.scale))
     # stored codes with larger exponents than are allowed were rounded too much
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == errors_digest and not is_rounded
-    if is_measured and state["ranges"] == ranges_digest and state["above"][0] == around_digest:
+    if is_measured and state["ranges"] == ranges_digest and state["above"][0] == above_digest:
         return None
     stored, border, ranges = None, None, None
     tile = TileSamples(grid, box, window, work.decoded(raw), valid)
@@ -200,9 +200,9 @@ def measured(
         state["exponents"] = tile_exponents(work, number, tile_errors.largest)
     if state["ranges"] != ranges_digest and grid.lattice.range_depth:
         ranges = measure_ranges(tile, limits.scale, threads)
-    if state["above"] is None or state["above"][0] != around_digest:
+    if state["above"] is None or state["above"][0] != above_digest:
         large = large_errors(tile, triangles, threads)
-        state["above"] = [around_digest, large if coarse is None else large + list(coarse.large_errors(large))]
+        state["above"] = [above_digest, large if coarse is None else large + list(coarse.large_errors(large))]
     return MeasuredTile(state | {"ranges": ranges_digest}, stored, border, ranges)
 
 
@@ -255,7 +255,7 @@ def join(
     on_progress: gets the fraction that is done. coarse: the land around loaded tiles, None if all tiles are loaded.
     """
     grid, lattice = work.grid, work.grid.lattice
-    records = work.records(MEASURED)
+    records = work.records(MEASURED)  # their entries: STATE
     large = [LargeError(*item) for record in records.values() for item in record["above"][1]]
     kinds = None
     largest = _largest(work, records, large)
@@ -269,8 +269,9 @@ def join(
     for number, record in sorted(records.items()):
         on_progress(0.5 * number / len(grid))
         groups = len(record["exponents"]) - 1
-        wanted = [*exponents[:groups], exponents[-1]]
-        if any(map(gt, record["exponents"], wanted)):  # a larger error is gone: rounded codes cannot be refined
+        wanted = [*exponents[:groups], exponents[-1]]  # the last is that of the cells
+        # Codes that were rounded for a larger error than there is now cannot be refined.
+        if any(map(gt, record["exponents"], wanted)):
             measure(work, number, limits, threads, record, wanted, coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
@@ -340,7 +341,7 @@ def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]
 
     A depth is (level, whether its vertices are centres).
     """
-    rows = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
+    border_kinds = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
     identity = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
-    borders.join_borders(work.grid, rows, kinds, lambda _number: identity, np.bitwise_or)
+    borders.join_borders(work.grid, border_kinds, kinds, lambda _number: identity, np.bitwise_or)
     return borders.raise_kinds(work.grid, kinds)

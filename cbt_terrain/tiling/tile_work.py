@@ -112,7 +112,7 @@ class TileWork:
             owned_files.remove_file(file)
         draft.remove("samples")
         self.steps = None
-        self.attach(draft)
+        self.attach(draft)  # allocates the samples again
         self.make_sparse("missing")
         self.describe()
 

@@ -26,9 +26,10 @@ ADDED_SETTINGS = (
 
 
 def finished_import(path: str | os.PathLike, settings: ImportSettings, raster: Raster | None = None) -> dict | None:
-    """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
+    """Return the report of an earlier import with the same settings and files, None if there is none.
 
-    None if there is none. raster: the opened source, which knows the files that it names; None if it names none.
+    For a quick import a complete one counts, too. raster: the opened source, which knows the files that it names; None
+    if it names none.
     """
     complete = dataclasses.replace(settings, quick=0, loaded_tiles=(), loaded_finer=())
     for wanted in (complete, settings) if settings.quick else (settings,):
@@ -49,8 +50,8 @@ def import_before(path: str | os.PathLike, settings: ImportSettings, raster: Ras
     report = finished_before(path, source_digest(settings, files, method))
     if report is None and (names := _recorded_sources(Path(path))) is not None:
         paths = raster.earlier_paths() if raster is not None else {}
-        is_other = paths or list(map(absolute_source, settings.sources)) != names
-        if len(names) == len(settings.sources) and is_other:
+        has_other_texts = paths or list(map(absolute_source, settings.sources)) != names
+        if len(names) == len(settings.sources) and has_other_texts:
             report = finished_before(path, source_digest(settings, files, method, names, paths))
     return report
 

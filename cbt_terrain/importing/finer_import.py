@@ -53,14 +53,14 @@ def add_finer_tiles(
     the raster, in the draft's folder. on_progress: called with the fraction that is done.
     """
     bits, lattice = source.bits, plain.lattice
-    last = lattice.cells_x << bits, lattice.cells_y << bits  # finer cells along x and y
+    last = lattice.cells_x << bits, lattice.cells_y << bits  # column and row of the last finer sample
     margin = border_margin(bits)
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
     windows = _Windows(source, reader, last)
     earlier = _EarlierTiles(draft.path, lattice, bits) if source.inputs is not None else None
     records = _WorkRecords(work, windows, earlier)
-    if source.keep_seams is not None:
+    if source.keep_seams is not None:  # the source keeps records of the borders of its files
         source.keep_seams(records.find_seams, records.note_seams)
 
     def read(box: FinerBox) -> np.ndarray:
@@ -194,7 +194,8 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
     """Return column and row of the finer tiles that files meet, with a margin around each file.
 
     boxes: int64 [files, 4], in columns and rows of the file's grid, whose first row is in the north. margin: finer
-    samples around a file that count, too. last: finer cells of the raster. shape: rows and columns of tiles.
+    samples around a file that count, too. last: column and row of the last finer sample. shape: rows and columns of
+    tiles.
     """
     is_known = np.zeros(shape, bool)
     for west, north, east, south in boxes:
@@ -212,7 +213,7 @@ class _Windows:
     """
 
     def __init__(self, source: FinerSource, reader: HeightReader, last: tuple[int, int]):
-        """Prepare the reading. last: finer cells of the raster along x and y."""
+        """Prepare the reading. last: column and row of the last finer sample."""
         self._source, self._reader, self._last = source, reader, last
         self._kept: dict[tuple[int, int], np.ndarray] = {}
         self.figures: dict[str, float] = {}
@@ -242,7 +243,7 @@ class _Windows:
         return self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1
 
     def _read(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
-        """Return heights as `heights`, of the finer samples x0 .. x1 and y0 .. y1, which are read from the files.
+        """Read finer samples x0 .. x1 and y0 .. y1 from the files. Return heights as `heights` does, row 0 south.
 
         `figures` then has those of this window, which the reader of the whole import gets, too.
         """

@@ -30,8 +30,8 @@ def square_bits(bits: int) -> int:
 def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -> FinerSource | None:
     """Return the finer files of `raster` as finer tiles for a coarser raster of the same area; None without any.
 
-    `raster` has the finest step; each finer sample is the nearest one of it. None also if a cell of the coarser raster
-    is larger than a finer tile.
+    `raster` has the finest step; a finer sample is the nearest of its samples. None also if a cell of the coarser
+    raster is larger than a finer tile.
 
     Args:
         counts: columns and rows of cells of the coarser raster.
@@ -43,11 +43,11 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         return None
     finer_cells = [count << bits for count in counts]
     scale = np.array([cell / size for cell, size in zip(finer_cells, raster_cells, strict=True)])
-    low, high = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
-    boxes = np.concatenate([np.floor(low), np.ceil(high)], axis=1).astype(np.int64)
+    first_corners, last_corners = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
+    boxes = np.concatenate([np.floor(first_corners), np.ceil(last_corners)], axis=1).astype(np.int64)
 
     def nearest(first: int, count: int, column: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns of the raster's samples that are nearest to a window of the finer grid."""
+        """Return the raster's rows and columns nearest to those of the finer grid, from `first` and `column` on."""
         # number of a sample * cells of the raster / cells of the finer grid, rounded
         v, u = (
             (2 * np.arange(start, start + number) * cells + finer) // (2 * finer)
@@ -82,11 +82,12 @@ def _span(places: np.ndarray) -> tuple[int, int]:
 
 def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:
     """Return the numbers of the squares of a raster that finer files meet, row by row from the south-west."""
+    # a square has 2^shift finer samples a side
     grid, shift = TileGrid(lattice, square_bits(source.bits)), source.bits + square_bits(source.bits)
-    has_files, rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
+    has_files, finer_rows = np.zeros((grid.rows, grid.columns), bool), lattice.cells_y << source.bits
     for west, north, east, south in source.boxes:
-        # a box has its first row in the north, the grid of squares in the south
-        edges = int(west), int(east), rows - int(south), rows - int(north)
+        # a box is in finer samples with the first row in the north, the grid of squares has it in the south
+        edges = int(west), int(east), finer_rows - int(south), finer_rows - int(north)
         first_column, last_column, first_row, last_row = (max(edge, 0) >> shift for edge in edges)
         has_files[first_row : last_row + 1, first_column : last_column + 1] = True
     return set(map(int, np.flatnonzero(has_files)))
@@ -103,14 +104,15 @@ def is_in_squares(tile: tuple[int, int], source: FinerSource, lattice: Lattice) 
 def finer_provenance(raster: Raster, lattice: Lattice, finest_m: float) -> dict:
     """Return the entry of a store's provenance about squares with finer files; {} for a raster without any.
 
-    It has the finest step, metres, the bits of the finer tiles, whether the raster has the step of the coarser files,
-    and the numbers of the squares as runs [first, count]. finest_m: that step.
+    It has the finest step `finest_m`, metres, the bits of the finer tiles, whether the raster has the step of the
+    coarser files, and the numbers of the squares as runs [first, count].
     """
     source = raster.squares
     if source is None or raster.finest is None:
         return {}
     numbers = np.array(sorted(squares_of(source, lattice)), np.int64)
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if len(numbers) else []
+    # a step of the coarser files is 2^finest.bits of the finest steps
     is_coarse = source.bits <= raster.finest.bits
     return {FINER: [finest_m, source.bits, is_coarse, [[int(run[0]), len(run)] for run in runs]]}
 

@@ -28,8 +28,8 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
 
     These heights are those of the settings. If only one is given, or none for an image (`is_image`), the lowest is 0
     and the highest RELIEF times `width_m`, metres from west to east, above it. Settings without these heights are
-    returned as they are for any other raster, and all settings for one without a finite sample. All samples are read to
-    find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
+    returned unchanged for any other raster, or with a scale or an offset; so are all if no sample is finite. All
+    samples are read to find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None

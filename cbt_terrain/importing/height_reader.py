@@ -15,6 +15,7 @@ class HeightReader:
     """Conversion of values to heights; it collects figures of all values that were converted.
 
     Attributes:
+        raster: the source, whose largest errors of position (`moved`) and of datums (`shifted`) are figures, too.
         check: gets all values of a raster that was not resampled.
         missing: number of missing samples so far.
         largest: largest absolute height, metres.
@@ -56,7 +57,7 @@ class HeightReader:
     def figures(self) -> dict:
         """Return the findings of all values so far as JSON, for `add`.
 
-        These are the largest height, the largest errors by conversion, and the marks of missing samples.
+        These are the largest height, the largest errors, the marks of missing samples, and the range of other "values".
         """
         check = self.check
         return {
@@ -69,7 +70,7 @@ class HeightReader:
         }
 
     def add(self, figures: dict, missing: int) -> None:
-        """Add the figures and the number of missing samples of another reader of the same raster."""
+        """Add the `figures` and the number of missing samples of another reader of the same raster."""
         self.missing += missing
         self.largest = max(self.largest, figures["largest"])
         self.converted = max(self.converted, figures["converted"])

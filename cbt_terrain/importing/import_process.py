@@ -41,6 +41,7 @@ class ImportJob(StoreJob):
         if several:
             files_of(settings)  # raises TerrainError for a missing one before a process starts
         super().__init__(
+            # an archive may hold several files, too
             MOSAIC if may_name_several(settings) else "cbt_terrain.importing.import_process",
             store,
             {"settings": dataclasses.asdict(settings), "part": part and [part.step, sorted(part.numbers)]},

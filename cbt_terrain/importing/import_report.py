@@ -26,7 +26,7 @@ def report_of(field: HeightField, source: TileSource, check: ValueCheck) -> dict
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     largest = max(abs(field.min_height), abs(field.max_height))
     warnings += rounding_warnings(raster.roundings, largest, field.source_max)
-    against = ""  # the file's raster
+    against = ""  # bounds hold against the file's raster
     if raster.projected_from:
         against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"
     report = {
@@ -41,12 +41,12 @@ def report_of(field: HeightField, source: TileSource, check: ValueCheck) -> dict
         "warnings": warnings,
     }
     if source.settings.source not in LANDS:
-        warnings += _value_warnings(source, report, check)
+        warnings += _value_warnings(source, report, check)  # extends the list in the report
     return report
 
 
 def common_report_entries(field: HeightField) -> dict:
-    """Return the report entries that imported and shaped terrains share.
+    """Return the report entries that imported and shaped terrains share. `squares` are root squares of the lattice.
 
     Missing samples count as `cut_out` if the field has holes, otherwise as `filled`. `source_step_m` is the largest
     error, metres, that rounding and resampling of the source make.
@@ -88,14 +88,14 @@ def describe(path: str | os.PathLike) -> dict:
     num_bytes = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
     # A parent's error is at least its children's, so the coarsest group holds the largest.
     group = field.lattice.group(1)
-    errors = field.error[codes.parts(field.lattice, len(field.error))[group]]
+    error_codes = field.error[codes.parts(field.lattice, len(field.error))[group]]
     return {
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **_border(field),
         **content["report"],
         "origin": content["origin"],
-        "largest_error_m": float(field.table[group][errors.max()]),
+        "largest_error_m": float(field.table[group][error_codes.max()]),
         "bytes_per_sample": round(num_bytes / field.samples.size, 2),
         "key": field.raster.digest,
     }

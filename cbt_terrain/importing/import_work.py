@@ -103,9 +103,9 @@ def _steps_of(source: TileSource) -> codes.Steps | None:
 
 
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return a new work in a draft's folder, with the arrays of the store at its path if that has the same tiles.
+    """Return a new work in a draft's folder, with the arrays of the store at its path if that was made alike.
 
-    digest: of the settings and sources.
+    It then has the same tiles, stored steps of heights and use of holes. digest: of the settings and sources.
     """
     work = work_of(draft.folder, source, lattice, digest)
     folder = store_folder.named_folder(draft.path)
@@ -115,5 +115,5 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
             work.copy(before)
     work.attach(draft)
     work.make_sparse("missing")
-    work.describe()
+    work.describe()  # from now on it can be continued
     return work

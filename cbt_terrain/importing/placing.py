@@ -69,9 +69,9 @@ def rotation_of(store: str | os.PathLike) -> float | None:
 
 
 def unit_lengths(field: HeightField) -> tuple[float, float]:
-    """Return metres of a unit of a placed field's coordinate system, which has a name, along x and y.
+    """Return the metres along x and y in a unit of the coordinate system of a placed field that names its system.
 
-    Degrees have their length at the field's middle. Loads GDAL: only for child processes.
+    Degrees have their length at the latitude of the field's middle. Loads GDAL: only for child processes.
     """
     from rasterio.crs import CRS
 

@@ -42,13 +42,13 @@ def first_picture(store: Path) -> Path:
 def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
     """Return the heights of a quick import in the folder `picture`, around which the settings' tiles are loaded.
 
-    Raises TerrainError if there is none.
+    Raises TerrainError if the folder holds no first picture.
     """
     field = open_store(picture)
-    full = _full_raster(field)
+    full = _full_size(field)
     if full is None:
         raise TerrainError(f"The store {picture} has no first picture", fix="import quickly first")
-    return CoarseLand(field, read_json(picture)["digest"], _bits(field, full), frozenset(settings.loaded_tiles))
+    return CoarseLand(field, read_json(picture)["digest"], _loaded_bits(field, full), frozenset(settings.loaded_tiles))
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
@@ -71,19 +71,22 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
             values = raster.pick(wanted_rows, wanted_columns)
             fine.shifted = raster.shifted  # the error of datums, which `pick` has set
             return values
-        left, wide = int(wanted_columns[0]), int(wanted_columns[-1] - wanted_columns[0]) + 1
-        if raster.window is None:
-            left, wide = 0, raster.width
-        bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // wide)  # rows that are read together
+        left, num_columns = int(wanted_columns[0]), int(wanted_columns[-1] - wanted_columns[0]) + 1
+        if raster.window is None:  # whole rows are read
+            left, num_columns = 0, raster.width
+        bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // num_columns)  # rows that are read together
         parts = []
         for band in np.split(wanted_rows, np.flatnonzero(np.diff(bands)) + 1):
-            top, high = int(band[0]), int(band[-1] - band[0]) + 1
-            read = raster.read(top, high) if raster.window is None else raster.window(top, high, left, wide)
+            top, num_rows = int(band[0]), int(band[-1] - band[0]) + 1
+            read = (
+                raster.read(top, num_rows) if raster.window is None else raster.window(top, num_rows, left, num_columns)
+            )
             parts.append(read[np.ix_(band - top, wanted_columns - left)])
         return np.concatenate(parts)
 
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
-    along = (raster.width - 1) / counts[0], (raster.height - 1) / counts[1]
+    # a finer step in steps of the raster, along columns and rows
+    ratios = (raster.width - 1) / counts[0], (raster.height - 1) / counts[1]
     fine = replace(
         raster,
         width=counts[0] + 1,
@@ -93,7 +96,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         pick=None,
         original=None,
         inputs=None,
-        georeference=place.with_steps_times(*(along[::-1] if place.transposed else along)),
+        georeference=place.with_steps_times(*(ratios[::-1] if place.transposed else ratios)),
         full_size=(raster.width, raster.height),
         squares=finer_source(raster, counts, settings.loaded_finer),
     )
@@ -107,7 +110,7 @@ def is_large(field: HeightField) -> bool:
 
     Such a raster has FEWEST samples or more; a smaller one is soon imported completely.
     """
-    full = _full_raster(field)
+    full = _full_size(field)
     return full is not None and full[0] * full[1] >= FEWEST
 
 
@@ -132,6 +135,7 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
 
     x, y: metres from the raster's middle; beyond its border the nearest tile counts.
     """
+    # the first of `steps` and of `tiles` is the step to which the first picture and the tiles are loaded
     steps, tiles, squares = loaded_m(field.provenance), refined_m(field.provenance), finer_squares(field)
     if steps is None or tiles is None:  # a store without loaded tiles has one step
         return steps and steps[0]
@@ -155,29 +159,30 @@ def picture_tiles(picture: HeightField) -> int:
 
 def are_all_samples(picture: HeightField) -> bool:
     """Return whether the tiles of a first picture have all samples of its source, and not a coarser step."""
-    full = _full_raster(picture)
+    full = _full_size(picture)
     assert full is not None, "it is a first picture"
     return stride_of(*full, picture.provenance["settings"]["quick"]) <= FACTOR
 
 
 def picture_side(picture: HeightField) -> int:
     """Return the number of cells of a quick import along a side of one of its tiles."""
-    full = _full_raster(picture)
+    full = _full_size(picture)
     assert full is not None, "it is a first picture"
-    return 1 << BITS - _bits(picture, full)
+    return 1 << BITS - _loaded_bits(picture, full)
 
 
-def _full_raster(field: HeightField) -> tuple[int, int] | None:
+def _full_size(field: HeightField) -> tuple[int, int] | None:
     """Return columns and rows of the source of a first picture; None for any other field or damaged entries."""
     if field.path is None or loaded_m(field.provenance) is None or REFINED in field.provenance:
         return None
     full = read_json(field.path)["report"].get("full_raster")
+    # the number of samples of the quick import is checked, too: callers read it
     values = [*full, field.provenance.get("settings", {}).get("quick")] if isinstance(full, list) else []
     is_known = [type(value) for value in values] == [int] * 3 and min(values) > 1
     return (values[0], values[1]) if is_known else None
 
 
-def _bits(field: HeightField, full: tuple[int, int]) -> int:
+def _loaded_bits(field: HeightField, full: tuple[int, int]) -> int:
     """Return log2 of the number of loaded cells along one cell of a quick import.
 
     full: columns and rows of the complete raster.

@@ -101,7 +101,7 @@ def _gdal_versions() -> dict:
     import rasterio
     from rasterio import _env
 
-    rights = guard([Path("any.vrt")], None)
+    rights = guard([Path("any.vrt")], None)  # a VRT keeps the drivers of all files that it may name
     with rasterio.Env() as env:
         drivers = sorted(env.drivers())
     return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": rights}

@@ -127,8 +127,8 @@ def _files_in(folder: Path, step: float | None) -> list[Path]:
             names = {entry.name for entry in entries if suffix_of(entry.name) and os.path.isfile(entry.path)}
     except OSError as reason:
         raise _unreadable(folder, reason.strerror or str(reason)) from reason
-    lower = {name.lower() for name in names}
-    return [folder / name for name in sorted(names) if is_tile(name, lower)] or _web_tiles(folder, step)
+    lower_names = {name.lower() for name in names}  # a picture counts only beside a file that places it
+    return [folder / name for name in sorted(names) if is_tile(name, lower_names)] or _web_tiles(folder, step)
 
 
 def _check_right(folder: Path) -> None:

@@ -80,8 +80,9 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
                 opened.close()
 
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
-    along = (raster.width - 1) / max(len(columns) - 1, 1), (raster.height - 1) / max(len(rows) - 1, 1)
-    along_x, along_y = along[::-1] if place.transposed else along
+    # the coarse step in steps of the raster, along columns and rows
+    ratios = (raster.width - 1) / max(len(columns) - 1, 1), (raster.height - 1) / max(len(rows) - 1, 1)
+    ratio_x, ratio_y = ratios[::-1] if place.transposed else ratios
     coarse = replace(
         raster,
         width=len(columns),
@@ -91,7 +92,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         pick=None,
         original=None,
         block_rows=1,
-        georeference=place.with_steps_times(along_x, along_y),
+        georeference=place.with_steps_times(ratio_x, ratio_y),
         full_size=(raster.width, raster.height),
         close=close,
     )

@@ -45,7 +45,7 @@ MEASURING = "Measuring errors"
 PARTS = BEGIN, READ_TILES, FILL, MEASURE = "begin", "read", "fill", "measure"
 TILED_PARTS = READ_TILES, MEASURE  # of some tiles each
 CHECKED_ROWS = 256
-READ_SHARE, FILLED_SHARE, MEASURED_SHARE = 0.2, 0.25, 0.85  # of the progress at the end of a step
+READ_SHARE, FILLED_SHARE, MEASURED_SHARE, JOINED_SHARE = 0.2, 0.25, 0.85, 0.97  # of the progress at the end of a step
 
 
 class ImportPart(NamedTuple):
@@ -99,21 +99,21 @@ def do_part(
 ) -> dict:
     """Do a part of an import, and return a report. Raises TerrainError.
 
-    BEGIN and FILL need the work alone; several computers may read, or measure, different tiles at a time. Each tile
-    then has a separate file, which FILL, or the rest of the import, writes into the arrays. The report has the number
-    of "tiles"; to read or to measure, also how many of them were requested: "done". path: the store's folder. folder:
-    name of the folder of arrays in it. digest: of the settings and sources. doubt: a further remedy in errors if the
-    store is implausibly large.
+    No other part may run beside BEGIN or FILL; several computers may read, or measure, different tiles at a time. Each
+    tile then has a separate file, which FILL, or the rest of the import, writes into the arrays. The report has the
+    number of "tiles"; to read or to measure, also how many of them were requested: "done". path: the store's folder.
+    folder: name of the folder of arrays in it. digest: of the settings and sources. doubt: a further remedy in errors
+    if the store is implausibly large.
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, source, lattice, digest, True, doubt) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, by_tile=True, doubt=doubt) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = start_work(work, draft, source, lattice, digest)
             if part.step == FILL:
                 while not _read_all(work, source, crew, lambda _share: None):
-                    work.start_again(draft)
+                    work.start_again(draft)  # with heights as floats
                 part_files.remove_parts(work.folder, READ)
                 limits = tile_steps.limits_of(work)
                 _check_ground(work, limits, source.settings.source)
@@ -191,11 +191,11 @@ def build_by_tile(
     """
     work = start_work(work, draft, source, lattice, digest)
     while not _read_all(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
-        work.start_again(draft)
+        work.start_again(draft)  # with heights as floats
     part_files.remove_parts(work.folder, READ)
     for record in work.records(READ).values():
         reader.add(record["figures"], record["missing"])
-    limits = tile_steps.limits_of(work)
+    limits = tile_steps.limits_of(work)  # of all heights, with the number of missing samples
     _check_ground(work, limits, source.settings.name)
     if limits.missing:
         on_progress(READ_SHARE, MEASURING)
@@ -258,7 +258,7 @@ def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -
     lattice = work.grid.lattice
     if limits.missing == lattice.width * lattice.height:
         raise no_heights(name)
-    if limits.missing and work.holes:
+    if limits.missing and work.holes:  # missing samples are cut out
         rows = range(0, lattice.cells_y, CHECKED_ROWS)
         if not any(holes_leave_ground(work.open("missing")[row : row + CHECKED_ROWS + 1] == 0) for row in rows):
             raise no_ground(name)
@@ -316,7 +316,7 @@ def _completed(
     The work can be continued if finer tiles follow. source_max: largest error of the source's heights, metres. limits:
     of all heights.
     """
-    lattice, span = work.grid.lattice, 0.97 - MEASURED_SHARE
+    lattice, span = work.grid.lattice, JOINED_SHARE - MEASURED_SHARE
 
     def tell(share: float) -> None:
         """Report a fraction of the joining of tiles as one of the whole import."""
@@ -343,6 +343,7 @@ def _completed(
         range_step=step,
         min_height=limits.low,
         max_height=limits.high,
+        # climbs: largest differences of neighbouring samples, metres
         steepest_x=joined.climbs[0] / lattice.step_x,
         steepest_y=joined.climbs[1] / lattice.step_y,
         source_max=source_max,

@@ -114,7 +114,7 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
         low, high, missing = task.limits
         limits = tile_steps.TerrainLimits(low, high, int(missing))
         if done is not None and tile_steps.measured(work, number, limits, threads, done) is None:
-            return
+            return  # nothing has changed since the part file
         changes = tile_steps.measured(work, number, limits, threads, task.before)
         if changes is not None:
             with part_files.writing_part(folder, MEASURED, number) as writer:
@@ -211,7 +211,7 @@ def _unit_rows(grid: TileGrid, raster: Raster) -> int:
 
 
 def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
-    """Yield the boxes of a unit, each with its values in the order of the file.
+    """Yield the terrain's boxes of a unit, a tile or rows of the file, each with its values in the order of the file.
 
     number: of the unit.
     """
@@ -223,8 +223,8 @@ def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[T
             box = tile._replace(y0=y, y1=min(y + STRIP_ROWS - 1, tile.y1))
             yield box, raster.window(*in_file(grid.lattice, place, box))
         return
-    count, at_once = _unit_rows(grid, raster), raster.rows_at_once
-    for first in range(number * count, min((number + 1) * count, raster.height), at_once):
+    unit_rows, at_once = _unit_rows(grid, raster), raster.rows_at_once
+    for first in range(number * unit_rows, min((number + 1) * unit_rows, raster.height), at_once):
         rows = min(at_once, raster.height - first)
         yield _in_terrain(grid.lattice, place, first, rows), raster.read(first, rows)
 

@@ -72,37 +72,36 @@ def needed_tiles(store: Path, lands: Iterable[SeenLand]) -> frozenset[int]:
     field = open_store(first_picture(store))
     if not is_large(field):
         return frozenset()
-    wanted = np.flatnonzero(_ratios_in_view(field, picture_side(field), list(lands)) > 1.0)
+    wanted = np.flatnonzero(_ratios_to_allowed(field, picture_side(field), list(lands)) > 1.0)
     return frozenset(map(int, wanted))
 
 
 def neediest_tile(store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> int:
     """Return that of some tiles whose errors exceed the allowed ones of several lands most. Raises TerrainError."""
     field = open_store(first_picture(store))
-    ratios = _ratios_in_view(field, picture_side(field), lands)
+    ratios = _ratios_to_allowed(field, picture_side(field), lands)
     return max(tiles, key=lambda tile: ratios[tile])
 
 
 def are_loaded_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     """Return whether the loaded tiles have the detail that several lands need there, or squares can add what they lack.
 
-    Tiles with all samples of the source have it. It is judged as in `is_fine_enough`, which needs all tiles, too.
-    Raises TerrainError.
+    Tiles with all samples of the source have it. `is_fine_enough` judges all tiles, loaded or not. Raises TerrainError.
     """
     field = open_store(store)
     squares = finer_squares(field)
     # Loaded tiles have all samples of the source, or all of its coarser files, to which squares add the finer ones.
     if (squares is not None and squares.is_coarse) or are_all_samples(open_store(first_picture(store))):
         return True
-    ratios, loaded = _ratios_in_view(field, 1 << refining.BITS, lands), loaded_tiles(field.provenance)
+    ratios, loaded = _ratios_to_allowed(field, side=1 << refining.BITS, lands=lands), loaded_tiles(field.provenance)
     return all(ratio <= 1.0 for tile, ratio in enumerate(ratios) if tile in loaded)
 
 
 def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = frozenset()) -> tuple[int, ...]:
     """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
 
-    They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels,
-    because samples in between are about as far from the surface. There are none unless the field `is_large`.
+    They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels:
+    the samples that it lacks are about as far from the surface. There are none unless the field `is_large`.
     """
     if not is_large(field):
         return ()
@@ -119,41 +118,42 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     TerrainError.
     """
     field = open_store(store)
-    if not loaded_tiles(field.provenance):
+    if not loaded_tiles(field.provenance):  # it is a first picture
         return is_large(field) and not all_missing_tiles(store, lands)
     squares = finer_squares(field)
     if squares is not None and squares.is_coarse:  # tiles have the coarser files' step; only squares have more detail
         return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
-    if are_all_samples(open_store(first_picture(store))):
+    if are_all_samples(open_store(first_picture(store))):  # loaded tiles lack nothing
         return not all_missing_tiles(store, lands)
-    return bool((_ratios_in_view(field, 1 << refining.BITS, lands) <= 1.0).all())
+    # Loaded tiles have a coarser step than the source: they are judged like the others.
+    return bool((_ratios_to_allowed(field, side=1 << refining.BITS, lands=lands) <= 1.0).all())
 
 
 def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | None = None) -> tuple[int, ...]:
     """Return the squares with finer files that views need and a store with loaded tiles lacks, in ascending order.
 
-    A square is needed where the finest stored errors of the raster are larger than the error of a land. max_count:
-    return the most needed ones at most; None for all. Raises TerrainError.
+    A square is needed where the finest stored errors of the raster are larger than a land allows. max_count: return
+    the most needed ones at most; None for all. Raises TerrainError.
     """
     field = open_store(store)
     squares = finer_squares(field)
     if squares is None:
         return ()
     wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
-    ratios = _ratios_in_view(field, side, lands, side)[wanted]
+    ratios = _ratios_to_allowed(field, side, lands, part=side)[wanted]
     order = np.argsort(-ratios, kind="stable")[:max_count]
     return tuple(sorted(wanted[index] for index in order if ratios[index] > 1.0))
 
 
-def _ratios_in_view(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
+def _ratios_to_allowed(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
     """Return the largest ratio of a square's error in view to the error that a land allows: float64 [squares].
 
     A square needs more detail above 1. side: cells along a square. part: cells along its parts that are looked at, None
     for PARTS parts along a side; both are powers of two.
     """
     ratios = np.zeros(len(TileGrid(field.lattice, side.bit_length() - 1)))
-    for needs, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
-        np.maximum(ratios, needs.ravel() / seen.error_px, out=ratios)
+    for errors_px, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
+        np.maximum(ratios, errors_px.ravel() / seen.error_px, out=ratios)
     return ratios
 
 
@@ -169,36 +169,39 @@ def errors_in_view(
     lattice, part = field.lattice, part or max(side // PARTS, 2)
     west, south, _, _ = lattice.rectangle()
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
-    tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, 0.0)
+    tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, margin=0.0)
     codes = _centre_codes(field)
     errors = _largest_errors(field, codes, part).ravel()
     for seen in lands:
         boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
-        needs = _needs(field, boxes, errors, seen)
-        near = np.flatnonzero((needs > seen.error_px) & _is_near(boxes, seen))
+        errors_px = _errors_px(field, boxes, errors, seen)
+        near = np.flatnonzero((errors_px > seen.error_px) & _is_near(boxes, seen))
         if len(near) and part >> NEAR_BITS and lattice.levels >= NEAR_BITS:
-            needs[near] = _needs_of_cells(field, codes, near // columns, near % columns, part, seen)
-        needs = needs.reshape(rows, columns)
+            errors_px[near] = _errors_px_by_cells(field, codes, near // columns, near % columns, part, seen)
+        errors_px = errors_px.reshape(rows, columns)
         # the largest of the parts of each square
         for axis in (0, 1):
-            needs = np.maximum.reduceat(needs, np.arange(0, needs.shape[axis], max(side // part, 1)), axis=axis)
-        yield needs
+            errors_px = np.maximum.reduceat(
+                errors_px, np.arange(0, errors_px.shape[axis], max(side // part, 1)), axis=axis
+            )
+        yield errors_px
 
 
-def _needs(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: SeenLand) -> np.ndarray:
-    """Return errors, metres, in pixels of a land's views at boxes, float64 [boxes]; 0 out of every view.
+def _errors_px(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: SeenLand) -> np.ndarray:
+    """Return errors, metres, at boxes as pixels of a land's views, float64 [boxes]; 0 out of every view.
 
-    A distance below the step of all samples counts as this: no import has more detail. boxes: float64 [boxes, 2, 3],
+    A distance is at least the step of the source's samples: no import has more detail. boxes: float64 [boxes, 2, 3],
     lowest and highest corners, metres.
     """
     steps = loaded_m(field.provenance)
+    # steps[1]: metres between all samples of the source
     nearest = steps[1] if steps is not None else min(field.lattice.step_x, field.lattice.step_y)
-    pixels = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True, nearest=nearest)
+    metres_per_px = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True, nearest=nearest)
     stretch_x, stretch_y, stretch_z = lengths(seen.placement[:3, :3])
     with np.errstate(divide="ignore", invalid="ignore"):
         # Footprints are in horizontal metres of the terrain's space, and errors are vertical.
         factor = abs(seen.vertical_scale) * stretch_z / max(stretch_x, stretch_y)
-        return np.nan_to_num(errors * factor / pixels, posinf=np.inf)
+        return np.nan_to_num(errors * factor / metres_per_px, posinf=np.inf)
 
 
 def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
@@ -212,34 +215,34 @@ def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
     return near
 
 
-def _needs_of_cells(
+def _errors_px_by_cells(
     field: HeightField, codes: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: int, seen: SeenLand
 ) -> np.ndarray:
-    """Return the largest error, pixels, in each of some parts by the distances of its cells of 2^NEAR_BITS samples.
+    """Return the largest error, pixels, in each of some parts: float64 [parts].
 
-    codes: of the errors in the centres of 2 x 2 raster cells, [rows, columns]. rows, columns: of the parts, int
-    [parts]. part: number of samples along a side of one.
+    Each cell of 2^NEAR_BITS samples a side counts at its own distance. codes: of the errors in the centres of 2 x 2
+    raster cells, [rows, columns]. rows, columns: of the parts, int [parts]. part: samples along a side of one.
     """
-    lattice, count = field.lattice, part >> NEAR_BITS
-    x, y = (
-        np.minimum(places[:, None] * count + np.arange(count), -(-cells >> NEAR_BITS) - 1)
+    lattice, cells_a_side = field.lattice, part >> NEAR_BITS
+    cell_x, cell_y = (
+        np.minimum(places[:, None] * cells_a_side + np.arange(cells_a_side), -(-cells >> NEAR_BITS) - 1)
         for places, cells in ((columns, lattice.cells_x), (rows, lattice.cells_y))
     )
-    heights = cell_ranges(field, NEAR_BITS, x[:, None, :], y[:, :, None])
+    heights = cell_ranges(field, NEAR_BITS, cell_x[:, None, :], cell_y[:, :, None])
     boxes = np.empty((*heights.shape, 3))
-    sides, (west, south, _, _) = 1 << NEAR_BITS, lattice.rectangle()
+    cell_side, (west, south, _, _) = 1 << NEAR_BITS, lattice.rectangle()
     for end in (0, 1):
-        boxes[..., end, 0] = west + (x + end)[:, None, :] * (sides * lattice.step_x)
-        boxes[..., end, 1] = south + (y + end)[:, :, None] * (sides * lattice.step_y)
+        boxes[..., end, 0] = west + (cell_x + end)[:, None, :] * (cell_side * lattice.step_x)
+        boxes[..., end, 1] = south + (cell_y + end)[:, :, None] * (cell_side * lattice.step_y)
     boxes[..., 2] = np.sort(heights * seen.vertical_scale + seen.vertical_offset, axis=-1)
-    inner = np.arange(sides // 2)  # the codes along a cell
-    v, u = (
-        np.minimum(places[:, :, None] * len(inner) + inner, size - 1)
-        for places, size in zip((y, x), codes.shape, strict=True)
+    code_in_cell = np.arange(cell_side // 2)  # the codes along a cell
+    code_row, code_column = (
+        np.minimum(places[:, :, None] * len(code_in_cell) + code_in_cell, size - 1)
+        for places, size in zip((cell_y, cell_x), codes.shape, strict=True)
     )
-    errors = field.table[0][codes[v[:, :, None, :, None], u[:, None, :, None, :]].max(axis=(-2, -1))]
-    needs = _needs(field, boxes.reshape(-1, 2, 3), errors.ravel(), seen)
-    return needs.reshape(len(rows), -1).max(axis=1)
+    errors = field.table[0][codes[code_row[:, :, None, :, None], code_column[:, None, :, None, :]].max(axis=(-2, -1))]
+    errors_px = _errors_px(field, boxes.reshape(-1, 2, 3), errors.ravel(), seen)
+    return errors_px.reshape(len(rows), -1).max(axis=1)
 
 
 def _largest_errors(field: HeightField, codes: np.ndarray, side: int) -> np.ndarray:

@@ -77,13 +77,13 @@ def camera_length(view: LocalView, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Return bounds (lower, upper), metres, of the growth of depth or distance since the last frame, and if they hold.
+    """Return (lower, upper, valid): bounds of the growth of depth or distance since the last frame, metres.
 
-    The bounds hold in any box inside low .. high (metres). The third result is 1 if they are valid, and 0 if an eye is
-    near the box or in it. motion: movement of the view since the last frame. The view is not orthographic. A panorama's
-    footprint is proportional to the least distance in a box, a perspective's to the larger of two values: the least
-    depth, and the least distance times a cosine. Depths change linearly. The distance of a point p from eyes a and b
-    changes by an amount that varies over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
+    They hold in any box inside low .. high (metres). valid: 0 if an eye is near the box or in it, else 1. motion:
+    movement of the view since the last frame. The view is not orthographic. A panorama's footprint is proportional to
+    the least distance in a box, a perspective's to the larger of two values: the least depth, and the least distance
+    times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an amount that varies
+    over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
@@ -139,11 +139,12 @@ def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d
     low_offset = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high_offset = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
     step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
+    # Both components of slant times depth before: their extreme magnitudes, and bounds of their growth.
     x = sizes_of(ends_of(motion.slant_x, low_offset, high_offset))
     y = sizes_of(ends_of(motion.slant_y, low_offset, high_offset))
     growth_x = slant_change(view.slant_x, motion.slant_x, step, low_offset, high_offset)
     growth_y = slant_change(view.slant_y, motion.slant_y, step, low_offset, high_offset)
-    # (q + change)^2 - q^2, of which the square of a fall may be left away.
+    # (q + change)^2 - q^2 = 2 q change + change^2, of which a lower bound may leave out change^2.
     two = wp.float64(2.0)
     fall = two * (smaller(x[0] * growth_x[0], x[1] * growth_x[0]) + smaller(y[0] * growth_y[0], y[1] * growth_y[0]))
     rise = two * (larger(x[0] * growth_x[1], x[1] * growth_x[1]) + larger(y[0] * growth_y[1], y[1] * growth_y[1]))
@@ -170,9 +171,9 @@ def footprint_factors(
 
     low, high: metres. fall, rise: least and largest growth of depth or distance in that box since the last frame,
     metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is known.
-    A footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest gain. If it
-    is the first or the last in all boxes, before and now, its squared gain is returned and the factors exclude the
-    change of depth; otherwise they include it and the returned gain is 0.
+    Footprints are proportional to depth times gain; the gain is depth / (slant * depth), clamped to 1 .. the largest.
+    If it is clamped to the same end in all boxes, before and now, it is returned and the factors exclude the change of
+    depth; otherwise they include it and the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -183,8 +184,8 @@ def footprint_factors(
     farthest2 = max_range2(before, low, high)
     nearest = wp.sqrt(nearest2)
     farthest = wp.sqrt(farthest2)
-    lower = one + fall / wp.where(fall < zero, nearest, farthest)
-    upper = one + rise / wp.where(rise > zero, nearest, farthest)
+    min_depth_factor = one + fall / wp.where(fall < zero, nearest, farthest)
+    max_depth_factor = one + rise / wp.where(rise > zero, nearest, farthest)
     slants2 = slant_factors(view, motion, low, high)
     # Squared gains, before they are clamped to 1 and the largest.
     slants_before2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
@@ -197,28 +198,28 @@ def footprint_factors(
         min_gain2 = zero  # footprints of edges have no gain
     valid = wp.int32(1)
     gain2 = zero
-    # Bounds of the factor on the second of the three values.
-    lowest = lower * lower / wp.sqrt(slants2[1])
-    highest = upper * upper / wp.sqrt(slants2[0])
+    # Bounds of the factor where the gain is not clamped.
+    lowest = min_depth_factor * min_depth_factor / wp.sqrt(slants2[1])
+    highest = max_depth_factor * max_depth_factor / wp.sqrt(slants2[0])
     smaller_limit2 = smaller(view.max_gain2, motion.max_gain2)
-    if max_gain2 <= one:  # the first in all boxes
+    if max_gain2 <= one:  # clamped to 1 in all boxes
         gain2 = one
         lowest = one
         highest = one
-    elif min_gain2 >= larger(view.max_gain2, motion.max_gain2):  # the last in all boxes
+    elif min_gain2 >= larger(view.max_gain2, motion.max_gain2):  # clamped to the largest gain in all boxes
         gain2 = view.max_gain2
         lowest = wp.sqrt(view.max_gain2 / motion.max_gain2)
         highest = lowest
     else:
-        if not (lower > zero and slants2[0] > zero):  # the second value has no bounds
+        if not (min_depth_factor > zero and slants2[0] > zero):  # an unclamped gain has no bounds
             valid = 0
-        if min_gain2 < one:  # the first in some boxes
-            lowest = smaller(lower, lowest)
-            highest = larger(upper, highest)
-        if max_gain2 > smaller_limit2:  # the last in some boxes
+        if min_gain2 < one:  # clamped to 1 in some boxes
+            lowest = smaller(min_depth_factor, lowest)
+            highest = larger(max_depth_factor, highest)
+        if max_gain2 > smaller_limit2:  # clamped to the largest gain in some boxes
             gain = wp.sqrt(view.max_gain2 / motion.max_gain2)
-            lowest = smaller(lower * gain, lowest)
-            highest = larger(upper * gain, highest)
+            lowest = smaller(min_depth_factor * gain, lowest)
+            highest = larger(max_depth_factor * gain, highest)
     return lowest, highest, gain2, valid
 
 
@@ -236,17 +237,17 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     planes = view.planes
     before = motion.planes
     inf = wp.float64(wp.inf)
-    nearest = inf  # metres inside the planes, of the outermost and the innermost point
-    deepest = inf
-    before_deepest = inf
+    outermost = inf  # metres inside the planes, of the outermost and the innermost point
+    innermost = inf
+    innermost_before = inf
     outwards = zero  # metres that a point may have moved out and in
     inwards = zero
     for p in range(view.plane_count):
-        nearest = smaller(min_over_box(planes[p], low, high), nearest)
-        deepest = smaller(max_over_box(planes[p], low, high), deepest)
-        before_deepest = smaller(max_over_box(before[p], low, high), before_deepest)
-    for p in range(view.plane_count):  # without planes that are the nearest one of no point
-        if min_over_box(planes[p], low, high) <= deepest or min_over_box(before[p], low, high) <= before_deepest:
+        outermost = smaller(min_over_box(planes[p], low, high), outermost)
+        innermost = smaller(max_over_box(planes[p], low, high), innermost)
+        innermost_before = smaller(max_over_box(before[p], low, high), innermost_before)
+    for p in range(view.plane_count):  # only planes that may be the nearest one of a point count
+        if min_over_box(planes[p], low, high) <= innermost or min_over_box(before[p], low, high) <= innermost_before:
             outwards = larger(-min_over_box(planes[p] - before[p], low, high), outwards)
             inwards = larger(max_over_box(planes[p] - before[p], low, high), inwards)
     min_width = fringe_at(view, min_over_box(view.depth, low, high))
@@ -257,8 +258,8 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
         inwards += view.fringe * larger(max_over_box(change, low, high), zero)
     valid = wp.where(min_width > zero and max_width < inf, 1, 0)
     # 1 + fade * f of the innermost and the outermost point; of the innermost one in the last frame, at least.
-    finest = one + view.fade * wp.clamp(-deepest / max_width, zero, one)
-    coarsest = one + view.fade * wp.clamp(-nearest / min_width, zero, one)
+    finest = one + view.fade * wp.clamp(-innermost / max_width, zero, one)
+    coarsest = one + view.fade * wp.clamp(-outermost / min_width, zero, one)
     before_finest = larger(finest - view.fade * outwards / min_width, one)
     fall = larger(one - view.fade * inwards / (min_width * before_finest), zero)
     rise = one + view.fade * outwards / (min_width * before_finest)
@@ -298,7 +299,8 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
     fall = motion.ratio * min_factor * faded[0] - one
     rise = motion.ratio * max_factor * faded[1] - one
     zero = wp.float64(0.0)
-    # From here on the growths are those of footprints.
+    # From here on the growths are those of footprints: metres of depth times the fringe's factor and the footprint per
+    # metre, and the relative changes `fall` and `rise` of the rest.
     min_growth = min_growth * wp.where(min_growth < zero, faded[3], faded[2])
     max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
     # Footprints drift, and so do those at which verdicts change.

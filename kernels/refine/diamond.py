@@ -105,8 +105,9 @@ def intersect_range(
 ) -> wp.vec2i:
     """Return the intersection of range r (codes) with the stored range of the diamond split at (x, y).
 
-    A diamond outside the domain leaves r unchanged. levels_up: bisections above the finest diamonds with stored ranges.
-    in_tiles: the range is that of a finer tile; without a tile there, r is unchanged, too.
+    A diamond outside the domain leaves r unchanged. levels_up: bisections above the finest diamonds with stored ranges,
+    which are stored in groups of four depths. in_tiles: the range is that of a finer tile; without a tile there, r is
+    unchanged, too.
     """
     if in_tiles:
         shift = domain.unit_bits - domain.levels - domain.finer[0].bits
@@ -140,13 +141,14 @@ def range_at(
         r = intersect_range(domain, x, y, levels_up, in_tiles, r)
     elif levels > 1:
         cell = wp.int32(1) << (domain.unit_bits - levels)
-        # The middles of sides of 4 x 4 cells are 2 cells apart along both axes, where the sum of their numbers is odd.
-        if levels_up == -1:  # the centre of a cell of 2 x 2: two of its corners
+        # The finest stored diamonds are split at the middles of sides of squares of 4 x 4 cells: in units of 2 cells,
+        # at points of which the sum of both coordinates is odd.
+        if levels_up == -1:  # (x, y) is the centre of a square of 2 x 2 cells: two of its corners are such points
             is_falling = ((((x - cell) + (y - cell)) / (2 * cell)) & 1) == 0
             cell_y = wp.where(is_falling, -cell, cell)
             r = intersect_range(domain, x - cell, y - cell_y, 0, in_tiles, r)
             r = intersect_range(domain, x + cell, y + cell_y, 0, in_tiles, r)
-        else:  # the middle of a side of one: one of the side's ends, and the points 2 cells beside the other end
+        else:  # the middle of a side of one: such are one of the side's ends, and the points 2 cells beside the other
             along = wp.where((x & cell) != 0, cell, 0)
             across = cell - along
             towards_stored = wp.where((((x - along) + (y - across)) / (2 * cell) & 1) == 1, 1, -1)
@@ -164,17 +166,17 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
 
     It is nested: true for all descendants, too.
     """
-    levels = domain.levels + domain.finer[0].bits
+    levels = domain.levels + domain.finer[0].bits  # a root square has 2^levels finer cells a side
     is_inside = wp.bool(False)
-    if depth > 2 * (levels - STORED_BITS):
+    if depth > 2 * (levels - STORED_BITS):  # tiles have ranges for it
         reach = reach_of(domain.unit_bits, depth)
-        shift = domain.unit_bits - levels
-        bits = domain.unit_bits - domain.levels
-        x1 = wp.min(x + reach, (domain.samples.columns - 1) << bits)
-        y1 = wp.min(y + reach, (domain.samples.rows - 1) << bits)
-        i0 = wp.max(x - reach, 0) >> shift
-        j0 = wp.max(y - reach, 0) >> shift
-        is_inside = covers(domain.finer[0], i0, j0, x1 >> shift, y1 >> shift)
+        finer_cell_bits = domain.unit_bits - levels
+        cell_bits = domain.unit_bits - domain.levels
+        x1 = wp.min(x + reach, (domain.samples.columns - 1) << cell_bits)
+        y1 = wp.min(y + reach, (domain.samples.rows - 1) << cell_bits)
+        i0 = wp.max(x - reach, 0) >> finer_cell_bits
+        j0 = wp.max(y - reach, 0) >> finer_cell_bits
+        is_inside = covers(domain.finer[0], i0, j0, x1 >> finer_cell_bits, y1 >> finer_cell_bits)
     return is_inside
 
 
@@ -182,22 +184,22 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
 def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
     """Return the lowest and highest metres of finer tiles, before scaling, in the box of the diamond at (x, y).
 
-    Tiles must cover the box (`meets_tiles_alone`).
+    Tiles must cover the box (`meets_tiles_alone`). (x, y): where the diamond is split, lattice units.
     """
     levels = domain.levels + domain.finer[0].bits
-    shift = domain.unit_bits - levels
+    finer_cell_bits = domain.unit_bits - levels
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if depth <= 2 * levels:
-        r = range_at(domain, x, y, depth, levels, wp.bool(True))
+        r = range_at(domain, x, y, depth, levels, wp.bool(True))  # in finer tiles
         low = domain.finer[0].range_base + wp.float64(r[0]) * domain.finer[0].range_step
         high = domain.finer[0].range_base + wp.float64(r[1]) * domain.finer[0].range_step
     else:
         reach = reach_of(domain.unit_bits, depth)
-        i1 = wp.min((x + reach - 1) >> shift, ((domain.samples.columns - 1) << domain.finer[0].bits) - 1)
-        j1 = wp.min((y + reach - 1) >> shift, ((domain.samples.rows - 1) << domain.finer[0].bits) - 1)
-        i0 = wp.max((x - reach) >> shift, 0)
-        j0 = wp.max((y - reach) >> shift, 0)
+        i1 = wp.min((x + reach - 1) >> finer_cell_bits, ((domain.samples.columns - 1) << domain.finer[0].bits) - 1)
+        j1 = wp.min((y + reach - 1) >> finer_cell_bits, ((domain.samples.rows - 1) << domain.finer[0].bits) - 1)
+        i0 = wp.max((x - reach) >> finer_cell_bits, 0)
+        j0 = wp.max((y - reach) >> finer_cell_bits, 0)
         lowest = finer_sample(domain.finer[0], i0, j0)
         highest = lowest
         for j in range(j0, j1 + 2):
@@ -205,6 +207,7 @@ def heights_in_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
                 h = finer_sample(domain.finer[0], i, j)
                 lowest = wp.where(h < lowest, h, lowest)
                 highest = wp.where(h > highest, h, highest)
+        # `off`: metres, at most, between a bicubic surface and the bilinear one through the samples.
         low = wp.float64(lowest) - domain.finer[0].off
         high = wp.float64(highest) + domain.finer[0].off
     return low, high
@@ -223,8 +226,8 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     detail = domain.max_detail * domain.error_scale
     rise = wp.abs(z1 - z0)
     if depth > 2 * levels:
-        # Inside a finer cell, which is bilinear but for a part of a bicubic patch that is nowhere steeper than 6 `off`,
-        # of which 2 are in `rise`.
+        # Inside a finer cell the surface is bilinear, but for a part of a bicubic patch. That part climbs at most
+        # 6 `off` a cell, of which `rise` includes 2.
         parts_a_side = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
         steepest = rise + wp.float64(4.0) * domain.finer[0].off * domain.error_scale
         rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / parts_a_side), rise)
@@ -243,7 +246,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     (x, y): lattice units. The box contains all vertices of its descendants. Border state: 0 inside the raster, 1 across
     its border, 2 wholly in the padding outside, where the heights have no meaning.
     """
-    half = (depth - 1) >> 1
+    halvings = (depth - 1) >> 1
     odd = depth & 1
     reach = reach_of(domain.unit_bits, depth)
     low = wp.float64(0.0)
@@ -252,7 +255,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     if beyond:
         high = low
     elif depth <= 2 * domain.levels:
-        r = range_at(domain, x, y, depth, domain.levels, wp.bool(False))
+        r = range_at(domain, x, y, depth, domain.levels, wp.bool(False))  # not in finer tiles
         low = domain.range_base + wp.float64(r[0]) * domain.range_step
         high = domain.range_base + wp.float64(r[1]) * domain.range_step
     else:
@@ -281,21 +284,21 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     if depth > 2 * domain.levels:
         # Inside a bilinear patch heights change in proportion to |dx| + |dy|; of a bicubic one by three times that at
         # most: its slopes are means of three times the differences of its control heights.
-        parts_a_side = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
+        parts_a_side = wp.float64(wp.int64(1) << wp.int64(halvings - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / parts_a_side, wp.float64(1.0))
     if domain.detailed == 1 and d.border < 2:
         max_displacement = domain.max_detail
-        climb = wp.float64(domain.detail[depth][1])
+        climb = wp.float64(domain.detail[depth][1])  # of the layers, along an edge
         if domain.has_finer == 1:
-            change = change_limits(domain, x, y, depth)
-            side = wp.float64(wp.int32(1) << (domain.unit_bits - half))  # of the cell, lattice units
+            change = change_limits(domain, x, y, depth)  # by finer tiles: largest magnitude and slope
+            side = wp.float64(wp.int32(1) << (domain.unit_bits - halvings))  # of the cell, lattice units
             longest = side * (domain.unit_x + domain.unit_y)
             max_displacement += wp.float64(change[0])
             climb += smaller(wp.float64(2.0) * wp.float64(change[0]), wp.float64(change[1]) * longest)
-        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), max_displacement * domain.error_scale)
-        d.low = d.low - more
-        d.high = d.high + more
+        displacement = wp.vec3d(wp.float64(0.0), wp.float64(0.0), max_displacement * domain.error_scale)
+        d.low = d.low - displacement
+        d.high = d.high + displacement
         d.rise += climb * domain.error_scale
         if domain.has_finer == 1:
             if meets_tiles_alone(domain, x, y, depth):
@@ -307,9 +310,9 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 def rest_of(domain: Domain, d: Diamond) -> wp.float64:
     """Bound the error, metres, that float32 positions add in a diamond's box; it is nested, as boxes are.
 
-    It is the rounding of heights plus `lean`: plane coordinates that are rounded move a facet sideways, and so up or
-    down by up to that distance times its slope, which the height of the box bounds. near_x, near_y: the part of it that
-    remains per metre from the anchor, the zero of the coordinates.
+    It is the rounding of heights plus `lean`: rounded plane coordinates move a facet sideways, and so change its height
+    by up to that distance times its slope. The height of the box bounds the slope. Near the anchor, the zero of the
+    coordinates, `lean` is smaller: near_x, near_y are the fraction of it per metre of distance.
     """
     lean = smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
     if domain.near_x + domain.near_y > wp.float64(0.0):

@@ -82,8 +82,8 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     if n.leaves < w.leaf_capacity:
         put(w.point, w.leaf_base + n.vertices + wp.int64(vertices), new)  # stays only if it is new
     new_edge = 1 - (c.state & 1)
-    new_vertex = new_edge
-    if w.grid == 1 and new_edge == 1:
+    new_vertex = new_edge  # a new edge ends on a new vertex, except on the border of a square
+    if w.grid == 1 and new_edge == 1:  # there are several squares
         role = border_role(known, new, q.corner, q.side, q.column, q.row, domain.columns, domain.rows)
         code = code | (wp.uint32(role) << wp.uint32(BORDER))
         if role != INNER and role != TO_CORNER:

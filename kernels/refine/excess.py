@@ -101,7 +101,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         halvings_lost = wp.where((t.depth & 1) == 0, 0, 1)
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - halvings_lost, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
-            # The error of a meshlet's triangles.
+            # The triangles of the leaf's meshlet are 2 * levels - border_depth bisections deeper.
             falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.border_depth
             error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
@@ -167,7 +167,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 def with_bound(
     domain: Domain, criterion: CriterionArrays, quantity: wp.int32, tolerance2: wp.float64, tree: Bitfield, t: Triangle
 ) -> Triangle:
-    """Return the triangle t with an upper bound of a quantity (FIXED .. METRES) for its leaves, or the leaf around it.
+    """Return t with an upper bound of a quantity (FIXED .. METRES) for its leaves, or for the leaf that contains it.
 
     The bound is UNSEEN if t is out of view in all views. tolerance2: the square of the error that all leaves of the
     tree keep to unless rounding prevents that; it is used only if t.leaf_depth is ANY, which a leaf of the tree
@@ -181,7 +181,7 @@ def with_bound(
             t.leaf_depth = t.depth
     deepest = wp.where(t.leaf_depth == ANY, t.depth, t.leaf_depth)  # with ANY, the error at t bounds that of its leaves
     if t.depth <= deepest:  # a part of a leaf keeps the leaf's errors
-        t.fixed = rest_of(domain, d) + domain.source
+        t.fixed = rest_of(domain, d) + domain.source  # rounding of float32 and of the source
         t.total = t.fixed
         if quantity == ERROR or quantity == METRES:
             t.total += error_below(domain, t, x, y, deepest)
@@ -194,7 +194,7 @@ def with_bound(
             t.total = smaller(t.fixed + distance_from_plane(domain, t) * domain.error_scale, t.total)
     quantity2 = t.total * t.total
     if quantity == EDGE or quantity == AREA:
-        long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
+        long2, legs2 = sizes(criterion, domain.unit_bits, deepest)  # squared edge, and twice the area: the squared legs
         quantity2 = wp.where(quantity == EDGE, long2, legs2) + d.rise * d.rise
     t.is_small = quantity != FIXED and quantity != ERROR  # only searches for these two divide leaves
     pixel2 = wp.float64(1.0)

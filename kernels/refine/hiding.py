@@ -133,6 +133,7 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
     reach = reach_on(side, low, high, near)
     bins = wp.vec2i(0, -1)
     if reach[0] <= reach[1]:  # the box meets the side
+        # `bin_at` counts bins in the order of rising dy / dx, `bin_of` in that of the map.
         a = bin_of(side, bin_at(reach[0]))
         b = bin_of(side, bin_at(reach[1]))
         bins = wp.vec2i(wp.min(a, b), wp.max(a, b))
@@ -184,7 +185,8 @@ def covered(
     """Return how far a box is hidden: 0 (part of it may be visible) to 1 (a slope of `ramp` below the horizon).
 
     It is the minimum over all bins near the box, and limited in the same way by how far the lowest ray is above the
-    floor. low, high: the box, metres relative to the eye. slopes: the map of horizons.
+    floor. low, high: the box, metres relative to the eye. slopes: the map of horizons, from rings.at on: a row of
+    floors (the lowest slopes that it is valid for) and then a row for each ring.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -215,8 +217,9 @@ def covered(
                 while fraction > zero and k <= wp.int32(last) + 1:
                     i = k & (ROW - 1)
                     hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - still_ahead, zero)
-                    if ring > 0:  # there is one before it
+                    if ring > 0:  # the ring before counts fully
                         hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), hidden_here)
+                    # The lowest ray must be above the floor.
                     hidden_here = wp.min(ramp_fraction(wp.float64(slopes[rings.at + i]), bottom, ramp), hidden_here)
                     # By how many bins the box misses this one; below 0 if it meets the bin.
                     bins_away = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)

@@ -69,7 +69,8 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
 def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
     """Return the minimum of up * height in block (i, j) of a level, metres before scaling; level 0 is a cell.
 
-    Stored bounds, from level FINEST on, are rounded outwards. up: 1 for the lowest height, -1 for the negated highest.
+    Stored bounds, from level FINEST on, may be inside the true ones and are moved outwards by `blocks.outward` of
+    themselves. up: 1 for the lowest height, -1 for the negated highest.
     """
     min_height = wp.float64(0.0)
     if level > 0:
@@ -225,14 +226,15 @@ def max_mesh_offset(
     """Bound the height difference, metres, of mesh and surface at a point, if the mesh meets the criterion.
 
     relaxation: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise:
-    its height above the eye, metres. reach2: squared factor from a length to a depth, from `reach2_of`. Only error
-    criteria bound the difference; without one it is infinite.
+    its height above the eye, metres. reach2: squared largest factor from a length in terrain space to a range in camera
+    space (`reach2_of`). Only error criteria bound the difference; without one it is infinite.
     """
     error2_per_range2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxation * relaxation * criterion.metres2
     # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
     if error2_per_range2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, error2_per_range2 * larger(reach2 * (across2 + rise * rise), view.near2))
+    # Errors up to `enough` are never refined; float32 positions add the rest.
     return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.max_lean
 
 
@@ -316,7 +318,7 @@ def fill_horizon(
     rings = view.rings
     reach2 = reach2_of(view)
     side = k / BINS
-    # The bin spans the directions t0 .. t1: dy / dx, or dx / dy in the north and south.
+    # The bin spans the directions t0 .. t1 (dy / dx, or dx / dy in the north and south); `bin_of` is its own inverse.
     t0 = wp.float64(bin_of(side, k - side * BINS) - side * BINS) / wp.float64(BINS / 2) - one
     t1 = t0 + one / wp.float64(BINS / 2)
     max_t = wp.max(wp.abs(t0), wp.abs(t1))
@@ -358,7 +360,7 @@ def fill_horizon(
             across2 = radius * radius * slant2
             if begun == 0:  # the eye is outside the raster: rays must come in above the ground
                 begun = 1
-                rise = -min_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
+                rise = -min_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]  # of the highest ground
                 floor = (rise + max_mesh_offset(domain, criterion, view, reach2, relaxation, across2, rise)) / radius
             rise = -view.eye[2]
             if view.ramp > wp.float64(0.0):

@@ -110,9 +110,9 @@ def measure_diamond(
     m.pixel2 = pixel2
     m.edge2 = edge2
     m.error_m = wp.float64(error) * domain.error_scale
-    m.rest = rest_of(domain, m.diamond)
-    m.metres2 = metres2_of(domain, error, m.rest)
-    long2, legs2 = sizes(criterion, domain.unit_bits, depth)
+    m.rest = rest_of(domain, m.diamond)  # error by float32 rounding, metres
+    m.metres2 = metres2_of(domain, error, m.rest)  # total error as the criterion weighs it
+    long2, legs2 = sizes(criterion, domain.unit_bits, depth)  # of a level triangle
     m.long2 = long2
     m.legs2 = legs2
     m.climb2 = m.diamond.rise * m.diamond.rise
@@ -207,8 +207,9 @@ def interval_below(
     """Return the interval below a split diamond, which decides many of its descendants without measuring them.
 
     It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice, a count those of its
-    finest and its coarsest step. m: the measured diamond, at `depth`. max_depth: at this depth all triangles are
-    leaves. in_frame: 1 if all frustums are known to contain the diamond's box.
+    finest and its coarsest step. `finer` and `coarser` are factors to the extreme squared footprints that may occur. m:
+    the measured diamond, at `depth`. max_depth: at this depth all triangles are leaves. in_frame: 1 if all frustums are
+    known to contain the diamond's box.
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer
@@ -219,7 +220,7 @@ def interval_below(
         )
     if criterion.measures_edges == 1:
         interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, m.edge2 * limits.finer)
-        interval.depths_decide = wp.int32(m.error_m <= interval.leaf_up_to)
+        interval.depths_decide = wp.int32(m.error_m <= interval.leaf_up_to)  # 1: no error below requires a split
     # The children are leaves, whatever the coarsest footprint is.
     if interval.depths_decide == 1 and interval.leaf_depth == depth + 1:
         interval.split_above = wp.float64(wp.inf)

@@ -55,7 +55,8 @@ def unlimited() -> CriterionArrays:
 def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
     """Return the squared longest edge and twice the area of a horizontal triangle at `depth`, in camera space (metres).
 
-    unit_bits: a root square has 2^unit_bits lattice units a side.
+    Twice the area is the squared legs. At an odd depth the legs are parallel to the axes, at an even one the longest
+    edge is. unit_bits: a root square has 2^unit_bits lattice units a side.
     """
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
@@ -99,15 +100,16 @@ def sizes_of(ends: wp.vec2d) -> wp.vec2d:
 
 @wp.func
 def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Return the smallest and the largest squared slant times depth in a box, relative to the frame's largest slant.
+    """Return the smallest and the largest (slant * depth / largest slant in the frame)^2 in a box.
 
     slant_x, slant_y: rows of LocalView. eye, low, high: metres.
     """
     low_corner = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
     high_corner = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
-    x = sizes_of(ends_of(slant_x, low_corner, high_corner))
-    y = sizes_of(ends_of(slant_y, low_corner, high_corner))
-    return wp.vec2d(x[0] * x[0] + y[0] * y[0], x[1] * x[1] + y[1] * y[1])
+    # The extreme magnitudes of both components, across and along the view.
+    across = sizes_of(ends_of(slant_x, low_corner, high_corner))
+    along = sizes_of(ends_of(slant_y, low_corner, high_corner))
+    return wp.vec2d(across[0] * across[0] + along[0] * along[0], across[1] * across[1] + along[1] * along[1])
 
 
 @wp.func

@@ -35,17 +35,17 @@ def move_cursor(r: Reuse, slot: wp.int32, after: wp.int64):
 
     after: -1 for the first subtree. Behind the last one, the cursor's cell is NOWHERE.
     """
-    i = after + wp.int64(1)
-    last_slot = wp.int32(i / r.last_room)
-    while last_slot < r.last_slots and i - wp.int64(last_slot) * r.last_room >= r.last_counts[last_slot]:
-        last_slot += 1
-        i = wp.int64(last_slot) * r.last_room
-    r.cursor[slot].next = i
+    entry = after + wp.int64(1)
+    list_number = wp.int32(entry / r.last_room)
+    while list_number < r.last_slots and entry - wp.int64(list_number) * r.last_room >= r.last_counts[list_number]:
+        list_number += 1
+        entry = wp.int64(list_number) * r.last_room
+    r.cursor[slot].next = entry
     r.cursor[slot].cell = NOWHERE
-    if last_slot < r.last_slots:
-        r.cursor[slot].cell = r.last_cached[i].cell
-        r.cursor[slot].depth = r.last_cached[i].depth
-        r.cursor[slot].leaves = r.last_cached[i].leaves
+    if list_number < r.last_slots:
+        r.cursor[slot].cell = r.last_cached[entry].cell
+        r.cursor[slot].depth = r.last_cached[entry].depth
+        r.cursor[slot].leaves = r.last_cached[entry].leaves
 
 
 @wp.func
@@ -66,7 +66,7 @@ def end_reuse(r: Reuse, slot: wp.int32):
 
 @wp.func
 def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, point: wp.int64):
-    """List a reused subtree's leaves and points as runs for the tree and the displacement.
+    """List a reused subtree's points as a run for the displacement, and its leaves as one for the tree (`r.same`).
 
     leaf, point: entries in `Walk.code` and `Walk.point` where they were copied to. Subtrees beyond the list's room are
     written and displaced again.
@@ -94,7 +94,7 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
-        copy_codes(r.last_code, subtree.first_leaf, subtree.leaves, wp.uint16(0), w.code, leaf)
+        copy_codes(r.last_code, subtree.first_leaf, subtree.leaves, wp.uint16(0), w.code, leaf)  # no bits to add
         copy_items(r.last_point, subtree.first_vertex, subtree.vertices, w.point, point)
         note_reused(r, w.slot, subtree, leaf, point)
 
@@ -186,9 +186,10 @@ def open_subtree(
 ):
     """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
 
-    Nothing happens in an open subtree, without room in the list, or if a leaf may have special bits (`can_copy_block`).
-    m: its diamond. interval: the one below it. Margins begin at the slack of the interval's verdicts; `narrow_margins`
-    narrows them, and `close_subtree` completes the entry. Until then the slice's STOPPED is that of the subtree alone.
+    Nothing happens in an open subtree, without room in the list, or if a leaf may have special bits (`can_copy_block`),
+    as on a square's border. m: its diamond. interval: the one below it. Margins begin at the slack of the interval's
+    verdicts; `narrow_margins` narrows them, and `close_subtree` completes the entry. Until then the slice's entry
+    STOPPED of `w.counts` holds what happens in the subtree alone.
     """
     slot = w.slot
     opens = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room
@@ -205,7 +206,7 @@ def open_subtree(
             r.cursor[slot].stopped_before = w.counts[4 * slot + STOPPED]
             w.counts[4 * slot + STOPPED] = wp.int64(0)
             entry = wp.int64(slot) * r.room + r.cursor[slot].count
-            coarse2, _edge2, _inside = coarsest(criterion, m.diamond, 0)
+            coarse2, _edge2, _inside = coarsest(criterion, m.diamond, 0)  # 0: it may be outside the frame
             # Footprints of edges are finer.
             footprint = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))
             r.cached[entry].cell = q.base + c.cell

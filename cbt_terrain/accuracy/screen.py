@@ -44,13 +44,13 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     # `around`: 1 where bicubic heights also depend on the samples around a cell, 0 for bilinear ones.
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
-    if ground.packed.curved:
+    if ground.packed.curved:  # between its samples a surface may be higher or lower than all of them
         margin = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
         low = np.nextafter((low - margin).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + margin).astype(np.float32), np.float32(np.inf))
-    # `base`, `width`: first block and number of columns of each level; the same in both pyramids.
-    lows, base, width = concatenate_levels(halvings(low, np.minimum), 1)
-    highs, _, _ = concatenate_levels(halvings(high, np.maximum), 1)
+    # `base`, `width`: first block and number of columns of each level from 1 on, 0 for level 0; alike in both pyramids.
+    lows, base, width = concatenate_levels(halvings(low, np.minimum), below=1)
+    highs, _, _ = concatenate_levels(halvings(high, np.maximum), below=1)
     z_range = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
     b = ray_kernels.HeightBlocks()
     b.levels, b.low_z, b.high_z = len(base) - 1, *z_range
@@ -91,6 +91,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     # The same depth as in view/local_view.py.
     e.near = max(start / 2, 1e-9 * length(lengths(to_view[:3, :3]) * size), 1e-150)
     e.eye, e.toward = from_view[:3, 3], from_view[:3, 2]
+    # The ray through (x, y), -1 .. 1 in the frame: its origin and direction are these matrices times (1, x, y).
     e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))
     origin = np.c_[from_view[:3, 3], np.zeros((3, 2))]
     e.origin = origin
@@ -106,12 +107,12 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     shift = sign * p[0, column] / p[0, 0], sign * p[1, column] / p[1, 1]
     # A point (1, x, y) of the frame to camera space at depth 1, or to metres across and up.
     to_camera = np.array([[shift[0], 1 / p[0, 0], 0], [shift[1], 0, 1 / p[1, 1]]])
-    rows = product(from_view[:3, :2], to_camera)
+    sideways = product(from_view[:3, :2], to_camera)
     ahead = np.c_[-from_view[:3, 2], np.zeros((3, 2))]
     if view.kind == ORTHOGRAPHIC:
-        e.origin, e.direction = origin + rows, ahead
+        e.origin, e.direction = origin + sideways, ahead
     else:
-        e.direction = ahead + rows
+        e.direction = ahead + sideways
     return e
 
 
@@ -188,9 +189,9 @@ class Sight:
     def errors(self, before: np.ndarray, after: np.ndarray, at_visible: Sequence[np.ndarray]) -> tuple[Errors, Errors]:
         """Return the errors in pixels between two heights: of visible points and of hidden ones.
 
-        The largest of the visible ones is that of all points. The rest of their distribution is that of the points seen
-        in the pixels, so it is by area on the screen: samples are dense far away. That of the hidden ones, all of which
-        are samples, is by area on the ground.
+        The maximum of the visible ones is over samples and the points seen in pixels. The other figures are over the
+        latter, if any, so by area on the screen: samples are dense far away. Hidden points are samples, so by area on
+        the ground.
 
         before, after: float32 [height, width], metres above the reference at every sample. at_visible: both again, at
         `visible_points`, float64 [n] each.
@@ -200,7 +201,7 @@ class Sight:
         for row, rows in _row_blocks(height, width):
             start, end = row * width, (row + rows) * width
             indices = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
-            points = np.stack([indices % width, indices // width], axis=1) << bits
+            points = np.stack([indices % width, indices // width], axis=1) << bits  # in units of `point_ends`
             pixels = self._pixels_between(points, *(a.reshape(-1)[indices].astype(np.float64) for a in (before, after)))
             visible.append(pixels[states[indices] == int(screen_kernels.VISIBLE)])
             hidden.append(pixels[states[indices] == int(screen_kernels.HIDDEN)])

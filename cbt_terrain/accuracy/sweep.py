@@ -115,15 +115,15 @@ def _measure_setting(
     if not in_pixels:
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     num_views = sum(int(max(1, len(frame.views))) for frame in frames)
-    bounds, limited, sizes, runs, spreads = [], set(), [], [], []  # one item for each frame
+    bounds, limit_causes, sizes, runs, spreads = [], set(), [], [], []  # one item for each frame
     measured: list[Measurement] = []  # one for each view of each frame
-    changes: list[list[Errors]] = []  # the same, of frames with a next one (`after`): popping and change of shading
+    changes: list[list[Errors]] = []  # for each view of frames with a next one: popping, change of shading
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m
         assert bound is not None  # the criterion has an error in this unit
         bounds.append((bound, update.terms_px if in_pixels else update.terms_m))
-        limited.add(update.limited)
+        limit_causes.add(update.limited)
         sizes.append((update.triangles, len(surface.positions), _surface_bytes(surface)))
         views: Sequence[View | None] = frame.views or [None]
         for view in views:
@@ -156,7 +156,7 @@ def _measure_setting(
     return Row(
         setting,
         bound=loosest,
-        limited=tuple(sorted(limited - {""})),
+        limited=tuple(sorted(limit_causes - {""})),
         triangles=triangles,
         vertices=vertices,
         surface_mb=surface_bytes / 1e6,

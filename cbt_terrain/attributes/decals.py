@@ -174,7 +174,7 @@ class Decal:
         u, v = u[which], v[which]
         mips, lattice = self.picture.mips, places.field.lattice
         rows, columns, _ = mips[0].shape
-        # From a level of the raster's pyramid to one of the mipmaps: 0 has the image's own pixels.
+        # Levels of the raster's pyramid, `image_level` for all texels of a map; then of mipmaps, 0 the image itself.
         levels = places.level[which] if places.image_level is None else places.image_level
         levels = levels + np.full(len(which), math.log2(max(lattice.step_x, lattice.step_y) / self.pixel))
         levels = np.clip(levels, 0.0, len(mips) - 1.0)

@@ -101,14 +101,14 @@ def evaluate(
         if not request.plan.steps:
             return Evaluated({}, {})
         values = EffectValues(threads) if values is None else values
-        last, key = values.source, request.key(heights)
-        ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
-        if request.surface is not last.surface() or key != last.request:
-            keys = _keys_of_steps(request, heights)
-            results = _evaluate_steps(heights, request, values, keys, max_bytes, ran)
+        last, request_key = values.source, request.key(heights)
+        ran = {step.name: Ran(ms=0.0, nbytes=0, computed=0) for step in request.plan.steps}
+        if request.surface is not last.surface() or request_key != last.request:
+            step_keys = _keys_of_steps(request, heights)
+            results = _evaluate_steps(heights, request, values, step_keys, max_bytes, ran)
             names = request.plan.attributes
             attributes = {name: Attribute(results[name], POINTS, ATTRIBUTES[name].unit) for name in names}
-            values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
+            values.source = ValueSource(weakref.ref(request.surface), request_key, step_keys, attributes)
         history.values = values
         return Evaluated(values.source.attributes, ran, values.nbytes)
 
@@ -117,15 +117,15 @@ def _evaluate_steps(
     heights: HeightField,
     request: EffectRequest,
     values: EffectValues,
-    keys: dict[str, tuple],
+    step_keys: dict[str, tuple],
     max_bytes: int,
     ran: dict[str, Ran],
 ) -> dict[str, np.ndarray]:
     """Return the values of all steps by name, and record their costs in `ran`.
 
-    heights: field that attributes read. values: arrays of the last surface, which are moved to this one. keys:
-    everything but the surface that each step's values depend on; values of the last surface are reused if that is
-    unchanged. max_bytes: limit of values and caches together.
+    heights: field that attributes read. values: arrays of the last surface, which are moved to this one. step_keys:
+    what each step's values depend on, except the surface; while it is unchanged, values of the last surface are reused.
+    max_bytes: limit of values and caches together.
     """
     steps, last = request.plan.steps, values.source
     places, fresh = _place_points(heights, request, values)
@@ -134,10 +134,11 @@ def _evaluate_steps(
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
     dropped = _choose_dropped(nonzero, len(request.surface.positions), max_bytes)
     values.forget(dropped)
-    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - dropped
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == step_keys[step.name]} - dropped
     # By name, the points to compute; None, all points, where nothing is reused.
     to_compute = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
     to_compute |= dict.fromkeys(to_compute.keys() - reused)
+    # Arrays of this surface, filled at the points that the last one has.
     results = values.reuse({name: ATTRIBUTES[name].width for name, points in to_compute.items() if points is not None})
     for step in set(steps) - set(nonzero):
         results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
@@ -153,12 +154,12 @@ def _evaluate_steps(
 def _place_points(
     heights: HeightField, request: EffectRequest, values: EffectValues
 ) -> tuple[dict[str, SamplePoints], dict[str, np.ndarray | None]]:
-    """Return the surface's points with their levels by family, and the indices of those that are new to each family.
+    """Return by family the surface's points with their levels, and the indices of the new ones.
 
-    Points are new if the last surface lacks them or has them at another level; None for all. `values` moves to this
-    surface.
+    Points are new if the last surface lacks them or has them at another level; None where so
+    many are new that all are computed. `values` moves to this surface.
     """
-    scale, positions = (request.vertical_scale, request.vertical_offset), values.move_to(request.surface.positions)
+    scaling, positions = (request.vertical_scale, request.vertical_offset), values.move_to(request.surface.positions)
     places, fresh = {}, {}
     for family in sorted({step.family for step in request.plan.steps}):
         levels, last_levels = values.swap_arrays(family)
@@ -167,7 +168,7 @@ def _place_points(
             limit_levels(heights, positions, levels, values.threads)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
-        places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
+        places[family] = SamplePoints(heights, positions, levels, float(scaling[0]), float(scaling[1]), values.threads)
         fresh[family] = values.find_fresh(levels, last_levels)
     return places, fresh
 
@@ -244,13 +245,13 @@ def _keys_of_steps(request: EffectRequest, heights: HeightField) -> dict[str, tu
     """
     keys: dict[str, tuple] = {}
     level = fixed_level(heights, request.geometry_metres)
-    surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)
+    ground = heights.key, float(request.vertical_scale), float(request.vertical_offset)
     for step in request.plan.steps:
         effect = ATTRIBUTES[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
         scale = level if step.family == GEOMETRY and effect.scaled else None
         read = tuple(keys[name] for name in effect.reads_with(step.parameters))
-        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, surface, read)
+        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, ground, read)
     return keys
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The heights of finer tiles (field/finer_tiles.py) at the levels below 0, as attributes read them.
 
-Only tiles count where the surface differs from the raster's. Their own heights are level -bits. The levels between that
-one and the raster's are those of a pyramid over all finer heights, of which each tile has its part and one more sample
-on each side. They have a third as many samples as the finest level, and are cached like the coarser levels of the
-raster.
+A tile has SIDE x SIDE finer cells, a raster cell 2^bits x 2^bits. Only tiles count where the surface differs from the
+raster's. Their own heights are level -bits. The levels between that one and the raster's are those of a pyramid over
+all finer heights, of which each tile has its part and one more sample on each side. They have a third as many samples
+as the finest level, and are cached like the coarser levels of the raster.
 """
 
 import math
@@ -35,7 +35,7 @@ def min_level(raster: HeightRaster) -> int:
 def finer_places(raster: HeightRaster) -> footprint.FinerPlaces:
     """Return the tiles with finer heights, for kernels; cached with the raster, which has finer tiles."""
     assert raster.finer is not None
-    return _table(raster, raster.finer)[1]
+    return _where_finer(raster, raster.finer)[1]
 
 
 def finer_heights(raster: HeightRaster, threads: int) -> wp.array:
@@ -52,7 +52,7 @@ def is_finer(raster: HeightRaster, box: Box) -> bool:
     """Return whether heights are finer than the raster's anywhere in a box."""
     if raster.finer is None:
         return False
-    lattice, differs = raster.lattice, _table(raster, raster.finer)[0]
+    lattice, differs = raster.lattice, _where_finer(raster, raster.finer)[0]
     west, south, _, _ = lattice.rectangle()
     ranges = []
     for first, ends, step, count in (
@@ -66,8 +66,8 @@ def is_finer(raster: HeightRaster, box: Box) -> bool:
     return bool(differs[ranges[0], ranges[1]].any())
 
 
-def _table(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footprint.FinerPlaces]:
-    """Return where the surface differs from the raster's, bool [rows, columns], and the same for kernels."""
+def _where_finer(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footprint.FinerPlaces]:
+    """Return which tiles count, bool [rows, columns] of tiles, and the same for kernels; cached with the raster."""
 
     def make() -> tuple[np.ndarray, footprint.FinerPlaces]:
         """Compute both."""
@@ -99,9 +99,9 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
 
 
 def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tuple[np.ndarray, wp.array]:
-    """Return the coarser levels of the finer heights, and all levels for kernels, an array of one struct."""
+    """Return the levels above the tiles' own heights, float32, and all levels for kernels, an array of one struct."""
     lattice, sides = raster.lattice, pyramid_sides(tiles.bits)
-    size, positions = tiles.pyramid_size(lattice), np.argwhere(_table(raster, tiles)[0])
+    size, positions = tiles.pyramid_size(lattice), np.argwhere(_where_finer(raster, tiles)[0])
     shapes = {PYRAMID: ((size,), np.float32)}
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
@@ -115,6 +115,7 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
     is_large = size >= derived_arrays.MIN_CACHED
     derive = derived_arrays.derive if is_large else derived_arrays.derive_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
+    # Numbers of tiles in the coarser levels, which only tiles that count have.
     level_numbers = np.full(tiles.numbers.shape, -1, np.int32)
     level_numbers[tuple(positions.T)] = np.arange(len(positions))
     packed = finer_jet.FinerHeights()

@@ -27,7 +27,7 @@ def routed_level(field: HeightField) -> int:
 def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightRaster:
     """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a cached raster.
 
-    Its south-western sample is that of the field, though the middle, where its own space has the origin, may differ.
+    Its south-western sample is the field's. It may extend further, so its middle, the origin of its space, may differ.
     """
     from ...kernels import wp
     from ...kernels.effects import catchment
@@ -49,13 +49,13 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
         drainage = route(heights, *steps, holes, threads)
         filled = drainage.filled()
         area = drainage.areas(filled)
-        drainage.level_lakes(filled, area)
+        drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet
         out = np.empty((rows, columns), np.float32)
         inputs = [steps[0] * steps[1], flat(area, wp.float64), flat(out, wp.float32)]
         launch.spread(catchment.take_logarithms, out.size, inputs, step="routing", threads=threads)
         return out
 
-    return whole("flow", VERSION, (sign,), field, fit(columns, rows, *steps), make)
+    return whole("flow", VERSION, parameters=(sign,), field=field, lattice=fit(columns, rows, *steps), make=make)
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -94,7 +94,7 @@ def _compute_masks(
     vertical: tuple[float, float],
     threads: int,
 ) -> list[LayerMask]:
-    """Return the masks of the splat layers `numbers`, at least one, at all samples, 8 bits each.
+    """Return the masks of the splat layers `numbers`, at least one, at all samples: uint8, ALL for a weight of 1.
 
     Those of a large raster are cached in its store, MAX_CACHED sets of them. An attribute of the splat map holds the
     weights of four layers.
@@ -107,7 +107,7 @@ def _compute_masks(
     mask_array, maxima_array = f"masks_{digest}", f"mask_maxima_{digest}"  # their names
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
-        """Compute the masks row by row, and their maxima."""
+        """Compute the masks row by row, and their maxima (`LayerMask.max_cells`)."""
         requests = [AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in names]
         for rows, values in on_samples(field, requests, *vertical, threads):
             for mask, number in zip(arrays[mask_array], numbers, strict=True):
@@ -118,7 +118,7 @@ def _compute_masks(
 
     shapes = {
         mask_array: ((len(numbers), lattice.height, lattice.width), np.uint8),
-        maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
+        maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),  # entries of `max_cells`
     }
     derived = derive_large(field.raster, shapes, fill)
     for name in shapes:

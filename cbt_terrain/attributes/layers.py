@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Layers of height operators (land/) as attributes; 0 for a terrain without them."""
+"""Layers of height operators (height_operators/) as attributes; 0 for a terrain without them."""
 
 from collections.abc import Callable, Mapping
 
@@ -57,7 +57,7 @@ def why_missing(field: HeightField, name: str) -> str:
 
 
 def _as_raster(field: HeightField, name: str) -> HeightRaster:
-    """Return a layer as the samples of a raster in the field's store, which has a pyramid."""
+    """Return a layer as a raster, from which a pyramid can be made; the field's store caches that of a large one."""
     return cached(
         field.cache.results,
         ("layer", name),

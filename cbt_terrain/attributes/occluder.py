@@ -29,6 +29,7 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
     occluder = occluder_without_blocks(places.field, places.vertical_scale)
     # A negative scale turns the ground upside down.
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
+    # Extremes of blocks, and the first block and the blocks a row of each level.
     tops, first, wide = extremes(field, reduce)
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int64), flat(wide, wp.int32)
     occluder.levels = len(wide)

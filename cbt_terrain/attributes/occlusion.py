@@ -46,7 +46,7 @@ def example(evaluate: Evaluate) -> None:
     east = np.arange(41, dtype=np.float32) * 2.0
     assert abs(evaluate("ambient_occlusion", np.tile(east, (41, 1)), step=2.0) - 1.0).max() < 1e-6
     wall = np.tile(np.where(east >= 40.0, np.float32(1e4), np.float32(0.0)), (41, 1))
-    foot = evaluate("ambient_occlusion", wall, step=2.0, radius=20.0)[:, 17]
+    foot = evaluate("ambient_occlusion", wall, step=2.0, radius=20.0)[:, 17]  # 4 m before the wall
     assert 0.49 < foot.min() <= foot.max() < 0.51
 
 

@@ -38,19 +38,19 @@ def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
         if request.name in ATTRIBUTES:
             ATTRIBUTES[request.name].check(dict(request.parameters))
             merged[request.name] = _merge(merged[request.name], request) if request.name in merged else request
-    attributes = tuple(sorted(merged))
+    requested = tuple(sorted(merged))
     waiting = list(merged.values())
     while waiting:  # also for a known attribute whose request has changed, since that may concern those that it reads
         request = waiting.pop()
         for name in ATTRIBUTES[request.name].reads_with(request.parameters):
             reader = f"effect {request.name}"
-            known = merged.get(name) or AttributeRequest(name, (), request.family)
-            merged[name] = _merge(known, AttributeRequest(name, (reader,), request.family))
+            known = merged.get(name) or AttributeRequest(name, readers=(), family=request.family)
+            merged[name] = _merge(known, AttributeRequest(name, readers=(reader,), family=request.family))
             if merged[name] != known:
                 waiting.append(merged[name])
     reads = {name: ATTRIBUTES[name].reads_with(merged[name].parameters) for name in sorted(merged)}
     order = TopologicalSorter(reads).static_order()
-    return AttributePlan(tuple(merged[name] for name in order), attributes)
+    return AttributePlan(tuple(merged[name] for name in order), requested)
 
 
 def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:

@@ -15,6 +15,7 @@ COLOUR = {1: 0, 3: 2, 4: 6}
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 LEVEL = 1  # of zlib, twice as fast as the next one for a twentieth more bytes
 NO_FILTER, UP = 0, 2
+MAX_WAITING = 4  # bands that are being compressed or wait to be written
 KEYWORD = b"Comment"
 END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 
@@ -35,7 +36,7 @@ class PngFile:
         """
         self._waiting: list[Future] = []
         self._pool, lines = pool, lines or side
-        self._adler, self._length = 1, lines * (1 + side * channels * depth // 8)
+        self._adler, self._bytes_left = 1, lines * (1 + side * channels * depth // 8)  # of rows to come
         self._file = open(path, "wb")
         self._file.write(SIGNATURE)
         self._write_chunk(b"IHDR", struct.pack(">IIBBBBB", side, lines, depth, COLOUR[channels], 0, 0, 0))
@@ -51,9 +52,9 @@ class PngFile:
         filtered[:, 0], filtered[0, 0] = UP, NO_FILTER  # bands are independent
         filtered[0, 1:] = rows[0]
         np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-        self._length -= filtered.size
-        self._waiting.append(self._pool.submit(_compress_block, filtered, self._length == 0))
-        while len(self._waiting) > 4:
+        self._bytes_left -= filtered.size
+        self._waiting.append(self._pool.submit(_compress_block, filtered, self._bytes_left == 0))
+        while len(self._waiting) > MAX_WAITING:
             self._write_oldest()
 
     def close(self) -> None:

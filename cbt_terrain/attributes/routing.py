@@ -53,13 +53,13 @@ class Drainage:
         return out
 
     def areas(self, filled: np.ndarray) -> np.ndarray:
-        """Return drainage areas in samples by multiple flow directions, float64 [n]; they are conserved.
+        """Return drainage areas in samples, float64 [n]: each sample's is divided among all lower neighbours.
 
         filled: the lowest surface from which every sample drains, float32 [n] m: that of lakes, elsewhere the ground.
         """
         count, d = len(self.to), self.packed(filled)
         key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)  # twice as long, for the radix sort
-        item[:count] = self.order[::-1]  # receivers before donors
+        item[:count] = self.order[::-1]  # receivers before donors, and still so at equal heights after the sort
         np.take(filled, item[:count], out=key[:count])
         launch.sort_pairs(key, item, count, step="routing")
         area = np.ones(count)
@@ -160,7 +160,7 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     def launch_search(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
         """Find the passes between basins: count them by rows into `start` (emit 0), or list them (emit 1).
 
-        key: their heights, float32. edge: the samples that they join, int32.
+        key: their heights, float32. edge: a sample and the direction to the other one as a number, int32 (find_passes).
         """
         inputs = [emit, d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
         spread(routing.find_passes, height - 1, inputs, cost=width / 8)
@@ -173,5 +173,6 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
     launch_search(emit=1, key=key, edge=edge)
     launch.sort_pairs(key, edge, count, step="routing")
-    parents = np.arange(pits + 2, dtype=np.int32)  # of each basin in the sets of linked basins: at first itself
+    # Of each basin in the sets of linked basins, at first itself. Label 1 is all outlets; those of pits begin at 2.
+    parents = np.arange(pits + 2, dtype=np.int32)
     launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(parents, wp.int32)], step="routing")

@@ -24,10 +24,10 @@ STEPS_PER_LEVEL = 8
 
 
 def fixed_level(field: HeightField, metres: float) -> float:
-    """Return the pyramid level with samples `metres` apart in the terrain's space; 0 for the finest samples.
+    """Return the pyramid level with samples `metres` apart in the terrain's space, the finest one for 0 metres.
 
-    Below 0 it is a level of finer tiles, which `limit_levels` raises elsewhere. Raises TerrainError for an invalid
-    distance.
+    A level below 0 is one of finer tiles; `limit_levels` raises it where there are none. Raises TerrainError for an
+    invalid distance.
     """
     if not 0.0 <= metres < math.inf:
         problem = f"The scale of effects for geometry is {metres} m"

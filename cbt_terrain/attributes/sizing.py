@@ -66,11 +66,12 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: f
     """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres.
 
     boxes: lowest and highest corners in the terrain's space, float64 [tiles, 2, 3] metres. placement: matrix from there
-    to the world. nearest: shortest distance that counts. The distance does not matter in an orthographic view.
+    to the world. nearest: shortest distance that counts, metres in the terrain's space. In an orthographic view the
+    distance does not matter.
     """
     to_camera = product(view.world_to_camera, placement)
     linear = to_camera[:3, :3]
-    stretch = lengths(linear)
+    stretch = lengths(linear)  # camera units per metre along x, y and z
     if view.kind == ORTHOGRAPHIC:
         distance = np.ones(len(boxes))
     else:
@@ -79,6 +80,7 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: f
         # As in local_view.py: shear may make a distance shorter than its components suggest.
         distance = min_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
         distance = np.maximum(distance, nearest * stretch.min())
+    # The axis of larger stretch has the smaller footprint on the ground.
     return distance / (view.pixels_per_unit * max(stretch[0], stretch[1]))
 
 
@@ -89,7 +91,8 @@ def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarra
     there to the world.
     """
     inside = np.ones(len(boxes), bool)
-    for a, b, c, d in product(frustum_planes(view, (0.0, 0.0)), product(view.world_to_camera, placement)):
+    to_camera = product(view.world_to_camera, placement)
+    for a, b, c, d in product(frustum_planes(view, margins=(0.0, 0.0)), to_camera):  # positive on the inside
         normal = np.array([a, b, c])
         farthest = np.where(normal > 0, boxes[:, 1], boxes[:, 0])
         inside &= (farthest * normal).sum(axis=1) + d >= 0
@@ -97,19 +100,19 @@ def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarra
 
 
 def resolutions(
-    tiling: Tiling, footprints: np.ndarray, shown: np.ndarray, texel_bytes: int, budget_mb: float | None = None
+    tiling: Tiling, footprints: np.ndarray, finest_content: np.ndarray, texel_bytes: int, budget_mb: float | None = None
 ) -> list[int]:
     """Return the side of each tile's image in texels, a power of two from MIN_SIDE to MAX_SIDE.
 
-    A texel is no larger than the footprint, as far as MAX_SIDE and the budget allow. `footprints`, `shown`: float64
-    [tiles] metres, of views and of the finest content (`shown_by`). `texel_bytes`: bytes of a texel of all maps in
-    Blender. If images exceed `budget_mb`, all tiles get coarser. Raises TerrainError for an invalid budget. tiling: the
-    tiles of the maps.
+    A texel is no larger than the footprint, as far as MAX_SIDE and the budget allow. `footprints`: of pixels on each
+    tile, float64 [tiles] metres; a texel need not be smaller than `finest_content` (`shown_by`). `texel_bytes`: bytes
+    of one texel in Blender, summed over all maps. If images exceed `budget_mb`, all tiles get coarser. Raises
+    TerrainError for an invalid budget. tiling: the tiles of the maps.
     """
     if budget_mb is not None and not budget_mb > 0:
         raise TerrainError(f"The budget of the maps is {budget_mb} MB", expected="more than 0")
     # A tile around an eye has a footprint of 0, which no factor makes coarser.
-    footprints = np.maximum(footprints, shown)
+    footprints = np.maximum(footprints, finest_content)
     coarser = 0.0
     while True:
         sides = [_side(tiling, metres * 2**coarser) for metres in footprints]

@@ -78,7 +78,7 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             rows, columns = heights.shape
             azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, horizons)
-            sums = state.pop("sky", None)  # a fork in between must not see it change
+            sums = state.pop("sky", None)  # a child forked now starts again, without half-added sums
             sums = np.zeros(heights.shape, np.float32) if sums is None else sums
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
@@ -157,7 +157,7 @@ def sweep(
 
     heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale` here. steps: metres of a cell.
     azimuth: float64 [2], unit vector to the east and north. first: row and column of sample [0, 0] in a larger raster,
-    whose lines are used.
+    so that this part of it has the same lines.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
@@ -169,13 +169,15 @@ def sweep(
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     s.phase = s.slope * first[0 if upright else 1] % 1.0  # part of a sample by which the larger raster's lines shift
     reach = s.slope * (s.major - 1)  # samples that a line moves along the minor axis across the raster
+    # Number of the first line: the minor sample, without the phase, where its major sample is 0.
     s.first = int(np.floor(min(-reach, 0.0) - s.phase))
     # One line beyond the last sample, since a sample is on a line or between it and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)
     points = items * s.major
     s.profiles, s.hulls = flat(np.empty(points), wp.float64), flat(np.empty(points, np.int32), wp.int32)
-    s.slopes, s.out = flat(np.empty(2 * points, np.float32), wp.float32), flat(out, wp.float32)
+    slopes = np.empty(2 * points, np.float32)  # of a line and of the one before
+    s.slopes, s.out = flat(slopes, wp.float32), flat(out, wp.float32)
     launch.spread(kernels.sweep, items, [s], step="light", threads=threads, cost=2.0 * kernels.LINES * s.major)
 
 

@@ -88,7 +88,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
     check_layers(layers)
     row, rows = 0, {}  # first row of each attribute in `_rule_inputs`
     for name in attributes_of_rules(layers):
-        rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
+        rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)  # a direction has two
     structs = []
     rules: list[kernels.SplatRule] = []
     images: list[np.ndarray] = []
@@ -96,7 +96,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
         struct = kernels.SplatLayer()
         struct.first, struct.end, struct.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
         struct.strength, struct.ragged, struct.noise_size = layer.strength, layer.ragged, layer.noise_size
-        struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
+        struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)  # so that small seeds differ in high bits, too
         structs.append(struct)
         for rule in layer.rules:
             if rule.of in READ_FROM:
@@ -116,14 +116,15 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
 def _rule(rule: Rule, source: int, lowest: float, highest: float) -> "kernels.SplatRule":
     """Convert a rule for the kernel, with limits in the unit of the values that it reads.
 
-    source: row of the attribute, first pixel of the image, or index of the other layer. lowest, highest: heights in
-    metres at which relief is 0 and 1. Flow is compared by its logarithm.
+    source: row of the attribute, first pixel of the image, or index of the other layer; unused for noise. lowest,
+    highest: heights in metres at which relief is 0 and 1. Flow is compared by its decimal logarithm, so its edge is in
+    powers of ten.
     """
     from ...kernels.effects import splat as kernels
 
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
-        # All level ground is at its lowest point.
+        # Level terrain has relief 0 everywhere, whatever the range in its place, so it gets one that is not 0.
         relief = highest - lowest or max(abs(lowest), 1.0)
         limits, edge = lowest + limits * relief, edge * relief
     elif rule.of == splat_rules.FLOW:

@@ -25,11 +25,11 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     from .occluder import launch_at_points, occluder_of
 
     sun = strongest(wanted["sun"]["suns"])
-    strips = None if sun is None else strips_of(sun)
+    disc = None if sun is None else strips_of(sun)  # None below the horizontal
     out = np.zeros(len(places), np.float32)
-    if strips is not None:
-        numbers = [wp.float64(strips[name]) for name in ("elevation", "radius", "low", "high")]
-        inputs = [occluder_of(places), *numbers, strips["strips"]]
+    if disc is not None:
+        numbers = [wp.float64(disc[name]) for name in ("elevation", "radius", "low", "high")]
+        inputs = [occluder_of(places), *numbers, disc["strips"]]
         launch_at_points(sun_seen, places, inputs, out, cost=300.0)
     return {"sun": out}
 

@@ -75,8 +75,8 @@ class Tiling:
 def tiling_of(lattice: Lattice, min_level: int = 0) -> Tiling:
     """Return the tiling of a raster: one tile up to SINGLE_CELLS, else about square ones.
 
-    They are larger than TILE_CELLS where MAX_COLUMNS or MAX_ROWS, the limits of UDIM numbers, require it. min_level:
-    finest level of the raster's heights, below 0 with finer tiles, whose cells the sizes refer to.
+    Tiles are larger than TILE_CELLS where MAX_COLUMNS or MAX_ROWS, the limits of UDIM numbers, require it. min_level:
+    finest level of the raster's heights, 0, or below with finer tiles; SINGLE_CELLS and TILE_CELLS are cells of it.
     """
     west, south, east, north = lattice.rectangle()
     if max(lattice.cells_x, lattice.cells_y) << -min_level <= SINGLE_CELLS:

@@ -38,10 +38,10 @@ class EffectValues:
     def __init__(self, threads: int) -> None:
         """Start without points; `threads` copy and compare them."""
         self.threads = threads
-        self.source = ValueSource()
+        self.source = ValueSource()  # of the values
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
         self._count = self._last_count = 0  # points of this surface and of the last one
-        self._zeros: dict[int, np.ndarray] = {}  # by width
+        self._zeros: dict[int, np.ndarray] = {}  # for `zeros`, by width
         self._runs = np.empty((0, 3), np.int32)  # `_match_runs`
 
     @property
@@ -61,17 +61,17 @@ class EffectValues:
         return places
 
     def swap_arrays(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return an uninitialized array, float32 [V] or [V, width], and the last surface's array, or None.
+        """Return an uninitialized array for this surface, float32 [V] or [V, width], and the last one's, or None.
 
-        Call it once a surface for each name. The memory of the first is that of the surface before the last, if it is
-        large enough; the array of this surface until now becomes the last surface's.
+        Call it once a surface for each name. The new array has the memory of the surface before the last, if it is
+        large enough.
         """
-        last, older = self._arrays.get(name, (None, None))
-        if older is None or len(older) < self._count:
+        last, spare = self._arrays.get(name, (None, None))  # those of this surface and the last before the swap
+        if spare is None or len(spare) < self._count:
             room = int(1.25 * self._count)  # so that small growth of the mesh allocates nothing
-            older = np.empty((room, width) if width > 1 else room, np.float32)
-        self._arrays[name] = older, last
-        return older[: self._count], None if last is None else last[: self._last_count]
+            spare = np.empty((room, width) if width > 1 else room, np.float32)
+        self._arrays[name] = spare, last
+        return spare[: self._count], None if last is None else last[: self._last_count]
 
     def put(self, name: str, values: np.ndarray, drop_last: bool = False) -> None:
         """Store the complete array of an attribute on this surface.
@@ -103,9 +103,9 @@ class EffectValues:
     def find_fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
         """Return the indices of the points that the last surface lacks or has at another level, int32 [n].
 
-        None, for all, if they are more than MAX_FRESH of all, as it is faster then to compute all, and if both surfaces
-        have no common point. levels, last: float32, of the points of this surface and of the last one, whose levels may
-        be None.
+        None stands for all points: if more than MAX_FRESH of them are fresh, when computing all is faster, or if both
+        surfaces have no common point. levels, last: pyramid levels of the points of this surface and of the last one,
+        float32 [points]; `last` may be None.
         """
         if last is None or not len(self._runs):
             return None

@@ -19,7 +19,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     """Compute the topographic wetness index at points: ln of drainage area a metre of contour over the slope's tangent.
 
     The contour of a point has the mean side of a cell that flow was routed over. The tangent is at least MIN_TANGENT.
-    wanted: unused, it has no parameters. read: `flow` float32 [n] and `detail_normal` float32 [n, 3]. Returns
+    wanted: unused, it has no parameters. read: `flow` float32 [n] m2 and `detail_normal` float32 [n, 3]. Returns
     {"wetness": float32 [n]}.
     """
     from ...kernels import wp

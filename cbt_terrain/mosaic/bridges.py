@@ -24,13 +24,14 @@ def bridge(
     """Fill samples of a piece that no tile covers from the borders of tiles within one cell, in order of their ranks.
 
     lattices: nodes and samples of each lattice that the piece meets. values, ranks, moved: fields of the piece's
-    PieceValues, [rows, columns]; `values` and `moved` are changed in place. Samples of less weight than MIN_WEIGHT stay
-    NaN.
+    PieceValues, [rows, columns]; `values` and `moved`, their errors by inexact positions, are changed in place. Samples
+    of less weight than MIN_WEIGHT stay NaN.
     """
     rows, columns = np.nonzero(ranks == UNCOVERED)
     weights, sums = np.zeros(len(rows)), np.zeros(len(rows))  # of all tiles so far, at each uncovered sample
     low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)  # extremes of the heights
-    errors, position_errors = np.zeros(len(rows)), np.zeros(len(rows))  # largest, of heights, and in samples
+    # of a border's height by an inexact position, and of that position in samples of the lattice
+    max_errors, max_shifts = np.zeros(len(rows)), np.zeros(len(rows))
     tiles = []  # rank, lattice, number in its window, and the uncovered samples' columns u and rows v of the lattice
     for number, (nodes, window) in enumerate(lattices):
         u = _interpolate_nodes(nodes.u, nodes.spacing, piece, rows, columns)
@@ -46,20 +47,20 @@ def bridge(
             near = np.flatnonzero((beyond_u < 1.0 - SNAPPED) & (beyond_v < 1.0 - SNAPPED))
         if not len(near):
             continue
-        heights, step = _border(window, np.clip(u[near], first_u, last_u), np.clip(v[near], first_v, last_v))
-        near, heights, step = (array[np.isfinite(heights)] for array in (near, heights, step))
+        heights, change = _border(window, np.clip(u[near], first_u, last_u), np.clip(v[near], first_v, last_v))
+        near, heights, change = (array[np.isfinite(heights)] for array in (near, heights, change))
         weight = (1.0 - beyond_u[near]) * (1.0 - beyond_v[near])
         weights[near] += weight
         sums[near] += weight * heights
         low[near], high[near] = np.minimum(low[near], heights), np.maximum(high[near], heights)
         error = nodes.error_u + nodes.error_v
-        position_errors[near] = np.maximum(position_errors[near], error)
-        errors[near] = np.maximum(errors[near], error * step)
+        max_shifts[near] = np.maximum(max_shifts[near], error)
+        max_errors[near] = np.maximum(max_errors[near], error * change)
     has_height = weights >= MIN_WEIGHT
     samples = rows[has_height], columns[has_height]
     values[samples] = sums[has_height] / weights[has_height]
     # A weight changes by the error of its position, and a sum of weights is at least a half.
-    moved[samples] = errors[has_height] + 2.0 * position_errors[has_height] * (high[has_height] - low[has_height])
+    moved[samples] = max_errors[has_height] + 2.0 * max_shifts[has_height] * (high[has_height] - low[has_height])
 
 
 def _interpolate_nodes(
@@ -87,10 +88,11 @@ def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.nda
     i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     s, t = u - i, v - j
     i, j = i - window.left, j - window.top
+    # A window has EDGE more samples than it needs, so that the outermost ones have a cell, too.
     inside = (i >= 0) & (j >= 0) & (i + 1 < width) & (j + 1 < height)
     i, j = np.clip(i, 0, width - 2), np.clip(j, 0, height - 2)
     corners = window.values[j, i], window.values[j, i + 1], window.values[j + 1, i], window.values[j + 1, i + 1]
-    a, b, c, d = (  # a missing corner of weight 0 must not make the sum NaN
+    a, b, c, d = (  # a missing corner of weight 0 must not make the sum NaN; the first one always has a weight
         np.where(needed, z, 0.0) for z, needed in zip(corners, (s < 1, s > 0, t > 0, (s > 0) & (t > 0)), strict=True)
     )
     heights = (a * (1 - s) + b * s) * (1 - t) + (c * (1 - s) + d * s) * t

@@ -185,7 +185,7 @@ def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
     """Return paths with `..`, which older versions wrote into a store's catalogue, by the same paths without `..`."""
     written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
     paths = {absolute_source(path): path for path in written if ".." in Path(path).parts}
-    # The catalogue has no tile indexes, but files that they named by their own folder.
+    # The catalogue does not list tile indexes, only their files, whose paths begin with the folder of the index.
     indexes = [path for path in files_of(settings) if paths and path.suffix.lower() in INDEX_SUFFIXES]
     folders = [folder for path in paths.values() for folder in Path(path).parents] if indexes else []
     for index in indexes:
@@ -317,7 +317,10 @@ def _tile_of(entry: dict) -> SourceTile:
 
 
 def _rounding_of(entry: dict) -> SourceRounding:
-    """Return a rounding of a catalogue's entry. Raises ValueError, TypeError or KeyError for an invalid one."""
+    """Return a rounding from its dictionary in the catalogue, which holds the rounding before it as another one.
+
+    Raises ValueError, TypeError or KeyError for an invalid one.
+    """
     before = _rounding_of(entry["before"]) if entry["before"] is not None else None
     rounding = SourceRounding(**{**entry, "before": before})
     _check_kind(rounding.stored)

@@ -99,7 +99,7 @@ class Composite:
         self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
-        # Boxes are in columns and rows of the grid, and steps and reach in its samples.
+        # Boxes are in columns and rows of the grid, steps and reach in its samples. A bridge needs a reach of one step.
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
@@ -124,18 +124,19 @@ class Composite:
         self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()  # by lattice, column and row of a block
 
     def read(self, row: int, rows: int, column: int = 0, columns: int | None = None) -> tuple[np.ndarray, float]:
-        """Return a window, float64 [rows, columns] with NaN for gaps, and the largest error of a value by its position.
+        """Return a window, float64 [rows, columns] with NaN for gaps, and its largest error by an inexact position.
 
-        row, column: first sample, counted from the grid's corner in the north-west. columns: None for all from there.
+        The error has the unit of the values. row, column: first sample, counted from the grid's corner in the
+        north-west. columns: None for all from there.
         """
         columns = self.grid.width - column if columns is None else columns
         values = np.full((rows, columns), np.nan)
-        moved = 0.0
+        largest_error = 0.0
         for piece in pieces_of(self.grid.column + column, self.grid.row + row, columns, rows):
             top, left = piece.row - self.grid.row - row, piece.column - self.grid.column - column
             part = values[top : top + piece.rows, left : left + piece.columns]
-            moved = max(moved, self._fill(piece, part))
-        return values, moved
+            largest_error = max(largest_error, self._fill(piece, part))
+        return values, largest_error
 
     def inputs_of(self, row: int, rows: int, column: int, columns: int) -> str:
         """Return a hex digest of everything that determines the values of a window of the grid.
@@ -155,7 +156,7 @@ class Composite:
         """
         piece = GridPiece(self.grid.column + column, self.grid.row + row, columns, rows)
         seams = self.insets.digest_around(piece) if self.insets is not None else ""
-        return f"{self._inputs(piece, 0)} {seams}"
+        return f"{self._inputs(piece, reach=0)} {seams}"
 
     def keep_seams(self, find: Callable[[int, int], dict | None], note: Callable[..., None]) -> None:
         """Read the seams (borders between finer and coarser files) of blocks from records, and write records of others.
@@ -168,7 +169,7 @@ class Composite:
 
         def inputs_at(row: int, column: int) -> str:
             """Return a digest of all that determines the seams of a block."""
-            return self._inputs(GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK), 0)
+            return self._inputs(GridPiece(column * BLOCK, row * BLOCK, BLOCK, BLOCK), reach=0)
 
         self.insets.records = SeamRecords(find, note, inputs_at)
 
@@ -247,10 +248,10 @@ class Composite:
         yield piece, np.unique(self.levels[meets]), found
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the values of a piece, all NaN, and return the largest error of a value by its position."""
+        """Fill the values of a piece, all NaN, and return their largest error by an inexact position."""
         if self._copy(piece, values):
             return 0.0
-        moved = 0.0
+        largest_error = 0.0
         for part, levels, found in self._parts(piece):
             result = empty_values(part)
             for level, below in resample_levels(part, levels, found, result):
@@ -260,20 +261,21 @@ class Composite:
                 bridge(part, [(lattice.nodes, lattice.window) for lattice in found], *result)
             top, left = part.row - piece.row, part.column - piece.column
             values[top : top + part.rows, left : left + part.columns] = result.values
-            moved = max(moved, float(result.moved.max()))
-        return moved
+            largest_error = max(largest_error, float(result.moved.max()))
+        return largest_error
 
     def _copy(self, piece: GridPiece, values: np.ndarray) -> bool:
         """Fill a piece from one lattice whose samples are the grid's, and return whether its tiles cover the piece.
 
-        If not, `values` are unchanged. The result has the bits of an interpolation.
+        If not, `values` are unchanged. Copied values are bit for bit those that an interpolation gives.
         """
         meets = self._meets(piece)
         numbers = [number for number, lattice in enumerate(self.lattices) if meets[lattice.tiles].any()]
         if len(numbers) != 1:
             return False
         lattice, nodes = self.lattices[numbers[0]], self._nodes_of(numbers[0], *piece.block)
-        if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:  # not exactly linear
+        if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
+            # Positions are not exactly linear between the corners of the block.
             return False
         first = piece.row % BLOCK, piece.column % BLOCK
         u, v = (at_corners(values_at_nodes, nodes, first, piece) for values_at_nodes in (nodes.u, nodes.v))
@@ -283,7 +285,7 @@ class Composite:
         if max(abs(u[0] - left), abs(v[0] - top), abs(u[3] - ends[0]), abs(v[3] - ends[1])) >= SNAPPED:
             return False
         covered, parts = np.zeros(values.shape, bool), []
-        for n in np.flatnonzero(meets[lattice.tiles]):
+        for n in np.flatnonzero(meets[lattice.tiles]):  # ascending ranks, so that the highest is copied last
             x0, y0, x1, y1 = map(int, lattice.rectangles[n])
             west, north, east, south = max(x0, left), max(y0, top), min(x1, ends[0]) + 1, min(y1, ends[1]) + 1
             if west < east and north < south:

@@ -30,7 +30,7 @@ sys.exit(main(sys.argv[3:]))
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("rename", [1, 2, 16])
+@pytest.mark.parametrize("rename", [1, pytest.param(2, marks=pytest.mark.thorough), 16])
 def test_killed_about_a_rename_then_resumed(arguments, undisturbed, tmp_path, capsys, when, rename):
     out = tmp_path / "out"
     command = [sys.executable, "-c", SUICIDE, when, str(rename), *arguments, "--out", str(out)]
@@ -57,7 +57,9 @@ def test_the_disk_is_full_then_resumed(arguments, undisturbed, small_disk, run_c
     assert_complete(out, undisturbed)
 
 
-@pytest.mark.parametrize("form", ["ply", "obj", "glb", "blend"])
+@pytest.mark.parametrize(
+    "form", ["glb", "blend", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("ply", "obj"))]
+)
 def test_blender_runs_out_of_disk(arguments, small_disk, capfd, tmp_path, form):
     """What Blender's own exporters cannot finish never stands under a final name."""
     pytest.importorskip("bpy")

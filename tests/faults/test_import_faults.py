@@ -151,7 +151,10 @@ SOURCES = {
 }
 
 
-@pytest.mark.parametrize(("name", "how"), [*((name, how) for name in SOURCES for how in HOW[:2]), ("a.tif", HOW[2])])
+@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize(
+    "name", ["a.tif", *(pytest.param(name, marks=pytest.mark.thorough) for name in SOURCES if name != "a.tif")]
+)
 def test_the_file_vanishes_while_it_is_imported(tmp_path, contents, name, how):
     store, source = tmp_path / "store", tmp_path / name
     run_import(ImportSettings(source="island", size=65), store)

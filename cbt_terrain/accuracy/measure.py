@@ -94,6 +94,7 @@ def measure(
     on_progress(0.3)
     screen = hidden = outline = None
     if sight is not None:
+        # Fill the sight's caches, with progress: the points seen in pixels, and which samples are visible.
         sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
         sight.states(_part_of_progress(on_progress, 0.4, 0.7))
         # The reference's differences from itself are 0.
@@ -179,7 +180,7 @@ def popping(
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
     seen_differences = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
-    return sight.errors(samples[0], samples[1], seen_differences)[0]
+    return sight.errors(samples[0], samples[1], seen_differences)[0]  # of visible points
 
 
 def shading_change(

@@ -92,6 +92,7 @@ class MeshGround:
         packed.bits = self.bits
         packed.bicubic = int(field.interpolation == "bicubic")
         finer = field.finer
+        # Curved: extrema have no closed form. `parts` are the terms of the displacement.
         packed.curved = int(packed.bicubic or bool(field.parts) or finer is not None)
         packed.max_detail = field.max_change
         if finer is not None:
@@ -205,7 +206,7 @@ class MeasuredMesh:
         """Return mesh minus reference at points, float64 [n] metres, and the triangle that covers each.
 
         The former is 0 and the latter, int32 [n], -1 where none does. points: int64 [n, 2], in units of
-        `MeshGround.point_ends`.
+        2^-(ground.bits + POINT_BITS) samples from the south-west corner.
         """
         g, count = self.ground, len(points)
         difference, owner = np.zeros(count), np.full(count, -1, np.int32)
@@ -225,7 +226,7 @@ class MeasuredMesh:
         """Return the unit vertex normals interpolated at points, float64 [n, 3], and the triangle that covers each.
 
         The latter is int32 [n], -1 where none does; the normal there has no meaning. points: int64 [n, 2], in units of
-        `MeshGround.point_ends`.
+        2^-(ground.bits + POINT_BITS) samples from the south-west corner.
         """
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface

@@ -56,15 +56,15 @@ def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     cells_per_unit = wp.float64(1.0) / units_a_cell  # exact: a power of two
-    slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
-    slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
+    slope_scale_x = domain.height_scale / (domain.unit_x * units_a_cell)
+    slope_scale_y = domain.height_scale / (domain.unit_y * units_a_cell)
     per_width = cells_per_unit / wp.float64(domain.samples.columns - 1)
     per_height = cells_per_unit / wp.float64(domain.samples.rows - 1)
     px = domain.west + wp.float64(p[0]) * domain.unit_x
     py = domain.south + wp.float64(p[1]) * domain.unit_y
     pz = g[0] * domain.height_scale + domain.height_offset
-    nx = -g[1] * slope_x
-    ny = -g[2] * slope_y
+    nx = -g[1] * slope_scale_x
+    ny = -g[2] * slope_scale_y
     nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
     # A damaged store may hold any samples; one value that is not finite makes the sum not finite.
     if not (wp.abs(pz + (nx + ny) * nz) < HIGHEST):
@@ -179,9 +179,9 @@ def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
         s = wp.float64(x - (i << shift)) * per_unit
         t = wp.float64(y - (j << shift)) * per_unit
         g = finer_at(domain.finer[0], tile, i, j, s, t)
-        if domain.bicubic == 1:
-            more = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
-            g = wp.vec3d(g[0] + more[0], g[1], g[2])
+        if domain.bicubic == 1:  # plus the bicubic surface minus the bilinear one
+            rest = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
+            g = wp.vec3d(g[0] + rest[0], g[1], g[2])
     elif ((x | y) & (cell - 1)) == 0:  # a sample
         g = on_sample(domain.samples, x >> bits, y >> bits)
     else:

@@ -62,8 +62,8 @@ def resolve(
     for k in range(slices):
         first_state = STATE_SIZE * k
         leaves = wp.int32(w.counts[3 * k])
-        room = base_of(w.counts, k).room
-        first = 2 * room  # of the slice's imports, which have two entries for each of `room`
+        list_base = base_of(w.counts, k).room
+        first = 2 * list_base  # of the slice's imports; their list has two entries for each one of other lists
         # What each import stands for.
         for i in range(w.state[first_state + IMPORTS]):
             level = w.imports[first + i][0] >> LEVEL_SHIFT
@@ -97,7 +97,7 @@ def resolve(
             if w.state[first_state + RESTARTED] == 1:
                 top = 0
             for i in range(w.state[first_state + END_TOPS + side]):
-                entry = stack_base(room, leaves, side) + i
+                entry = stack_base(list_base, leaves, side) + i
                 edge = w.stack[entry]
                 open_level[side * size + top] = w.stack_level[entry]
                 open[side * size + top] = wp.vec2i(edge[0], resolve_number(edge[1], first, found, 1))
@@ -108,7 +108,7 @@ def resolve(
         if k + 1 < slices:
             last = w.squares[k + 1]
         for q in range(w.squares[k], wp.min(last + 1, squares)):
-            for upper in range(2):  # 0: the right side, 1: the upper side
+            for upper in range(2):  # 0: the right side, 1: the upper side; columns 2 and 3 of `before`
                 begin = w.side_base[upper * squares + q]
                 end = w.side_base[upper * squares + q + 1]
                 if q == last:  # the next slice has made the rest
@@ -131,19 +131,19 @@ def replace_imports(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
     slot: number of the slice. found: (edge, vertex) of each import of all slices. `w.fixes` lists the triangles that
     have imports.
     """
-    room = base_of(w.counts, slot).room
-    first = 2 * room
+    list_base = base_of(w.counts, slot).room
+    first_import = 2 * list_base  # the list of imports has two entries for each one of other lists
     for i in range(w.state[STATE_SIZE * slot + FIXES]):
-        t = w.fixes[room + i]
+        t = w.fixes[list_base + i]
         for c in range(3 * t, 3 * t + 3):
             edge = w.corner_edges[c]
-            if edge >= 0:
+            if edge >= 0:  # this slice made it, perhaps with imported ends
                 ends = w.edges[edge]
                 w.edges[edge] = wp.vec2i(
-                    resolve_number(ends[0], first, found, 1), resolve_number(ends[1], first, found, 1)
+                    resolve_number(ends[0], first_import, found, 1), resolve_number(ends[1], first_import, found, 1)
                 )
-            w.corner_edges[c] = resolve_number(edge, first, found, 0)
-            w.corner_verts[c] = resolve_number(w.corner_verts[c], first, found, 1)
+            w.corner_edges[c] = resolve_number(edge, first_import, found, 0)
+            w.corner_verts[c] = resolve_number(w.corner_verts[c], first_import, found, 1)
 
 
 @wp.kernel

@@ -145,11 +145,12 @@ def expand(
         for k in range(t.inner_points):
             w = item_at(t.weights, wp.int64(k))
             put(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
+        # `look_up` replaces the template's numbers in a row of a table by those of the mesh.
         look_up(t.ends, 0, 2 * t.inner_lines, numbers, points, out.edges, first_line)
         c = 3 * t.triangles
         look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)
         look_up(t.sides, c * odd, c, numbers, lines, out.corner_edges, c * leaf)
-        number_row(out.level, leaf * t.triangles, t.triangles, level + t.levels, 0)
+        number_row(out.level, leaf * t.triangles, t.triangles, level + t.levels, 0)  # step 0: all are equal
 
 
 @wp.func

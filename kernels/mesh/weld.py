@@ -160,10 +160,11 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     w.stack[s.next0 - 1] = wp.vec2i(-1, -1)
     w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
     code = wp.int32(w.code[w.leaf_base[slot]])
-    starts = code >> FIRST & 1
-    w.state[first_state + SQUARE] = w.squares[slot] - starts
-    w.state[first_state + FIRST_BEGUN] = w.squares[slot] + 1 - starts
-    if starts == 0:
+    square_begins = code >> FIRST & 1
+    # The slice begins in square w.squares[slot], which `begin_square` counts if the square begins, too.
+    w.state[first_state + SQUARE] = w.squares[slot] - square_begins
+    w.state[first_state + FIRST_BEGUN] = w.squares[slot] + 1 - square_begins
+    if square_begins == 0:
         s.front0 = add_import(w, b, first_state, FRONT, 0)
         s.front1 = add_import(w, b, first_state, FRONT, 1)
         s.entry = add_import(w, b, first_state, FRONT, 2)
@@ -201,28 +202,28 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
 
 @wp.func
 def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
-    """Return (third, far, grow): the edge that the curve does not cross, its far vertex, and the growth of its stack.
+    """Return (third, far, growth): the edge that the curve does not cross, its far vertex, and the growth of its stack.
 
     A new edge or vertex gets the next number, which the caller counts. Imports are negative numbers. code: the leaf's
-    word. grow: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or if an earlier slice has opened it.
+    word. growth: 1 if the edge is opened, -1 if it is closed, 0 on a shared side or if an earlier slice has opened it.
     """
     first_state = STATE_SIZE * slot
     side = side_of(code)
     level = level_of(code, THIRD_LEGS)
     role = (code >> BORDER) & 7
-    top = wp.where(side == 0, s.next0, s.next1)
+    next_open = wp.where(side == 0, s.next0, s.next1)
     side_vertex = wp.where(side == 0, s.front0, s.front1)  # the front's vertex that this leaf moves
     third = s.edge
     far = s.vertex
-    grow = wp.int32(0)
+    growth = wp.int32(0)
     if (code & 1) == 1:  # the curve has passed the edge before, in this square
-        if top == stack_base(b.room, leaves, side):  # the stack is empty: an earlier slice has opened the edge
+        if next_open == stack_base(b.room, leaves, side):  # the stack is empty: an earlier slice has opened the edge
             third = import_open_edge(w, b, first_state, side, level)
             far = third
         else:
-            third = w.stack[top - 1][0]
-            far = w.stack[top - 1][1]
-            grow = -1
+            third = w.stack[next_open - 1][0]
+            far = w.stack[next_open - 1][1]
+            growth = -1
     elif role == TAKE_LEFT or role == TAKE_BELOW:
         shared_edge = read_side(w, b, first_state, slot, role, level)
         third = shared_edge[0]
@@ -234,16 +235,16 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     else:  # new, and on no shared side
         if role == TO_CORNER:
             far = corner_below(w, b, first_state, w.state[first_state + SQUARE])
-        grow = 1
-    return third, far, grow
+        growth = 1
+    return third, far, growth
 
 
 @wp.func
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
-    """Do what few leaves need: list triangle t for `join` if it uses an import, and pass on an edge of the curve.
+    """List triangle t for `join` if it uses an import; append the edge by which the curve leaves a square to its side.
 
-    At the last leaf of a square that edge, by which the curve leaves it, is passed to the square above. code: the
-    leaf's code. third, far: the leaf's third edge and that edge's far vertex.
+    Few leaves need either. The edge is on the upper side, for the square above. code: the leaf's word. third, far: the
+    leaf's third edge and that edge's far vertex.
     """
     first_state = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:  # one is an import
@@ -254,7 +255,7 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
     if code >> LAST == 1 and w.state[first_state + SQUARE] < w.columns * (w.rows - 1):
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
-        begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
+        begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)  # the end where the curve began the edge
         append_above(w, first_state, leave, level_of(code, LEAVE_LEGS), begun)
 
 
@@ -289,29 +290,29 @@ def weld(slot: wp.int32, w: Weld):
         if ((code >> FIRST) & 1) == 1:  # a square begins
             s = begin_square(w, b, slot, code, leaves, s)
         side = side_of(code)
-        top = wp.where(side == 0, s.next0, s.next1)
+        next_open = wp.where(side == 0, s.next0, s.next1)
         side_vertex = wp.where(side == 0, s.front0, s.front1)
-        third, far, grow = third_edge(w, b, slot, code, leaves, s)
+        third, far, growth = third_edge(w, b, slot, code, leaves, s)  # growth of the stack at `next_open`
         note_rare(w, b, slot, code, s, b.triangle + k, third, far)
         is_ordinary = wp.bool(True)
         while is_ordinary:
             # Where an edge that is closed, or the front, has another level, leaves do not fit together.
             level = level_of(code, THIRD_LEGS)
-            differs = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)  # 0 unless an edge is closed
+            differs = (item_at(w.stack_level, next_open - 1) ^ level) & (growth >> 31)  # 0 unless an edge is closed
             s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | differs
             leave = s.edge + wp.where(third == s.edge, 1, 0)
             # Of the next three entries, later leaves overwrite those that are not needed.
             put(w.edges, s.edge, wp.vec2i(side_vertex, far))
-            put(w.stack, top, wp.vec2i(third, side_vertex))
-            put(w.stack_level, top, level)
+            put(w.stack, next_open, wp.vec2i(third, side_vertex))
+            put(w.stack_level, next_open, level)
             write_triangle(w, b.triangle + k, code, side, s.front0, s.front1, far, s.entry, third, leave)
             s.level = level_of(code, LEAVE_LEGS)
             last = code >> LAST  # 1: the square's last leaf
             s.vertex = s.vertex + wp.where(far == s.vertex, 1, 0)
             s.edge = leave + 1
             s.entry = leave
-            s.next0 = s.next0 + wp.where(side == 0, grow, 0)
-            s.next1 = s.next1 + wp.where(side == 0, 0, grow)
+            s.next0 = s.next0 + wp.where(side == 0, growth, 0)
+            s.next1 = s.next1 + wp.where(side == 0, 0, growth)
             s.front0 = wp.where(side == 0, far, s.front0)
             s.front1 = wp.where(side == 0, s.front1, far)
             put(w.edges, leave, wp.vec2i(s.front0, s.front1))
@@ -320,12 +321,12 @@ def weld(slot: wp.int32, w: Weld):
             code = wp.int32(item_at(w.code, first + wp.int64(k)))
             side = side_of(code)
             old = code & 1  # 1: the curve has passed the third edge before
-            top = wp.where(side == 0, s.next0, s.next1)
+            next_open = wp.where(side == 0, s.next0, s.next1)
             side_vertex = wp.where(side == 0, s.front0, s.front1)
-            closed = item_at(w.stack, top - 1)
+            closed = item_at(w.stack, next_open - 1)
             third = wp.where(old == 1, closed[0], s.edge)
             far = wp.where(old == 1, closed[1], s.vertex)
-            grow = 1 - 2 * old
+            growth = 1 - 2 * old
             is_ordinary = k < leaves and (code & RARE) == 0 and (s.front0 | s.front1 | third | far) >= 0
         s.level = wp.where(last == 1, 0, s.level)
     end_slice(w, b, slot, leaves, s)

@@ -142,25 +142,26 @@ def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
 
     Half of a bilinear patch has a quarter of its twist; the curvatures of a bicubic one halve with each bisection.
     """
-    finer = depth - 2 * domain.levels - 1
-    return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
+    below_cells = depth - 2 * domain.levels - 1
+    return below_cells + wp.where(domain.bicubic == 0, below_cells & 1, 0)
 
 
 @wp.func
 def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
     """Return the saturated error of the diamond split at (x, y) without displacement, metres before scaling."""
     error = wp.float32(0.0)
-    finer = depth - 2 * domain.levels - 1
+    below_cells = depth - 2 * domain.levels - 1  # bisections inside a cell; negative above the cells
     if is_beyond(domain, x, y, depth):
         error = wp.float32(0.0)
-    elif finer < 0:
+    elif below_cells < 0:
         index = error_index(domain, x, y, depth)
         error = error_of(domain.table, group_of(domain.levels, depth), domain.error, index)
     else:
         bits = domain.unit_bits - domain.levels
         i = x >> bits
         j = y >> bits
-        group = wp.where(finer > 0, domain.curvature_group, domain.cell_group)
+        # The group of curvatures has the errors that halve below the cells; a bilinear surface has only that of cells.
+        group = wp.where(below_cells > 0, domain.curvature_group, domain.cell_group)
         error = cell_entry(domain, group, i, j)
         if (depth & 1) == 0:
             # the middle of an edge that two raster cells share
@@ -199,6 +200,7 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
     """
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
+    # Blocks have 2^level cells a side. The last entry of `mask_first` is the number of entries of one mask.
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
     last_column = (domain.samples.columns - 2) >> level
     last_row = (domain.samples.rows - 2) >> level
@@ -222,8 +224,8 @@ def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
     """
     reach = reach_of(domain.unit_bits, depth)
     shift = domain.unit_bits - domain.levels - domain.finer[0].bits
-    wide = domain.unit_bits - ((depth - 1) >> 1) + 1 + (depth & 1)
-    return limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, wide)
+    log2_width = domain.unit_bits - ((depth - 1) >> 1) + 1 + (depth & 1)
+    return limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, log2_width)
 
 
 @wp.func
@@ -236,15 +238,15 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
     shift = domain.unit_bits - levels
     i = x >> shift
     j = y >> shift
-    finer = depth - 2 * levels - 1
+    below_cells = depth - 2 * levels - 1  # bisections inside a finer cell; negative above the finer cells
     error = wp.float32(0.0)
     if depth <= 2 * (levels - STORED_BITS):
         # Stored errors of cells reach as far as saturation does. The block is twice as large, so it is nested.
         reach = reach_of(domain.unit_bits, depth) + (wp.int32(SATURATED) << shift)
-        wide = domain.unit_bits - ((depth - 1) >> 1) + 2 + (depth & 1)
-        limits = limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, wide)
-        error = wp.float32(2.0) * limits[0]
-    elif finer < 0:
+        log2_width = domain.unit_bits - ((depth - 1) >> 1) + 2 + (depth & 1)
+        limits = limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, log2_width)
+        error = wp.float32(2.0) * limits[0]  # from minus to plus the largest magnitude
+    elif below_cells < 0:
         error = stored_change(domain.finer[0], i, j, group_of(levels, depth))
     else:
         error = cell_change(domain.finer[0], i, j)
@@ -254,7 +256,7 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
             if (j << shift) == y:
                 error = wp.max(error, cell_change(domain.finer[0], i, j - 1))
         # It falls to a quarter with the first bisection below the finer cell and with every second one after that.
-        error = error / wp.float32(wp.int64(1) << wp.int64(finer + (finer & 1)))
+        error = error / wp.float32(wp.int64(1) << wp.int64(below_cells + (below_cells & 1)))
     return error
 
 
@@ -265,13 +267,14 @@ def layers_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
     (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
     border may miss all displacement.
     """
+    # `detail` has (distance from a leaf, climb): 64 entries for all unmasked layers, then 64 for each mask at 1 of 255.
     table_entry = leaf_depth
     if leaf_depth <= domain.border_depth:
         reach = reach_of(domain.unit_bits, depth)
         if x + reach > domain.east or y + reach > domain.north:
             table_entry = 0  # all of it
     missed = domain.detail[table_entry][0]
-    for k in range(domain.masked):  # `detail` has 64 entries for all unmasked layers, then 64 for each mask
+    for k in range(domain.masked):
         weight = wp.float32(max_of_mask(domain, k, x, y, depth))
         missed += weight * domain.detail[64 * (k + 1) + table_entry][0]
     if domain.masked > 0:
@@ -330,11 +333,14 @@ def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
 
 @wp.func
 def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the saturated error of the diamond split at (x, y), metres before scaling: it decides the split."""
+    """Return the saturated error of the diamond split at (x, y), metres before scaling: it decides the split.
+
+    It is the stored one or, where that may be too large, one from the twists of the raster's cells.
+    """
     error = stored_error_at(domain, x, y, depth)
     if may_be_less(domain, depth) and error > wp.float32(0.0):
         error = exact_raster_error_at(domain, x, y, depth)
-        if domain.detailed == 1:
+        if domain.detailed == 1:  # plus the displacement that leaves at this depth miss
             error = (error + detail_missed(domain, x, y, depth, depth)) * UP
     return error
 

@@ -69,7 +69,7 @@ def box_between(
     if depth > 2 * domain.levels and domain.bicubic == 0:  # inside a bilinear cell
         min_height, max_height = heights_between(domain, x0, y0, x1, y1)
         displacement = domain.max_detail
-        if domain.has_finer == 1:
+        if domain.has_finer == 1:  # plus the largest change by finer tiles
             shift = domain.unit_bits - domain.levels - domain.finer[0].bits
             log2_width = domain.unit_bits - ((depth - 1) >> 1)
             displacement += wp.float64(limits_over(domain.finer[0], x0, y0, x1, y1, shift, log2_width)[0])

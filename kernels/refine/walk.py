@@ -5,7 +5,8 @@ plain.py is the same method without shortcuts. Here the leaves below a triangle 
 (reuse.py); otherwise its diamond is *judged*. A split diamond gives an *interval* (interval.py), which decides most
 diamonds below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval
 for those below it. The curve often crosses from one triangle of a diamond to the other: the last measure of each depth
-is kept, so the second one need not be measured. Leaves of one depth are written as an even block.
+is kept, so the second one need not be measured. Where an interval gives all leaves below one depth (`even_depth`, else
+0), they are written as an even block.
 
 `w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far. `r`: the last frame's
 subtrees and the slice's lists.
@@ -92,6 +93,7 @@ def judge(
             m.verdict = wp.where(too_coarse(criterion, criterion.limit, m), SPLIT, LEAF)
             w.diamonds[entry] = m
             if m.verdict == SPLIT and c.depth < w.max_depth:
+                # The finest and the coarsest limits are the same in a walk.
                 w.intervals[entry] = interval_below(
                     domain, criterion, limits, limits, m, c.depth, w.max_depth, above.in_frame
                 )
@@ -116,7 +118,8 @@ def judge(
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
     """Prefetch the errors or height ranges of a split triangle's grandchildren if they begin another tile of the array.
 
-    c: at the triangle, with the interval for its children, which decides whether errors or ranges will be read.
+    c: at the triangle, with the interval for its children, which decides whether errors (`fetch_ahead`) or ranges
+    (`fetch_range`) will be read.
     """
     interval = w.intervals[c.interval_index]
     x = halfway(c.left[0], c.right[0])
@@ -157,7 +160,7 @@ def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
             n = emit(domain, w, q, c, n, verdict)
             n = count_reused(r, w.slot, n, verdict)
             if verdict == SPLIT:
-                fetch_children(domain, w, c)
+                fetch_children(domain, w, c)  # into the processor's cache
             c = advance(w, q, c, verdict)
             if verdict != SPLIT:
                 close_subtree(w, r, q.base + c.cell, n)

@@ -64,7 +64,7 @@ def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, n
 
     A receiver is a direction, 3 * (dy + 1) + dx + 1, to the neighbour of the steepest descent (O'Callaghan and Mark
     1984). The raster's border is ROOT, too. inverse_distance: 1 / distance of the neighbours east-west, north-south and
-    diagonally, 1/m. noise: breaks straight lines.
+    diagonally, 1/m. noise: random factors on the slopes, which break straight lines.
     """
     y = offset + wp.tid()
     first = y * d.grid.width
@@ -75,9 +75,10 @@ def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, n
         d.to[first] = ROOT
         d.to[first + d.grid.width - 1] = ROOT
         row_hash = scramble(wp.uint32(noise.row + y) + noise.seed) + wp.uint32(noise.column)
-        lowest = wp.float32(1.0) - noise.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
-        step = noise.jitter * wp.float32(0.00390625)
-        find_receivers_of_row(d, y, inverse_distance, lowest, step, row_hash)
+        # The factors are 256 equally spaced numbers with a mean of 1.
+        min_factor = wp.float32(1.0) - noise.jitter * wp.float32(0.498046875)
+        factor_step = noise.jitter * wp.float32(0.00390625)
+        find_receivers_of_row(d, y, inverse_distance, min_factor, factor_step, row_hash)
 
 
 @wp.func
@@ -110,7 +111,7 @@ def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)
-    # Samples beside one that drains begin the queue.
+    # Samples without a receiver, beside a level one that drains, begin the queue; `next_pit` finds all without one.
     i = next_pit(d, 0)
     while i < n:
         is_routed = wp.int32(0)

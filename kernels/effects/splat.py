@@ -186,8 +186,8 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
         layer = s.layers[number]
         noise = wp.float32(0.0)
         cover = layer.strength
-        # Noise is expensive and does not matter far from a rule's limits. Rules without it are evaluated in turn 0,
-        # those that need it in turn 1, which is left out if none does.
+        # Noise moves q by up to `ragged` widths of an edge. It is expensive and does not matter far from a rule's
+        # limits. Rules without it are evaluated in turn 0, those that need it in turn 1, left out if none does.
         turn = wp.int32(0)
         turns = wp.int32(1)
         while turn < turns and cover > 0.0:
@@ -215,7 +215,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
                     elif r.kind == LAYER:
                         q = covers[r.at]
                     elif turn == 0:
-                        q = image_at(s.images, r, x / s.across, y / s.up)
+                        q = image_at(s.images, r, x / s.across, y / s.up)  # the image covers the raster
                     if needs_noise == turn:
                         cover *= rule_weight(q, r.low, r.high, r.per_edge, r.kind)
                     elif needs_noise == 1:

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..unchecked import item_at, prefetch, put
 
-CODE_BITS = wp.constant(17)  # bits of a float32 that do not choose the first code to be compared: all but 64 an octave
+CODE_BITS = wp.constant(17)  # lowest bits of a float32, which do not choose a `first_codes` entry: 64 an octave
 
 
 @wp.struct
@@ -125,9 +125,9 @@ def encode_errors(
 ):
     """Encode block `offset + tid` of `block` errors, metres, of one group of depths: the first code not below each.
 
-    end: number of errors. table: errors of the group's codes, metres. first_codes: codes of the smallest number with
-    each value of the upper bits, without the lowest CODE_BITS. An error above the table gets the last code. Zeros are
-    not written: `codes` are zero, and holes of a sparse file stay.
+    end: number of errors. table: errors of the group's codes, metres. first_codes: for each value of a float's bits
+    above the lowest CODE_BITS, the code of the smallest such float. An error above the table gets the last code. Zeros
+    are not written: `codes` are zero, and holes of a sparse file stay.
     """
     begin = wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):
@@ -135,7 +135,7 @@ def encode_errors(
         error = item_at(errors, i)
         if error > wp.float32(0.0):
             code = wp.int32(item_at(first_codes, wp.int64(wp.cast(error, wp.int32) >> CODE_BITS)))
-            # without a jump, because it is the next code for every other error
+            # without a branch, which would often be predicted wrongly: many errors have the next code
             code = wp.min(code + wp.where(item_at(table, wp.int64(code)) < error, 1, 0), 255)
             while code < 255 and item_at(table, wp.int64(code)) < error:
                 code += 1

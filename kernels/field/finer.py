@@ -96,8 +96,9 @@ def entry_in_tile(i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
     """
     x = (i & (SIDE - 1)) >> (2 * group)
     y = (j & (SIDE - 1)) >> (2 * group)
-    # Entries of the groups before: 256 x 256 and 64 x 64. The last 16 x 16 have a whole page.
+    # Entries of the groups before: 256 x 256 and 64 x 64.
     first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
+    # Pages of 32 x 32 entries in a row of the group; the last group has 16 x 16 entries in one page.
     return wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
 
 
@@ -121,6 +122,7 @@ def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
     if tile >= 0:
+        # 8 pages of 32 x 32 cells in a row
         entry = wp.int64(CELLS) + tile_index(i & (SIDE - 1), j & (SIDE - 1), 8)
         error = item_at(finer.table, wp.int32(item_at(finer.errors, wp.int64(tile) * wp.int64(ERRORS) + entry)))
     return error
@@ -138,8 +140,9 @@ def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
     if tile >= 0:
         x = (i & (SIDE - 1)) >> (1 + 2 * group)
         y = (j & (SIDE - 1)) >> (1 + 2 * group)
-        # Entries of the groups before: 128 x 128 and 32 x 32. The last 8 x 8 have a whole page.
+        # Entries of the groups before: 128 x 128 and 32 x 32.
         first = wp.where(group == 0, 0, wp.where(group == 1, 16384, 17408))
+        # Pages of 32 x 32 entries in a row of the group; the last group has 8 x 8 entries in one page.
         entry = wp.int64(first) + tile_index(x, y, wp.where(group == 0, 4, 1))
         index = wp.int64(2) * (wp.int64(tile) * wp.int64(RANGES) + entry)
     return index
@@ -169,16 +172,17 @@ def limits_over(
     units of a finer cell. wide: log2 of lattice units that are at least the rectangle's sides. The tiles are looked up
     in blocks at least as wide, so 2 x 2 are read at most; blocks are nested, and so is the result of nested rectangles.
     """
+    # The level of `limits` whose blocks are wide enough: level 0 has single tiles, each next one blocks of 2 x 2.
     level = wp.clamp(wide - shift - TILE_BITS, 0, finer.top)
-    first = wp.int64(0)
+    level_entry = wp.int64(0)
     for k in range(level):
-        first += wp.int64(((finer.columns - 1) >> k) + 1) * wp.int64(((finer.rows - 1) >> k) + 1)
+        level_entry += wp.int64(((finer.columns - 1) >> k) + 1) * wp.int64(((finer.rows - 1) >> k) + 1)
     last_column = (finer.columns - 1) >> level
     last_row = (finer.rows - 1) >> level
-    shift += TILE_BITS + level
+    shift += TILE_BITS + level  # now of a block
     largest = wp.vec2f()
     for j in range(wp.max(y0 >> shift, 0), wp.min(y1 >> shift, last_row) + 1):
         for i in range(wp.max(x0 >> shift, 0), wp.min(x1 >> shift, last_column) + 1):
-            limits = item_at(finer.limits, first + wp.int64(j) * wp.int64(last_column + 1) + wp.int64(i))
+            limits = item_at(finer.limits, level_entry + wp.int64(j) * wp.int64(last_column + 1) + wp.int64(i))
             largest = wp.vec2f(wp.max(largest[0], limits[0]), wp.max(largest[1], limits[1]))
     return largest

@@ -238,9 +238,9 @@ def side_errors(
 ):
     """Compute the errors of diamonds at the middles of cells' sides, `half` samples from the side's ends.
 
-    The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, each of two
-    right-angled ones with that angle at the middle, or the largest of its children's errors if that is more. At the
-    border there is one triangle. Arrays and layouts: as in `centre_errors`.
+    The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
+    largest of its children's errors if that is more. The side's middle splits each triangle into two with their right
+    angles there. At the border there is one triangle. Arrays and layouts: as in `centre_errors`.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):
@@ -267,7 +267,7 @@ def side_errors(
             up = 1 - (k & 2)
             across = wp.where(runs_east == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
-            if holds(coarser, apex):
+            if holds(coarser, apex):  # the triangle is inside the border
                 z = vertex_height(raster, apex[0] * half, apex[1] * half)
                 rise = (z - middle) / n
                 along_side = wp.float64(wp.where(runs_east == 1, right, up)) * slope

@@ -95,7 +95,7 @@ def smooth(low: wp.float64, high: wp.float64, value: wp.float64):
 def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
     """Return 0 on a ridge to 1 in the bed of a valley; about 6 * turns valleys run outward from (0, 0).
 
-    x, y: position relative to that centre, in units of the whole form.
+    x, y: position relative to that centre, in units of half the island's side.
     """
     distance = wp.sqrt(x * x + y * y) + wp.float64(1e-3)
     wander = wp.float64(1.2) * distance
@@ -115,12 +115,12 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
     half = wp.float64(0.5)
     wide = noise(x * wp.float64(2.0), y * wp.float64(2.0), seed + wp.uint32(101))
     narrow = noise(x * wp.float64(6.0), y * wp.float64(6.0), seed + wp.uint32(102))
-    # the position moved by noise, so that forms are not round
+    # the position moved by noise, so that forms are not round; north by slopes, which serve as other noise
     wx = x + wp.float64(0.14) * wide[2] + wp.float64(0.04) * narrow[2]
     wy = y + wp.float64(0.07) * wide[0] + wp.float64(0.02) * narrow[0]
     bays = noise(x * wp.float64(3.1), y * wp.float64(3.1), seed + wp.uint32(103))
-    reach = wp.sqrt(wx * wx + wp.float64(1.3) * wy * wy)
-    inland = wp.float64(0.82) - reach - wp.float64(0.16) * bays[2]
+    from_middle = wp.sqrt(wx * wx + wp.float64(1.3) * wy * wy)
+    inland = wp.float64(0.82) - from_middle - wp.float64(0.16) * bays[2]
     dry = smooth(wp.float64(-0.12), wp.float64(0.02), inland)  # 0 on the sea bed, 1 on land
     rough = relief(wx * wp.float64(2.2), wy * wp.float64(2.2), dry, seed)
     inland = inland + wp.float64(0.05) * rough
@@ -136,7 +136,7 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
         by = wy - wp.float64(0.06) * rough
         beds = gullies(bx, by, wp.float64(1.9), seed + wp.uint32(105))
         beds = wp.max(beds, half * gullies(bx, by, wp.float64(4.7), seed + wp.uint32(106)))
-        spread = smooth(wp.float64(0.05), wp.float64(0.3), reach) * wp.min(rise * wp.float64(20.0), one)
+        spread = smooth(wp.float64(0.05), wp.float64(0.3), from_middle) * wp.min(rise * wp.float64(20.0), one)
         land = land * (one - wp.float64(0.6) * beds * spread)
 
     # The volcano: a cone that steepens towards its rim, with gullies and a crater.

@@ -44,7 +44,7 @@ def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
 def diamond(depth: Depth, t: wp.int64) -> wp.vec2i:
     """Return diamond number `t` of a depth, row by row; `holds` tells whether it exists.
 
-    A row of sides between cells has one more than a row through centres, whose last number is beyond the east end.
+    In a row of sides with an even y the last number is beyond the east end: there is one side less than with an odd y.
     """
     stride = wp.where(depth.sides == 1, depth.columns / 2 + 1, depth.columns)
     y = wp.int32(t / wp.int64(stride))

@@ -95,6 +95,7 @@ def finest_ranges(
     middle = wp.vec4f()
     first = 1 - (y & 1)
     for x in range(first - REACH, finest.columns + 1, 2):
+        # [0], [1]: lowest and highest sample of the first column; [2], [3]: of REACH columns
         end = limits_of_columns(raster, west + 2 * x + REACH, first_row, last_row)
         if x >= first:
             low = wp.min(wp.min(begin[2], middle[2]), end[0])

@@ -81,8 +81,8 @@ def window_errors(
     """Raise `largest` of row `offset + tid` to the largest distance, metres, of the surface from a triangle's plane.
 
     measured: a window of the raster, NaN where samples do not count. (west, south): its first sample. corner: the
-    triangle, which may extend beyond the window. A cell that the longest edge crosses counts only if the window has all
-    four of its samples.
+    triangle, which may extend beyond the window; `right` and `up`, 1 or -1, are the directions of its legs. A cell that
+    the longest edge crosses counts only if the window has all four of its samples.
     """
     row = offset + wp.tid()
     c = corner
@@ -96,7 +96,7 @@ def window_errors(
         first = c.x + wp.min(c.right, 0) * (c.legs - j)
         begin = wp.max(first, west)
         end = wp.min(first + c.legs + 1 - j, west + width)
-        steps = wp.float64(begin - c.x)
+        steps = wp.float64(begin - c.x)  # from the corner
         max_distance = distance_of_row(h, start + begin - west, end - begin, plane, c.slope_x, steps, max_distance)
     # The longest edge runs from (x, y + up * legs) along (right, -up); cell i of it is between its rows i and i + 1.
     i = c.legs - c.up * (south + row - c.y)
@@ -107,15 +107,15 @@ def window_errors(
     # The window has all four samples of the cell.
     if i >= 0 and i < c.legs and cell_x >= west and cell_x + 1 < west + width and row + 1 < measured.rows:
         top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
-        across = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
+        edge_slope = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
         index = start + edge_x - west
         if c.up > 0:
             index = index + width
         aside_index = index + c.right
         below_index = index - c.up * width
         far_index = below_index + c.right
-        e0 = wp.float64(h[index]) - (top + across * wp.float64(i))
-        e1 = wp.float64(h[far_index]) - (top + across * wp.float64(i + 1))
+        e0 = wp.float64(h[index]) - (top + edge_slope * wp.float64(i))
+        e1 = wp.float64(h[far_index]) - (top + edge_slope * wp.float64(i + 1))
         twist = (
             wp.float64(h[index]) + wp.float64(h[far_index]) - wp.float64(h[aside_index]) - wp.float64(h[below_index])
         )

@@ -28,18 +28,18 @@ def place_vertices(
 
     positions: metres; the height of a vertex that was in that mesh is replaced. heights (metres after vertical
     scaling), states: by `vertex_index`, from `store_heights`. A vertex that is no sample, inside a cell, is PINNED.
-    Heights of m are without the change of finer tiles, and `positions` have it.
+    Heights of m are without the change of finer tiles, and `positions` have it. The sums m.push become 0.
     """
     v = offset + wp.tid()
     d = m.domain
     p = positions[v]
-    units_per_step = wp.float64(wp.int32(1) << m.snap)
+    units_per_step = wp.float64(wp.int32(1) << m.snap)  # vertices are at multiples of 2^snap units
     x = wp.int32(wp.rint((wp.float64(p[0]) - d.west) / (d.unit_x * units_per_step))) << m.snap
     y = wp.int32(wp.rint((wp.float64(p[1]) - d.south) / (d.unit_y * units_per_step))) << m.snap
     m.point[v] = wp.vec2i(x, y)
     m.push[2 * v] = wp.float64(0.0)
     m.push[2 * v + 1] = wp.float64(0.0)
-    bits = d.unit_bits - d.levels
+    bits = d.unit_bits - d.levels  # a cell has 2^bits lattice units a side
     if d.has_finer == 1:
         p = wp.vec3f(p[0], p[1], wp.float32(surface_height(d, x, y) * d.height_scale + d.height_offset))
     state = PINNED  # inside a raster's cell
@@ -75,13 +75,13 @@ def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.i
 
 @wp.kernel
 def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
-    """Store height and state of vertex `offset + tid` by its sample, for `place_vertices` of the next mesh.
+    """Store height and state of vertex `offset + tid`, if it is a sample, for `place_vertices` of the next mesh.
 
-    Vertices inside cells have no sample and are not stored.
+    heights (metres after vertical scaling), states: by `vertex_index`.
     """
     v = offset + wp.tid()
     d = m.domain
-    bits = d.unit_bits - d.levels
+    bits = d.unit_bits - d.levels  # a cell has 2^bits lattice units a side
     p = m.point[v]
     if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:  # a sample
         entry = vertex_index(d, p[0] >> bits, p[1] >> bits)

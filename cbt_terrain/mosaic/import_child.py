@@ -36,7 +36,7 @@ def has_several(settings: ImportSettings) -> bool:
     path = Path(settings.source)
     if names_several(settings) or not may_name_several(settings):
         return names_several(settings)
-    check_file(path)
+    check_file(path)  # one archive
     return len(height_maps(path)) > 1
 
 
@@ -114,19 +114,20 @@ def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
     if not has_several(settings):
         return import_one(request, on_progress, begin)
-    # Before the guard, because a sandboxed process starts none. Archives are unpacked once, for this process alone.
+    # Before the guard, because a sandboxed process starts none. With archives this process works alone, so that they
+    # are unpacked once.
     crew = Crew() if has_archives(settings) else start_crew(settings, "cbt_terrain.mosaic.import_child")
     try:
         guard_mosaic(settings, path)
         begin()  # after the guard: threads started before it could still write elsewhere
-        return run_mosaic_import(settings, path, on_progress, request["folder"], crew, part_of(request))
+        return run_mosaic_import(settings, path, on_progress, request["folder"], crew=crew, part=part_of(request))
     finally:
         crew.close()
 
 
 def guard_mosaic(settings: ImportSettings, path: Path) -> None:
     """Drop this process's rights before the files of a mosaic are opened. path: the store's folder."""
-    guard_import(settings, path, paths_of(settings), (resample,))
+    guard_import(settings, path, paths_of(settings), more_kernels=(resample,))
 
 
 def idle_main(line: bytes) -> None:

@@ -39,7 +39,7 @@ def paths_in(path: Path) -> list[Path]:
 
 
 def _names_in(path: Path, column: str) -> tuple[list[str], str]:
-    """Return the paths in an index as texts, and the name of their column.
+    """Return the paths in an index as texts, and the requested name of their column, `column` or that in XML.
 
     column: the name of the column of paths, "" for one of the usual names. Raises OSError, ValueError, and the errors
     of the modules that parse the index.

@@ -4,6 +4,8 @@
 Lattices of about the same step form a level, and each level is laid on those with larger steps. A seam of a level is a
 sample that it lacks and that is known below. Distances to seams are measured between the corners of square cells at
 fixed places of the grid, so a blended height depends on its place and the tiles alone.
+
+Marks are bits of a level's samples: bit n for a seam where level n shows, the last bit for a sample with nothing below.
 """
 
 import hashlib
@@ -29,7 +31,7 @@ MAX_PART = 4
 WIDER = 4  # cells of a ring along one by which that distance is measured
 MAX_LEVELS = 62  # whose seams are bits of one number
 MAX_STRETCH = 4.0  # of a ring's axes
-MAX_CELL_BYTES = 1 << 28  # kept seams
+MAX_CELL_BYTES = 1 << 28  # cached marks
 INSIDE = 1e-6  # samples
 
 Scan = Callable[[int, int], Iterator[tuple[GridPiece, int, PieceValues, PieceValues]]]
@@ -106,7 +108,7 @@ class InsetBlend:
     Attributes:
         levels: level of each tile.
         rings: ring of insets on each level.
-        records: those of the marks of blocks, None for none.
+        records: records of the marks of blocks, None for none.
     """
 
     def __init__(self, levels: np.ndarray, steps: np.ndarray, grid: TargetGrid, scan: Scan) -> None:
@@ -123,7 +125,7 @@ class InsetBlend:
         self._bits = np.append(np.left_shift(1, levels), [0, 0]).astype(self._kind)
         last = grid.row + grid.height - 1, grid.column + grid.width - 1
         # First and last row, and first and last column, of the grid's blocks.
-        self._blocks = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
+        self._block_ranges = (grid.row // BLOCK, last[0] // BLOCK), (grid.column // BLOCK, last[1] // BLOCK)
         # Marks of blocks by (row, column) and level, the block used last at the end, and the bytes of all.
         self._cells: OrderedDict[tuple[int, int], dict[int, np.ndarray]] = OrderedDict()
         self._bytes = 0
@@ -165,7 +167,7 @@ class InsetBlend:
         It is the ring of `level` on tiles of the level `lower`. The result is float64 [rows, columns] of the piece.
         """
         ring = self.rings[lower]
-        marks = self._marks_around(level, ring, piece, rings=1)
+        marks = self._marks_around(level, ring, piece, margin_rings=1)
         # Bit `lower` marks seams on that level, the last bit samples of the inset without tiles below (`_marks`).
         seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
@@ -173,30 +175,30 @@ class InsetBlend:
         # The ring is narrower where the largest distance to a seam nearby is small; larger cells give that distance.
         wide = _widened(ring)
         cells_per_wide = wide.cell // ring.cell
-        widest = find_widest(self._marks_around(level, wide, piece, rings=MAX_PART + 1) >> lower & 1 != 0, wide)
+        widest = find_widest(self._marks_around(level, wide, piece, margin_rings=MAX_PART + 1) >> lower & 1 != 0, wide)
         first = piece.row // ring.cell, piece.column // ring.cell
         last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
         corners = [np.arange(n, m + 2) for n, m in zip(first, last, strict=True)]
-        # From cells of the wide ring, counted from its first one here, to the corners of cells of the ring.
+        # Interpolate from corners of the wide ring's cells to corners of the ring's cells.
         widest = _interpolate(widest, *(n / cells_per_wide - n[0] // cells_per_wide for n in corners))
         nodes = ring_fractions(seams, ends, widest, ring)
         rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
         positions = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))
         return _interpolate(nodes, *positions)
 
-    def _marks_around(self, level: int, ring: BlendRing, piece: GridPiece, rings: int) -> np.ndarray:
+    def _marks_around(self, level: int, ring: BlendRing, piece: GridPiece, margin_rings: int) -> np.ndarray:
         """Return the marks (`_marks`) of a level in a ring's cells that a piece meets, united over each cell's samples.
 
-        The window has a margin of `rings` widths of the ring and one cell.
+        The window has a margin of `margin_rings` widths of the ring and one cell.
         """
-        size, margin = BLOCK // ring.cell, [rings * reach + 1 for reach in ring.reach]
+        size, margin = BLOCK // ring.cell, [margin_rings * reach + 1 for reach in ring.reach]
         first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
         last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
         cells = np.zeros((last[0] - first[0] + 1, last[1] - first[1] + 1), self._kind)
         ranges = [
             range(max(first[axis] // size, low), min(last[axis] // size, high) + 1)
-            for axis, (low, high) in enumerate(self._blocks)
+            for axis, (low, high) in enumerate(self._block_ranges)
         ]
         for row in ranges[0]:
             for column in ranges[1]:
@@ -211,14 +213,14 @@ class InsetBlend:
         return cells
 
     def _marks_of_block(self, row: int, column: int) -> dict[int, np.ndarray]:
-        """Return the marks of a block's cells by level, which the blend across the level's border reads; cached.
+        """Return the marks of a block's cells by level, from the cache, its record or the files.
 
-        They are those of `_marks`, united over the samples of each cell. Levels without a mark in the block are left
-        out.
+        They are united over the samples of each cell. Levels without a mark in the block are left out.
         """
         key = row, column
         if key not in self._cells:
-            place = row - self._blocks[0][0], column - self._blocks[1][0]  # counted from the grid's first block
+            # counted from the grid's first block
+            place = row - self._block_ranges[0][0], column - self._block_ranges[1][0]
             known = None
             if self.records is not None:
                 known = self.records.find(place, key, self._kind, self._side_of)
@@ -252,7 +254,7 @@ class InsetBlend:
         ranges = [
             range(max((first - reach) // BLOCK, low), min((first + count - 1 + reach) // BLOCK, high) + 1)
             for (first, count), (low, high) in zip(
-                ((piece.row, piece.rows), (piece.column, piece.columns)), self._blocks, strict=True
+                ((piece.row, piece.rows), (piece.column, piece.columns)), self._block_ranges, strict=True
             )
         ]
         for row, column in product(ranges[0], ranges[1]):
@@ -318,9 +320,9 @@ def _interpolate(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.
 
 
 def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
-    """Return for corners of cells the largest distance to a seam within one ring around, in widths of the ring.
+    """Return for each corner the largest distance to a seam among the corners within one ring, in widths of the ring.
 
-    It is at most MAX_PART. The corners are those inside the margin.
+    It is at most MAX_PART. The result is for the corners inside the margin.
 
     seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
     """
@@ -337,9 +339,9 @@ def ring_fractions(seams: np.ndarray, ends: np.ndarray, widest: np.ndarray, ring
     The ring is narrower where the inset is, and where the tiles below end under it, so that there is no step.
 
     Args:
-        seams: bool, cells with a sample of the tiles below, with a margin of one ring and one cell.
-        ends: the same for samples of the inset without any below.
-        widest: float64, largest distances to a seam around the corners, in widths of the ring.
+        seams: bool, cells with a seam, with a margin of one ring and one cell.
+        ends: bool, cells with a sample of the inset that has nothing below, with the same margin.
+        widest: float64, distances of `find_widest` at the corners, in widths of the ring.
         ring: the ring at its full width.
     """
     down, across = ring.reach

@@ -41,7 +41,8 @@ def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     if not has_several(settings):
         return describe_alone(settings)
     check_settings(settings)
-    guard_import(settings, scratch if has_archives(settings) else None, paths_of(settings), (resample,))
+    folder = scratch if has_archives(settings) else None
+    guard_import(settings, folder, paths_of(settings), more_kernels=(resample,))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:
         return _report(settings, on_progress, files)

@@ -130,9 +130,9 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         return values
 
     raster.window, raster.pick, raster.finish = window, pick, finish
-    if composite.finest is not None:
+    if composite.finest is not None:  # the raster has the finest step everywhere
         raster.finest = FinerSource(composite.finest.bits, composite.finest.boxes, window)
-    if composite.finer is not None:
+    if composite.finer is not None:  # the raster has the step of the coarser files
         plan, whole = composite.finer
 
         def finer_window(first: int, count: int, column: int, columns: int) -> np.ndarray:
@@ -157,7 +157,7 @@ def blend_metres(composite: Composite) -> float:
 
 
 def _surface_entry(composite: Composite) -> dict:
-    """Return the report's entry about the surface that bounds refer to; {} for the files' own."""
+    """Return the report's entry about the surface that error bounds refer to; {} for the files' own."""
     if not composite.resamples:
         return {}
     against = f"the mosaic as resampled to {composite.grid.crs}, bilinear"
@@ -184,7 +184,7 @@ def hidden_warnings(composite: Composite) -> list[str]:
 
 
 def replaced_warnings(composite: Composite) -> list[str]:
-    """Return a warning if files have exactly the samples' positions of others and so replace them; [] otherwise."""
+    """Return a warning if files replace others, because their samples have the same positions; [] otherwise."""
     upper: dict[tuple, Path] = {}  # the file of the highest priority at each place
     replaced = []
     for tile in reversed(composite.tiles):

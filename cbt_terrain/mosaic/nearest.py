@@ -21,8 +21,8 @@ ROUNDING = 1e-6
 def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return samples at rows and columns of the grid, float64 [rows, columns] with NaN for gaps.
 
-    rows, columns: ascending, counted from the grid's corner in the north-west. Each file is opened once, unless more
-    than the composite keeps open are needed by the next call, too.
+    rows, columns: ascending, counted from the grid's corner in the north-west. A call opens each file once. The next
+    call opens only files again that the composite has not kept open.
     """
     grid = composite.grid
     rows, columns = grid.row + rows, grid.column + columns
@@ -67,12 +67,12 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
 def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stride: float) -> np.ndarray:
     """Return the samples of a tile at columns u and rows v, float64 [n].
 
-    A mosaic of more than MAX_UNPACKED samples takes them from an overview if the file has one. stride: columns of the
-    tile between them. rank: number of the tile.
+    A mosaic of more than MAX_UNPACKED samples takes them from an overview of about FINER samples a stride, if the file
+    has one. stride: columns of the tile between two samples. rank: number of the tile.
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:
-        small = composite.overview_of(rank, int(stride / FINER + ROUNDING))
+        small = composite.overview_of(rank, max_factor=int(stride / FINER + ROUNDING))
     if small is None:
         return _read(lambda *window: composite.tile_window(rank, *window), u, v)
     try:

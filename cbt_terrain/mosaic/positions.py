@@ -88,7 +88,7 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
         middle_of_tiles = lattice.rectangles[:, [0, 2]].mean(), lattice.rectangles[:, [1, 3]].mean()
         tiles_middle, block_middle = float(lattice.positions(*middle_of_tiles)[0]), float(x[len(x) // 2])
         block_middle = block_middle if np.isfinite(block_middle) else tiles_middle
-        if lattice.crs != grid.crs:
+        if lattice.crs != grid.crs:  # the grid's own longitudes are continuous
             x = x - circle * np.round((x - block_middle) / circle)
         x = x - circle * np.round((block_middle - tiles_middle) / circle)
     u, v = lattice.indices(x, y)

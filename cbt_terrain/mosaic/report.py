@@ -73,11 +73,9 @@ def coverage(composite: Composite) -> tuple[float, float]:
     for lattice in composite.lattices:
         positions = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
         for rank, (first_u, first_v, last_u, last_v) in zip(lattice.tiles, lattice.rectangles, strict=True):
-            box = composite.boxes[rank]
-            across = slice(
-                *np.searchsorted(columns, [box[0] - composite.reach[rank, 0], box[2] + composite.reach[rank, 0]])
-            )
-            down = slice(*np.searchsorted(rows, [box[1] - composite.reach[rank, 1], box[3] + composite.reach[rank, 1]]))
+            box = composite.near[rank]
+            across = slice(*np.searchsorted(columns, [box[0], box[2]]))
+            down = slice(*np.searchsorted(rows, [box[1], box[3]]))
             part_x, part_y = (values.reshape(x.shape)[down, across] for values in positions)
             period = period_of(lattice.crs)
             if period:
@@ -157,7 +155,7 @@ def _expected_bytes(composite: Composite) -> int:
     )
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
     sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits
-    needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, 0)
+    needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, layers=0)
     tiles = 0 if composite.finer is None else composite.finer[0].tiles
     return needed + tiles * TILE_BYTES + min(unpacked, MAX_UNPACKED_BYTES)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marks of seams (insets.py) of an earlier import: to find them, all files around have to be read."""
+"""Marks of seams (bits, insets.py) of an earlier import: to find them, all files around have to be read."""
 
 import zlib
 from collections.abc import Callable
@@ -27,8 +27,8 @@ class SeamRecords(NamedTuple):
     def find(self, place: Block, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
         """Return the marks of a block's seam cells by level, from its record; None if they are unknown.
 
-        place: row and column of the block, counted from the grid's first one. block: the same by absolute numbers.
-        kind: type of the marks. side(level): cells along a side.
+        place: row and column of the block, counted from the grid's first one. block: the same, counted from the
+        grid's origin (x0, y0). kind: type of the marks. side(level): cells along a side.
         """
         record = self.find_record(*place)
         if record is None or record["inputs"] != self.inputs_at(*block):
@@ -47,7 +47,8 @@ class SeamRecords(NamedTuple):
     def note(self, place: Block, block: Block, marks: dict[int, np.ndarray]) -> None:
         """Write the record of a block: the marks of its seam cells by level.
 
-        place: row and column of the block, counted from the grid's first one. block: the same by absolute numbers.
+        place: row and column of the block, counted from the grid's first one. block: the same, counted from the
+        grid's origin (x0, y0).
         """
         texts = {str(level): zlib.compress(level_marks.tobytes()).hex() for level, level_marks in marks.items()}
         self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)

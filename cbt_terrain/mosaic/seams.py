@@ -66,12 +66,12 @@ def find_seams(composite: Composite) -> SeamReport:
 
 
 def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps (upper minus lower height, metres) and positions at samples of the upper tile's border.
+    """Return steps (upper minus lower value, in metres) and positions at samples of the upper tile's border.
 
     They are those inside the lower tile. Without a known step there, samples of the whole upper tile are compared.
     lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in SeamReport.
     """
-    tile, scale = composite.tiles[upper], abs(composite.scale)
+    tile, scale = composite.tiles[upper], abs(composite.scale)  # steps keep the sign of the values
     right, bottom = tile.width - 1, tile.height - 1
     along, down = _spread(0, right), _spread(0, bottom)
     sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]
@@ -111,9 +111,9 @@ def _compare(
 
 
 def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np.ndarray) -> tuple:
-    """Return columns and rows, float64, in the lower tile of samples of the upper one.
+    """Return where samples of the upper tile are in the lower one: columns and rows, float64.
 
-    above: the upper tile.
+    below, above: the lower and the upper tile. columns, rows: of the samples in the upper one.
     """
     x, y = projected(above.crs, below.crs, *above.position(columns, rows))
     a, b, _, d, e, _ = below.transform

@@ -239,7 +239,8 @@ def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
 def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float, middle: np.ndarray) -> None:
     """Raise TerrainError for a grid with more samples than a store can hold, and name the step that fits.
 
-    step_x, step_y: in units of the system. middle: x and y of the mosaic's middle, where they are measured in metres.
+    step_x, step_y: in units of the system. middle: x and y of the mosaic's middle, where a unit's
+    length in metres is taken.
     """
     if min(width, height) < 2 or fit(width, height).is_addressable:
         return

@@ -102,13 +102,13 @@ def source_box(
     down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
     across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
     box = []
-    for values, (first_end, last_end), period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
+    for values, (first_entry, last_entry), period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
         positions = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
         positions = positions[np.isfinite(positions)]
         if not len(positions):
             return None
         rectangles = lattice.rectangles[near]
-        low, high = rectangles[:, first_end].min() - period, rectangles[:, last_end].max() + period
+        low, high = rectangles[:, first_entry].min() - period, rectangles[:, last_entry].max() + period
         first, last = max(np.floor(positions.min()), low), min(np.ceil(positions.max()), high)
         if first > last + 1:
             return None

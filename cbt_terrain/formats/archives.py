@@ -186,14 +186,14 @@ class UnpackedFiles:
 def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
     """Yield an UnpackedFiles that unpacks archives into the new folder `folder` on demand; remove it after the block.
 
-    `folder` has the name of a folder of arrays (`store_folder.scratch_name`). Folders above it that were made for it
-    are removed if they are empty. In a TerrainError of the block, paths of unpacked files are replaced by those of
-    their archives. Raises OSError if the folder cannot be made.
+    `folder` is named like a folder of arrays (`store_folder.scratch_name`), because `store_folder` removes no others.
+    Folders above it that were made for it are removed if they are empty. In a TerrainError of the block, paths of
+    unpacked files are replaced by those of their archives. Raises OSError if the folder cannot be made.
     """
     new_folders = store_folder.missing_folders(folder.parent)
     lock = partial_files.make_folder(folder, parents=True)
     try:
-        with partial_files.private_folder(folder) as inner:
+        with partial_files.private_folder(folder) as inner:  # a new folder in it, for this user alone
             files = UnpackedFiles(inner)
             try:
                 yield files

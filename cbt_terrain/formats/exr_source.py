@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights in an OpenEXR file.
 
-OpenEXR is imported inside `open_exr` only, which runs in the import's child process: inside the real Blender program
+OpenEXR is imported inside functions only, which run in the import's child process: inside the real Blender program
 its symbols bind to Blender's own library and reading crashes.
 """
 

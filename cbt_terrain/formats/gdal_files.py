@@ -24,7 +24,7 @@ from .vrt_units import HeightScale, dataset_scales
 MOSAIC_SUFFIXES = {suffix for suffix, form in FORMATS.items() if form.in_mosaic}  # of files that a VRT may name
 DAMAGE = {"PNG": png_damage, "netCDF": netcdf_damage}  # checks before a driver reads a file
 MAX_BANDS = 1024  # more than any height map has; interleaved bands are all read
-# Bytes of the smallest piece of a file that can be read: a tile or strip, with all its bands if they are interleaved.
+# Max bytes of a piece of a file that is read at once: a tile or strip, with all its bands if they are interleaved.
 LARGEST_BLOCK = 256 << 20
 CACHE_BYTES = 256 << 20  # rasterio takes bytes, GDAL's environment variable megabytes
 # No network, no code from a file, a bounded cache. PAM is GDAL's name for reading and writing .aux.xml files. It is
@@ -116,8 +116,8 @@ def _check_damage(path: Path, form: SourceFormat) -> None:
 def open_vrt(path: Path) -> OpenedVrt:
     """Open a VRT as `read_mosaic` rewrites it, after each of its files was opened once and checked.
 
-    From then on GDAL looks for no files beside others in this process. Raises TerrainError, and rasterio's errors for
-    the VRT itself.
+    From then on GDAL ignores files beside rasters (.msk, .ovr) in this process. Raises TerrainError, and rasterio's
+    errors for the VRT itself.
     """
     import rasterio
     from rasterio.env import setenv
@@ -148,7 +148,7 @@ def open_vrt(path: Path) -> OpenedVrt:
         rasterio.MemoryFile(text.encode(), dirname=mosaic.folder, filename=f"{number}.vrt")
         for number, text in enumerate(mosaic.texts)
     ]
-    dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
+    dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)  # the outermost VRT
     _check_blocks(path, dataset)
     return OpenedVrt(dataset, texts, mosaic, roundings, scales)
 

@@ -171,6 +171,7 @@ def raster_of(
         roundings=roundings,
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
+        # without a view, the dataset is closed twice, which does no harm
         close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
     )
 
@@ -263,14 +264,14 @@ def _window_reader(
 
 
 def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
-    """Open the overview of a GeoTIFF with samples over 2, 4, 8, ... samples a side, the most up to `max_factor`.
+    """Open the coarsest overview of a GeoTIFF with one sample for 2, 4, 8 ... `max_factor` samples a side.
 
-    None if the file has no such overview, or its overviews have other steps or another type of samples. The caller
-    closes it. The file was opened and checked before. width: its columns. stored: type of its samples.
+    None if the file has no such overview, or if it is coarser or has another type of samples. The caller closes it. The
+    file was opened and checked before. width: its columns. stored: type of its samples.
     """
     import rasterio
 
-    level = max_factor.bit_length() - 2  # overviews are 2, 4, 8, ... times coarser
+    level = max_factor.bit_length() - 2  # overviews 0, 1, 2, ... should be 2, 4, 8, ... times coarser
     if level < 0:
         return None
     try:
@@ -293,9 +294,10 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
 
 
 def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Callable:
-    """Return the function `window` of a Raster for the band of the settings, which applies the file's mask or alpha.
+    """Return the function `window` of a Raster for the band of the settings.
 
-    With a no-data value in the settings that alone marks missing samples.
+    GDAL's mask, which includes the file's no-data value, or an alpha band marks missing samples. A no-data value in the
+    settings replaces both.
     """
     from rasterio.enums import MaskFlags
 

@@ -24,7 +24,12 @@ def netcdf_damage(file: BinaryIO) -> str:
 
 
 class _Header:
-    """A header that is read from its start; all methods raise ValueError or struct.error at damage."""
+    """A header that is read from its start; all methods raise ValueError or struct.error at damage.
+
+    Attributes:
+        count_code: type of a count, as of `struct`.
+        offset_bytes: size of a variable's offset in the file.
+    """
 
     def __init__(self, file: BinaryIO, version: int) -> None:
         """Begin at the file's position. Versions differ in the sizes of counts (5) and of offsets in the file (1)."""
@@ -49,7 +54,7 @@ class _Header:
             raise ValueError
         return count
 
-    def skip(self, num_bytes: int) -> None:
+    def skip_padded(self, num_bytes: int) -> None:
         """Pass over bytes and their padding to a multiple of 4."""
         padded = -(-num_bytes // 4) * 4
         if padded > self.size - self.file.tell():
@@ -69,26 +74,26 @@ class _Header:
 
     def dimension(self) -> None:
         """Skip a dimension: its name and its length."""
-        self.skip(self.count())
+        self.skip_padded(self.count())
         self.number(self.count_code)
 
     def attribute(self) -> None:
         """Skip an attribute: its name, the type of its values and the values. Raises ValueError for an unknown type."""
-        self.skip(self.count())
+        self.skip_padded(self.count())
         size = SIZES.get(self.number())
         if size is None:
             raise ValueError
-        self.skip(size * self.count())
+        self.skip_padded(size * self.count())
 
     def variable(self) -> None:
         """Skip a variable: its name, axes, attributes, type, size and offset."""
-        self.skip(self.count())
+        self.skip_padded(self.count())
         axes = self.count()
         if axes > MAX_AXES:
             raise ValueError
-        self.skip(struct.calcsize(self.count_code) * axes)
+        self.skip_padded(struct.calcsize(self.count_code) * axes)
         self.items(ATTRIBUTES, self.attribute)
         if self.number() not in SIZES:
             raise ValueError
         self.number(self.count_code)
-        self.skip(self.offset_bytes)
+        self.skip_padded(self.offset_bytes)

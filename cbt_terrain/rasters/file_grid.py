@@ -53,7 +53,7 @@ class FileGrid(NamedTuple):
 def grid_of(dataset: DatasetReader) -> FileGrid:
     """Return the grid of a rasterio dataset. Raises TerrainError for a geotransform without an area.
 
-    GDAL returns the identity for a file without a geotransform.
+    GDAL returns the identity for a file without a geotransform. A skew that is only rounding becomes 0.
     """
     if not dataset.transform.is_identity:
         return FileGrid(dataset.crs, without_rounded_skew(tuple(dataset.transform)[:6]))
@@ -76,14 +76,14 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
     if np.isfinite(pixels).all() and np.isfinite(ground).all():
-        # Both are taken from their means, which makes the least squares accurate.
-        middle, shift = pixels.mean(axis=0) * (1.0, 1.0, 0.0), ground.mean(axis=0)
-        fit, _, rank, _ = np.linalg.lstsq(pixels - middle, ground - shift, rcond=None)
+        # Differences from the means make the least squares accurate. The column of ones stays as it is.
+        mean_pixel, shift = pixels.mean(axis=0) * (1.0, 1.0, 0.0), ground.mean(axis=0)
+        fit, _, rank, _ = np.linalg.lstsq(pixels - mean_pixel, ground - shift, rcond=None)
         if rank == 3:  # the points are not on one line
-            # Distances of the points from the grid, in cells.
-            offsets = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
+            # How far the grid misses each point, in columns and rows, [2, n].
+            offsets = np.linalg.lstsq(fit[:2].T, (product(pixels - mean_pixel, fit) + shift - ground).T, rcond=None)[0]
             if lengths(offsets).max() <= MAX_GCP_CELLS:
-                (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]
+                (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(mean_pixel[None, :2], fit[:2])[0]
                 a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
                 return FileGrid(crs, without_rounded_skew((a, b, c, d, e, f)))
     problem = f"places its samples by {len(points)} ground control point(s) that fit no straight grid"
@@ -108,6 +108,7 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     unit = unit_of(grid.crs)
     if "degrees" not in unit:
         return is_sheared(grid.placed, 1.0, 1.0)
+    # unit["degrees"]: degrees in one unit of the coordinates
     latitude = unit["degrees"] * float(grid.positions(width / 2, height / 2)[1])
     along_x, along_y = degree_lengths(latitude, unit["ellipsoid"])
     return is_sheared(grid.placed, along_x, along_y)

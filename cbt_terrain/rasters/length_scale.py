@@ -47,18 +47,20 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
     a, b, _, d, e, _ = grid.placed
     x, y = grid.positions(width / 2, height / 2)
     step = max(length((a, d)), length((b, e)), 1.0)
-    # Two points along x and two along y, and as unit vectors from the centre of the Earth.
+    # Two points along x, then two along y, a cell apart, but at least a unit of the system.
     transformed = _degrees(
         grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5])
     )
     if transformed is None or not np.isfinite(transformed[0]).all():
         return []
     longitude, latitude = np.radians(transformed[0])
+    # The same points as unit vectors from the centre of the Earth.
     points = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     along_x, along_y, up = points[:, 1] - points[:, 0], points[:, 3] - points[:, 2], points.sum(axis=1)
     if (np.cross(along_x, along_y) * up).sum() >= 0.0:
         return []
     name = grid.name[:80]
+    # Degrees east and north from the first to the second point, along x and along y.
     east = _within_180(transformed[0][0, 1::2] - transformed[0][0, ::2]) * np.cos(latitude.mean())
     north = transformed[0][1, 1::2] - transformed[0][1, ::2]
     ways = " and ".join(map(_direction, east, north))
@@ -113,21 +115,22 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
     """Return the ratios of steps along x and y to true steps, float64 [n, 2], the raster's middle first.
 
     Further rows are points on the border. Also return the middle's latitude, degrees. There are no rows if PROJ cannot
-    transform the middle. place: its steps are those that are compared.
+    transform the middle. place: has the steps along x and y.
     """
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
     ends = np.zeros_like(along), np.ones_like(along)
     columns = np.concatenate([[0.5], along, along, *ends]) * width
     rows = np.concatenate([[0.5], *ends, along, along]) * height
     half_cells = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))  # ends of a cell along a row, and along a column
+    # x, y: [end, point]
     x, y = np.array([grid.positions(columns + column, rows + row) for column, row in half_cells]).transpose(1, 0, 2)
     degrees = _degrees(grid.crs, x.ravel(), y.ravel())
     if degrees is None:
         return np.empty((0, 2)), 0.0
     (longitude, latitude), ellipsoid = degrees[0].reshape(2, *x.shape), degrees[1]
-    metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
+    degree_metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
     column_step, row_step = (
-        lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * metres)
+        lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * degree_metres)
         for k in (0, 2)
     )
     steps = (row_step, column_step) if place.transposed else (column_step, row_step)

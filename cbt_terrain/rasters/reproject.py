@@ -22,6 +22,7 @@ from .rasterio_types import CRS, DatasetReader
 TOLERANCE = 0.001
 BORDER_SAMPLES = 1024  # points of each side that define the new raster's extent
 MAX_GROWTH = 4.0  # largest ratio of new to old samples
+EXTRA_SAMPLES = 1e4  # allowed beyond that ratio, for small rasters
 INNER_SAMPLES = 33  # points along each axis that must survive the way to the new system and back
 UNNAMED = 'LOCAL_CS["unnamed",UNIT["metre",1]]'  # for a sheared raster without a coordinate system
 _MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","[^"]*"\])?\]')
@@ -161,9 +162,9 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
     near = source.positions(np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
     near_x, near_y = _transform_points(path, source.crs, crs, *near)
     step_x, step_y = _steps(near_x[1] - near_x[0], near_x[2] - near_x[0], near_y[1] - near_y[0], near_y[2] - near_y[0])
-    width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))
+    width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))  # rounding loses none
     name = crs.to_string()[:80]
-    if width * height > MAX_GROWTH * dataset.width * dataset.height + 1e4:
+    if width * height > MAX_GROWTH * dataset.width * dataset.height + EXTRA_SAMPLES:
         raise TerrainError(
             f"{shown(path)} would have {width} x {height} samples in {name}, in place of {dataset.width} x "
             f"{dataset.height}, because it is oblique there or too far from that system's area",
@@ -174,7 +175,7 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
 
 
 def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tuple[float, float]:
-    """Return the steps along x and y of a straight grid as dense as one whose column and row steps are given.
+    """Return the steps along x and y of a straight grid about as dense as one whose column and row steps are given.
 
     A grid that is almost parallel to the axes keeps its step along a row; any other gets squares. column_x, column_y:
     components of the step from a column to the next; row_x, row_y: from a row to the next.

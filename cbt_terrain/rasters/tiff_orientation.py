@@ -26,22 +26,22 @@ def orientation_of(path: Path) -> int:
             return 1
         (version,) = struct.unpack_from(order + "H", head, 2)
         # In BigTIFF, a directory's count, an entry's count and its value have 8 bytes.
-        # start: where the directory's offset is in the file. value: where the value is in an entry of `entry` bytes.
-        start, count, entry, value = (8, "Q", 20, 12) if version == 43 else (4, "I", 12, 8)
-        (offset,) = struct.unpack_from(order + count, head, start)
-        kind = "Q" if version == 43 else "H"
+        # offset_at: where the directory's offset is in the file. value_at: where the value is in an entry.
+        offset_at, offset_code, entry_bytes, value_at = (8, "Q", 20, 12) if version == 43 else (4, "I", 12, 8)
+        (offset,) = struct.unpack_from(order + offset_code, head, offset_at)
+        count_code = "Q" if version == 43 else "H"
         if offset > os.fstat(file.fileno()).st_size:
             return 1
         file.seek(offset)
-        number = file.read(struct.calcsize(kind))
-        if len(number) < struct.calcsize(kind):
+        count_bytes = file.read(struct.calcsize(count_code))
+        if len(count_bytes) < struct.calcsize(count_code):
             return 1
-        (tags,) = struct.unpack(order + kind, number)
-        content = file.read(min(tags, MAX_TAGS) * entry)
-    for first in range(0, len(content) - entry + 1, entry):
-        tag, type_ = struct.unpack_from(order + "HH", content, first)
+        (num_tags,) = struct.unpack(order + count_code, count_bytes)
+        entries = file.read(min(num_tags, MAX_TAGS) * entry_bytes)
+    for first in range(0, len(entries) - entry_bytes + 1, entry_bytes):
+        tag, type_ = struct.unpack_from(order + "HH", entries, first)
         if tag == ORIENTATION and type_ == SHORT:
-            (orientation,) = struct.unpack_from(order + "H", content, first + value)
+            (orientation,) = struct.unpack_from(order + "H", entries, first + value_at)
             return orientation if 1 <= orientation <= 8 else 1
     return 1
 
@@ -61,7 +61,7 @@ def orientation_notes(paths: Iterable[Path]) -> list[str]:
 def orientation_georeference(orientation: int) -> Georeference | None:
     """Return the directions of rows and columns of a picture without a georeference; None for the usual ones.
 
-    orientation: TIFF tag 274, 1 to 8.
+    They are the corner of the first sample, and whether rows run along y. orientation: TIFF tag 274, 1 to 8.
     """
     if orientation == 1:
         return None

@@ -34,6 +34,7 @@ FOOT = {
     "britishbenoit1895b": 12.0 / 39.370113,
 }
 FOOT |= {name.removeprefix("british"): size for name, size in FOOT.items() if name.startswith("british")}
+# Feet in a unit, by a word in its name.
 FEET = {
     **dict.fromkeys(("foot", "feet", "ft"), 1.0),
     **dict.fromkeys(("yard", "yd"), 3.0),
@@ -63,7 +64,7 @@ def metres_of(name: str) -> float | None:
     for text in (name, name.removesuffix("s") if len(name) > 2 else name):  # as it is, and without a plural
         if text in METRES and (is_whole or len(text) > MAX_SYMBOL):  # "m m" is not mm
             return METRES[text]
-        for word, feet in FEET.items():
+        for word, feet in FEET.items():  # the rest of the name tells which foot
             before, found, after = text.partition(word)
             if found and before + after in FOOT:
                 return feet * FOOT[before + after]

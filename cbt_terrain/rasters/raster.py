@@ -223,8 +223,8 @@ class Raster:
         sources: other files that hold the samples.
         earlier_paths: earlier_paths() returns the paths of `sources` as an older version has recorded them in the store
             to be replaced, with `..`, by their paths without.
-        overview: overview(max_factor) returns a raster of means of 2, 4, 8 ... samples a side, the most up to
-            max_factor, which the caller closes; None if the file has none.
+        overview: overview(max_factor) returns the coarsest raster of means of 2, 4, 8 ... `max_factor` samples a
+            side, which the caller closes; None if the file has none.
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         method: version of a method that makes the samples and that older versions lack; 0 for none.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.

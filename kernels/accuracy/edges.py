@@ -156,7 +156,7 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
     It has two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z. position: the
     corner as delivered, metres.
     """
-    u, v = on_edge(ground, f, k, wp.float64(0.0))
+    u, v = on_edge(ground, f, k, wp.float64(0.0))  # the corner's lattice point: x and y before rounding
     z = wp.float64(position[2])
     by_plane = plane_at(f, u, v) - z  # by the rounding of x and y
     by_height = z - reference_at(ground, u, v)  # by that of z
@@ -164,7 +164,7 @@ def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, positio
     # half of the distance to the next float32
     half_ulp = wp.float64(0.5) * (wp.float64(wp.cast(float_bits + 1, wp.float32)) - wp.abs(z))
     moved = wp.abs(by_plane + by_height)
-    if wp.abs(by_height) > half_ulp * wp.float64(1.001):  # it was off the surface before, as in a fitted mesh
+    if wp.abs(by_height) > half_ulp * wp.float64(1.001):  # it was off the surface before rounding, as in a fitted mesh
         moved = wp.abs(by_plane) + half_ulp
     return moved
 

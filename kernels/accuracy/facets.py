@@ -4,7 +4,7 @@
 Points are measured in raster cells from the south-west corner. Which triangle owns a point is decided in integers:
 2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
 triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64. Heights are
-metres after vertical scaling.
+metres after vertical scaling. Detail is the height of all displacement layers.
 
 The code that makes bounds and fits (criterion.py, hierarchy.py, fitting/) is not used here, though fitting/facet.py
 finds the same maximum: a fault in one of the two shows in the other.
@@ -85,8 +85,8 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
     """Return triangle t of a mesh as a plane with integer corners.
 
-    If float32 rounding has folded the triangle over, the plane goes through the lattice points instead. A triangle that
-    covers nothing has a level plane.
+    If float32 rounding has folded the triangle over or taken three quarters of its area, the plane goes through the
+    lattice points instead. A triangle that covers nothing has a level plane.
     """
     f = MeasuredFacet()
     u = wp.vec3d()
@@ -106,8 +106,8 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
     f.north = wp.max(f.y[0], wp.max(f.y[1], f.y[2]))
     f.area2 = (f.x[1] - f.x[0]) * (f.y[2] - f.y[0]) - (f.x[2] - f.x[0]) * (f.y[1] - f.y[0])
     units_a_cell = wp.float64(wp.int64(1) << wp.int64(ground.bits))
-    area2 = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
-    if area2 * units_a_cell * units_a_cell < wp.float64(0.25) * wp.float64(f.area2):  # rounding has folded it over
+    area2 = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])  # as delivered, square cells
+    if area2 * units_a_cell * units_a_cell < wp.float64(0.25) * wp.float64(f.area2):  # spoilt by rounding
         for k in range(3):
             u[k] = wp.float64(f.x[k]) / units_a_cell
             v[k] = wp.float64(f.y[k]) / units_a_cell
@@ -180,7 +180,7 @@ def cubic_off_corners(
 
 @wp.func
 def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the reference surface at (u, v), metres, with displacement and vertical scale.
+    """Return the height of the reference surface at (u, v), metres, with detail and vertical scaling.
 
     (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner. A finer tile there
     replaces the cell's surface. A bicubic surface goes through the tile's samples: between them it is the patch plus
@@ -216,7 +216,7 @@ def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 
 @wp.func
 def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
-    """Return the height of the reference surface at sample (i, j), metres, with displacement and vertical scale."""
+    """Return the height of the reference surface at sample (i, j), metres, with detail and vertical scaling."""
     z = wp.float64(sample_at(ground.samples, sample_index(ground.samples, i, j)))
     if ground.has_finer == 1:
         bits = ground.finer[0].bits

@@ -132,7 +132,7 @@ def nearest(
     """Write the distance in pixels from point p = offset + tid to the nearest segment of the outline.
 
     If the border of the searched area is nearer, that distance is written. frame_point: pixels from the frame's middle.
-    columns, rows, west, south: size in pixels and south-west corner of the area. segment: pairs of entries of
+    columns, rows: size of the area in pixels. west, south: middle of its south-west pixel. segment: pairs of entries of
     `crossing`; those of first[n] .. first[n + 1] are in the square between the middles of pixel n and of the next to
     the north-east. Rings of pixels are searched from the inside out.
     """

@@ -80,11 +80,11 @@ def measure_square(
 ):
     """Write the difference (mesh minus reference, metres) and owner of the points in a square that triangle t owns.
 
-    corner: Morton key of the square's first point. side_bits: its side is 2^side_bits units.
+    corner: Morton key of the square's first point. side_bits: its side is 2^side_bits units of MeasuredPoints.
     """
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
-    points_a_unit = wp.int64(1) << wp.int64(POINT_BITS)
-    per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
+    units_a_lattice_unit = wp.int64(1) << wp.int64(POINT_BITS)
+    cells_a_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
     end_x = wp.int64(ground.samples.columns - 1) << bits
     end_y = wp.int64(ground.samples.rows - 1) << bits
     end = corner + (wp.int64(1) << (side_bits + side_bits))
@@ -95,9 +95,9 @@ def measure_square(
         p = points.order[entry]
         x = points.x[p]
         y = points.y[p]
-        if covers(f, points_a_unit, x, y, shift_of(x, end_x), shift_of(y, end_y)):
-            u = wp.float64(x) * per_unit
-            v = wp.float64(y) * per_unit
+        if covers(f, units_a_lattice_unit, x, y, shift_of(x, end_x), shift_of(y, end_y)):
+            u = wp.float64(x) * cells_a_unit
+            v = wp.float64(y) * cells_a_unit
             points.owner[p] = t
             points.difference[p] = plane_at(f, u, v) - reference_at(ground, u, v)
         entry += 1

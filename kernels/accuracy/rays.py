@@ -215,7 +215,7 @@ def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: w
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.samples.rows - 1))
-    # a ray begins far enough from the surface to know its side, also where that is flat
+    # So far outside the heights, a ray clears them by more than its tolerance, also on flat ground: its side is known.
     spare = blocks.high_z - blocks.low_z + ground.step_x + wp.float64(1e3) * blocks.tolerance
     return within(first, last, ray.z, ray.dz, blocks.low_z - spare, blocks.high_z + spare)
 
@@ -259,7 +259,7 @@ def first_crossing(
     hit = NOWHERE
     if t > last:
         return hit
-    side = zero
+    side = zero  # of the ray so far: 1 above the surface, -1 below, 0 not yet known
     level = wp.min(start_level, blocks.levels)
     i = cell_along_axis(ray.u, ray.du, t, 0, cells_x)
     j = cell_along_axis(ray.v, ray.dv, t, 0, cells_y)
@@ -282,10 +282,10 @@ def first_crossing(
             n = blocks.base[level] + wp.int64(y0 >> bits) * wp.int64(blocks.width[level]) + wp.int64(x0 >> bits)
             low = wp.float64(item_at(blocks.low, n)) * ground.scale + ground.offset
             high = wp.float64(item_at(blocks.high, n)) * ground.scale + ground.offset
-            on_side = side_of_span(ray, t, out, low, high)
-            is_clear = on_side != zero
-            hit = wp.where(side * on_side < zero, t, NOWHERE)
-            side = wp.where(is_clear, on_side, side)
+            block_side = side_of_span(ray, t, out, low, high)
+            is_clear = block_side != zero
+            hit = wp.where(side * block_side < zero, t, NOWHERE)
+            side = wp.where(is_clear, block_side, side)
         if hit < NOWHERE or (is_clear and out >= last):
             break
         # Go on in the next cell, by a larger block if the line that is crossed is a side of one, or descend.

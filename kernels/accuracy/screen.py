@@ -105,12 +105,12 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
     """Return the distance in pixels between the projections of a and b, two displaced copies of the reference point.
 
     truth, a, b: points of camera space, metres; `truth` is the reference point. It is 0 if that is nearer than
-    `eye.near`, where no error is bounded.
+    `eye.near`, where no error is bounded; an `a` or `b` nearer than that is moved towards it to that depth.
     """
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
         pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
-    elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:  # the error of nearer points is not bounded
+    elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:
         p = to_frame(eye, move_ahead(eye, truth, a))
         q = to_frame(eye, move_ahead(eye, truth, b))
         x = (p[0] - q[0]) * eye.half_width

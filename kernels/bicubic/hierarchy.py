@@ -73,10 +73,10 @@ def keep_rows(
     values: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Copy the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, to the raster's.
+    """Copy row `first[1] + offset + tid` of a window's diamonds, `columns` from first[0] on, to the raster's `out`.
 
-    At depths of sides only every other place of a row has a diamond. part: layout of `values`. whole: layout of `out`,
-    by diamonds of the raster. corner: the window's first diamond there.
+    At depths of sides only every other place of a row has a diamond. values, out: errors or distances, metres. part:
+    layout of `values`. whole: layout of `out`, by diamonds of the raster. corner: the window's first diamond there.
     """
     y = first[1] + offset + wp.tid()
     for k in range(columns):

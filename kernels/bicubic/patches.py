@@ -5,6 +5,11 @@ A patch and its derivatives are weighted means of their control values, so the l
 Control values are differences of samples, in each direction of four samples p0 .. p3 in a row; the patch is between p1
 and p2. field/bicubic.py uses these bounds. Beyond the border h(-1) = 2 h(0) - h(1). Exact differences of float32
 samples stay exact: a planar map has a curvature of exactly zero. Heights are metres before vertical scaling.
+
+A `column` has the control values along one column of samples between two rows: heights 0 .. 3, slopes to the north
+4 .. 6, second derivatives 7, 8, and the inner two heights off the chord 9, 10. A patch takes four columns a .. d from
+west to east, and is between b and c: p0 .. p3 are then one value of each (`across`), so that `control_heights` of such
+values may be slopes or second derivatives.
 """
 
 import warp as wp
@@ -89,8 +94,7 @@ def samples_of_column(raster: Samples, x: int, cy: int) -> wp.vec4d:
 def column(raster: Samples, x: int, cy: int):
     """Return the control values of column x (-1 .. columns) between the sample rows cy and cy + 1, and a 0.
 
-    Values 0 .. 3: control heights. 4 .. 6: slopes to the north. 7 .. 8: second derivatives. 9 .. 10: heights off the
-    chord. All in metres and cells. Columns -1 and `columns` are extrapolated.
+    All are in metres and cells. Columns -1 and `columns` are extrapolated.
     """
     p = wp.vec4d()
     if x < 0:
@@ -120,20 +124,13 @@ def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """Return value k of four neighbouring columns of samples from west to east.
-
-    a .. d: the values of each, 12 in number.
-    """
+    """Return value k of four neighbouring columns from west to east."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
 @wp.func
 def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
-    """Return the lowest and highest control height of the patch between columns b and c: a bound of its heights.
-
-    a .. d: values of four columns of samples from west to east, of which 0 .. 3 are control heights of a curve along
-    the column, from south to north.
-    """
+    """Return the lowest and highest control height of the patch between columns b and c: a bound of its heights."""
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     for k in range(4):
@@ -162,9 +159,9 @@ def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
         z = patch_range(a, b, c, d)
         low = wp.min(low, z[0])
         high = wp.max(high, z[1])
-        for k in range(4):
+        for k in range(4):  # heights
             steep_x = max_of_3(steep_x, slopes(across(a, b, c, d, k)))
-        for k in range(4, 7):
+        for k in range(4, 7):  # slopes to the north
             steep_y = max_of_4(steep_y, control_heights(across(a, b, c, d, k)))
         a = b
         b = c
@@ -176,9 +173,8 @@ def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
 def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     """Bound a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
 
-    a .. d: control heights (0 .. 3), slopes to the north (4 .. 6) and second derivatives (7, 8) along four columns of
-    samples from west to east. The derivatives xx, xy and yy are raised to the degree 3 x 3, so that the norm, which is
-    convex, is bounded by its values at the control points.
+    The derivatives xx, xy and yy are raised to the degree 3 x 3, so that the norm, which is convex, is bounded by its
+    values at the control points.
     """
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
@@ -219,27 +215,23 @@ def elevate_degree(q: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """Return a bound of the distance between the bicubic and the bilinear patch between columns b and c, metres.
-
-    a .. d: for four columns of samples from west to east, control heights along the column (0 .. 3) and their distance
-    from its chord (9, 10).
-    """
+    """Return a bound of the distance between the bicubic and the bilinear patch between columns b and c, metres."""
     zero = wp.float64(0.0)
-    # Control heights of the difference: off the chord along the rows, along the columns, and both where they meet.
+    # Largest control heights of the difference: off the chord along rows, along columns, and both where they meet.
     east = zero
     north = zero
     both = zero
-    lines = mat24d()
-    for k in range(2):
+    off_columns = mat24d()
+    for k in range(2):  # the inner two heights off the columns' chords, linear from b to c
         v = chord(across(a, b, c, d, 9 + k))
         north = max_of_4(north, v)
         for i in range(4):
-            lines[k, i] = v[i]
+            off_columns[k, i] = v[i]
     for k in range(4):
         w = off_chord(across(a, b, c, d, k))
         east = wp.max(east, wp.max(wp.abs(w[0]), wp.abs(w[1])))
         if k == 1 or k == 2:
-            both = wp.max(both, wp.max(wp.abs(w[0] + lines[k - 1, 1]), wp.abs(w[1] + lines[k - 1, 2])))
+            both = wp.max(both, wp.max(wp.abs(w[0] + off_columns[k - 1, 1]), wp.abs(w[1] + off_columns[k - 1, 2])))
     # The two inner control values of a row have 3/4 of the weight together, the twelve outside the corners 15/16.
     separate = wp.float64(0.75) * (east + north)
     return wp.min(separate, wp.float64(0.9375) * wp.max(both, wp.max(east, north)))
@@ -272,7 +264,7 @@ def patch_errors(
         d = column(raster, corner[0] + x + 2, cy)
         curvature = round_up(curvature_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
-        twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
+        twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))  # by the corners' heights
         index = entry(cells, x, y)
         put(distance, index, apart)
         by_twist = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)

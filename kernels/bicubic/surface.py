@@ -82,9 +82,9 @@ def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
 
 @wp.func
 def row_around(samples: Samples, i: wp.int32, j: wp.int32, base: wp.float64) -> wp.vec4d:
-    """Return the samples i - 1 .. i + 2 of row j minus `base`, metres; beyond the border one of the border.
+    """Return the samples i - 1 .. i + 2 of row j minus `base`, metres.
 
-    `border_weights` gives those beyond it no weight.
+    Beyond the border the border's sample is repeated: `border_weights` gives the copy no weight.
     """
     row = wp.int64(wp.clamp(j, 0, samples.rows - 1)) * wp.int64(samples.columns)
     west = wp.int64(wp.max(i - 1, 0))

@@ -52,8 +52,8 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
 
     number: 3 .. 0 the quadrants of the cell, in this order so that quadrant 0 is on top of the stack; -1 and -2 its
     south and west side; -3 and -4 its north and east side, which count only on the terrain's border. `triangles` of the
-    result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant that begins before the
-    slice and ends in it has 2: the caller counts it only if its `code` is in the slice, too.
+    result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant of which only the end is in
+    the slice has 2, to be visited; by its `code` the caller sees that an earlier slice counts it.
     """
     half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)  # of the cell's side, lattice units
     p = CellDiamond()
@@ -63,7 +63,7 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
     p.depth = cell.depth + 1
     p.code = cell.code
     size = wp.uint64(1) << wp.uint64(w.cell_bits - cell.depth - 1)  # deepest cells in a quadrant
-    p.half = half >> 1
+    p.half = half >> 1  # of a quadrant's side
     p.triangles = 2
     if number >= 0:
         p.x += wp.where((number & 1) == 1, p.half, -p.half)
@@ -106,10 +106,10 @@ def judge(
 ):
     """Return (last, visits, measured): the last step at which a diamond p is split, and how the count goes on below it.
 
-    last: `step` - 1 if it is not split at `step`, the first step that still counts. visits: whether to visit its
-    descendants. measured: 1 if it had to be measured, else 0. limits, coarse: the criterion at `step` and at the last
-    step. The interval below the diamond is written into entry `top` of the stack. Plain numbers are returned because
-    Warp copies a struct that changes in a branch, even if the branch is not taken.
+    last: `step` - 1 if it is not split at `step`, the first step that still counts. visits: whether to visit the
+    cell that it fills (a side fills none). measured: 1 if it had to be measured, else 0. limits, coarse: the criterion
+    at `step` and at the last step. The interval below the diamond is written into entry `top` of the stack. Plain
+    numbers are returned because Warp copies a struct that changes in a branch, even if the branch is not taken.
     """
     error = wp.float32(0.0)
     min_fraction = wp.float64(1.0)  # of the stored error, that the exact one is at least
@@ -126,7 +126,7 @@ def judge(
     if verdict == SPLIT:
         last = w.coarsest
         visits = p.number >= 0
-    # A diamond that is certainly split is measured for a tighter interval below it.
+    # A diamond that is certainly split, though not by its error, is measured for a tighter interval below it.
     if verdict == DOUBT or (visits and error_m <= cell.interval.leaf_up_to):
         if min_fraction < wp.float64(1.0):
             error = error_at(domain, p.x, p.y, p.depth)
@@ -165,10 +165,10 @@ def fetch_quadrants(domain: Domain, p: CellDiamond):
 def count(domain: Domain, criterion: CriterionArrays, w: Count):
     """Count the triangles of the slice by the last step at which they are split, into `w.last_steps`.
 
-    A step is a value of the relaxation, finest first. Whenever more than `max_splits` triangles are split at the finest
-    step, the next step becomes the finest. The finest step at the end is written to `w.from_step`; if it passes
-    `w.coarsest`, the count ends early. `w.marks` and `w.measured` receive the cells and the number of measured
-    diamonds, by which the next count is divided among threads.
+    A step is a value of the relaxation, finest first; `w.limit_factors` has its factor on squared limits. Whenever more
+    than `max_splits` triangles are split at the finest step, the next step becomes the finest. The finest step at the
+    end is written to `w.from_step`; if it passes `w.coarsest`, the count ends early. `w.marks` and `w.measured` receive
+    the cells and the number of measured diamonds, by which the next count is divided among threads.
     """
     no_slack = wp.float64(0.0)
     criterion.limit = w.limit_factors[w.coarsest]

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drainage areas from drainage (routing.py): filled lakes, and flow to all lower neighbours."""
+"""Drainage areas from drainage (routing.py): filled lakes, and flow to all lower neighbours.
+
+`order` lists donors before receivers; read backwards, it begins at outlets.
+"""
 
 import warp as wp
 
@@ -11,7 +14,7 @@ from .routing import ROOT, DrainageArrays, axis, towards
 def fill_lakes(d: DrainageArrays):
     """Compute `filled`, the lowest surface from which every sample drains: no sample is below its receiver.
 
-    One thread; it visits receivers before donors, which `order` lists the other way round.
+    One thread; it visits receivers before donors.
     """
     n = d.grid.width * d.grid.height
     for q in range(n):
@@ -61,7 +64,7 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
 
 @wp.kernel
 def level_lakes(d: DrainageArrays):
-    """Raise the drainage area of all samples under a lake to that of its outlet. One thread."""
+    """Raise the drainage area of all samples under a lake to that of its outlet. One thread; outlets first."""
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]

@@ -34,9 +34,10 @@ def tile_jet(
 ) -> Jet:
     """Return the jet (z, zx, zy, zxx, zxy, zyy) of one level of the tile in a column and row of the table of tiles.
 
-    x, y: position in finer cells of the raster. z: metres before vertical scaling; the derivatives are per metre.
+    x, y: position in finer cells of the raster. level: of the tile's pyramid, 0 the finest. z: metres before vertical
+    scaling; the derivatives are per metre.
     """
-    scale = inverse_power(level)
+    scale = inverse_power(level)  # 2^-level
     side = SIDE >> level
     first_x = column << TILE_BITS
     first_y = row << TILE_BITS
@@ -46,7 +47,7 @@ def tile_jet(
     j = wp.min(wp.int32(v), wp.min(side, (finer.cells_y - first_y) >> level) - 1)
     place = row * finer.columns + column
     # Rows of the level's array before those of the tile. A tile's array begins one sample before the tile, so (i, j) is
-    # the first of the 4 x 4 samples of the cell.
+    # the first of the 4 x 4 samples of the cell. Level 0 has all tiles, the others only those with finer heights.
     first_row = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
     q = jet_of(finer.levels, level, i, first_row + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
     per_x = finer.levels.per_x * scale

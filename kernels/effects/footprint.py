@@ -112,7 +112,7 @@ def footprint_levels(
 def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float32:
     """Return the finest level at x, y metres: -bits inside tiles with finer heights, 0 outside and at their border.
 
-    Within FADE finer cells of that border it is linear in the distance, the larger one along an axis, so it is
+    Within FADE finer cells of that border it is linear in the distance, the larger of those in x and y: it is
     continuous.
     """
     cell_x = wp.clamp((x - places.west) * places.per_x, wp.float64(0.0), wp.float64(places.cells_x))
@@ -125,13 +125,13 @@ def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float3
         side = wp.float64(SIDE)
         west = cell_x - wp.float64(column) * side
         south = cell_y - wp.float64(row) * side
-        level = FADE  # first the distance from the border in finer cells, at most FADE
+        level = FADE  # until it is scaled: the distance from the border in finer cells, at most FADE
         if beside != 0:
             for k in range(9):
                 if ((beside >> k) & 1) != 0:  # neighbour k, 3 * (dy + 1) + dx + 1, has no finer heights
-                    across = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
-                    along = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
-                    level = wp.min(level, wp.max(across, along))
+                    distance_x = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
+                    distance_y = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
+                    level = wp.min(level, wp.max(distance_x, distance_y))
         level *= -wp.float64(places.bits) / FADE
     return wp.float32(level)
 

@@ -128,24 +128,24 @@ def from_jets(
     squared = q[1] * q[1] + q[2] * q[2]
     rise = wp.float64(0.0)
     run = wp.float64(0.0)
-    r = wp.float64(0.0)
+    normal_z = wp.float64(0.0)
     if (values.wanted & OF_GRADIENT) != 0:
         rise = wp.sqrt(squared)
         if rise > LEVEL_GROUND:
             run = wp.float64(1.0) / rise  # 1 / slope; 0 on level ground
     if (values.wanted & OF_SURFACE) != 0:
-        r = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)  # z of the unit normal
+        normal_z = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + squared)
     if (values.wanted & SLOPE) != 0:
         values.slope[v] = wp.float32(arc_tangent(rise))
     if (values.wanted & ASPECT) != 0:
         values.aspect[v] = wp.vec2f(wp.float32(-q[1] * run), wp.float32(-q[2] * run))
     if (values.wanted & MEAN_CURVATURE) != 0:
-        values.mean_curvature[v] = to_single(mean_curvature_of(q, r))
+        values.mean_curvature[v] = to_single(mean_curvature_of(q, normal_z))
     if (values.wanted & PROFILE_CURVATURE) != 0:
-        values.profile_curvature[v] = to_single(profile_curvature_of(q, r, run))
+        values.profile_curvature[v] = to_single(profile_curvature_of(q, normal_z, run))
     if (values.wanted & PLAN_CURVATURE) != 0:
-        # A contour with a radius below the spacing of the level is not resolved.
+        # A contour with a radius below the level's spacing, 2^level samples, is not resolved.
         limit = wp.max(ground.per_x, ground.per_y) * inverse_power(wp.int32(wp.floor(level)))
         values.plan_curvature[v] = wp.float32(wp.clamp(plan_curvature_of(q, run), -limit, limit))
     if (values.wanted & NORMAL) != 0:
-        values.normal[v] = wp.vec3f(wp.float32(-q[1] * r), wp.float32(-q[2] * r), wp.float32(r))
+        values.normal[v] = wp.vec3f(wp.float32(-q[1] * normal_z), wp.float32(-q[2] * normal_z), wp.float32(normal_z))

@@ -71,7 +71,7 @@ class Loans:
     """Memory that callers may still read: their arrays are read-only, and it is not written while one is in use."""
 
     def __init__(self) -> None:
-        self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []  # memory, and an array over it
+        self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []  # memory, and a lent array over it
 
     def lend(self, memory: np.ndarray, count: int) -> np.ndarray:
         """Return the first `count` items of some memory, read-only."""
@@ -88,9 +88,9 @@ class Loans:
         Buffers in `copied` keep their contents. Those in `read` are not written and keep their memory. Memory of arrays
         that callers have released is used again.
         """
-        in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
+        in_use = {id(memory): memory for memory, lent_ref in self._lent if lent_ref() is not None}
         returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
-        self._lent = [(memory, lent) for memory, lent in self._lent if id(memory) in in_use]
+        self._lent = [(memory, lent_ref) for memory, lent_ref in self._lent if id(memory) in in_use]
         written, copied = list(written), list(copied)
         held = {id(memory) for buffers in (*written, *copied, *read) for memory in buffers.memory()}
         spare = [memory for memory in returned.values() if id(memory) not in held]

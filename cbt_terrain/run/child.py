@@ -59,13 +59,13 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 
 
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
-    """Start a program whose standard input is a pipe that lives as long as its parent; only that receives Ctrl-C.
+    """Start a program whose standard input is a pipe that lives as long as its parent. Only the parent receives Ctrl-C.
 
     variables: additions to its environment. streams: its other standard streams, as of Popen. Raises OSError if it
     cannot be started.
     """
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
-    folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # the first in a child that starts others
+    folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # a child that starts others has the first
     environment[GRID_FOLDERS] = os.pathsep.join(filter(None, folders))
     return subprocess.Popen(
         command,

@@ -96,7 +96,7 @@ def together(jobs: Sequence[Callable[[], None]]) -> None:
 
 
 def _shared_pool() -> ThreadPoolExecutor:
-    """Return the process's pool of threads, created on first use."""
+    """Return the process's pool of 16 threads, created on first use; further jobs wait for a free one."""
     global _pool
     with _starting:
         if _pool is None:
@@ -131,7 +131,7 @@ def once(kernel: "wp.Kernel", inputs: list, *, step: str, recorded: dict | None 
 
 
 def slices(kernel: "wp.Kernel", inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
-    """Launch a kernel once with each list of inputs, all in parallel, each on its own thread.
+    """Launch a kernel, a serial loop over one slice, with each list of inputs: in parallel, each on its own thread.
 
     Without any list it only loads the kernel. `recorded` caches launches for a caller that launches again and again:
     replaying one takes 2 us instead of 15. A struct that is identical to that of the last launch is read again, so
@@ -141,7 +141,7 @@ def slices(kernel: "wp.Kernel", inputs: Sequence[list], *, step: str, recorded: 
     with timed(step):
         _load(kernel)
         held = {} if recorded is None else recorded
-        together([_command(held, kernel, slot, 1, values).launch for slot, values in enumerate(inputs)])
+        together([_command(held, kernel, slot, count=1, values=values).launch for slot, values in enumerate(inputs)])
 
 
 def _command(recorded: dict, kernel: "wp.Kernel", slot: int, count: int, values: list) -> Any:

@@ -35,6 +35,7 @@ from ..errors import TerrainError, shown
 LAND = "_land"  # suffix of the folder of a store's shaped land, beside the store
 MAX_DEPTH = 64  # nested folders; the program creates three
 MAPS = "_maps"  # suffix of the folder of a store's baked maps, beside the store
+# Folders in a store or in STORE_land, whose stores have 16 digits, and those of files that are being written.
 _DERIVED = re.compile(r"tiles|masks|data-[0-9a-f]{32}|\.partial-[0-9a-f]{32}|[0-9a-f]{16}(_views)?")
 _BY_DESCRIPTOR = {os.open, os.mkdir, os.unlink, os.rmdir, os.stat, os.rename} <= os.supports_dir_fd
 _FOLDER, _NO_LINK = getattr(os, "O_DIRECTORY", 0), getattr(os, "O_NOFOLLOW", 0)
@@ -112,8 +113,8 @@ def derived_components(path: Path) -> int:
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
     if not count and len(parts) > 2 and parts[-2].endswith(MAPS):
-        count = 1  # the maps of one terrain
-    # The folder of shaped land or of maps that these are in was named here, too.
+        count = 1  # in STORE_maps: the maps of one terrain
+    # STORE_land or STORE_maps above these components, or at the end, counts, too.
     return count + (count < len(parts) - 1 and parts[-1 - count].endswith((LAND, MAPS)))
 
 
@@ -184,14 +185,14 @@ def real_path(path: str | os.PathLike) -> Path:
 
 
 def without_dots(path: Path) -> Path:
-    """Return an absolute path without `..`, unless these follow a link, whose target may be in another folder."""
+    """Return an absolute `path` without `..`; unchanged if that leads elsewhere (`..` after a link) or is missing."""
     parts = path.parts
     if ".." not in parts:
         return Path(os.path.normpath(path))
-    last = len(parts) - parts[::-1].index("..")
-    before = Path(*parts[:last])
+    end = len(parts) - parts[::-1].index("..")  # after the last `..`
+    dotted = Path(*parts[:end])
     try:
-        is_same = os.path.samefile(before, os.path.normpath(before))
+        is_same = os.path.samefile(dotted, os.path.normpath(dotted))
     except (OSError, ValueError):
         return path
     return Path(os.path.normpath(path)) if is_same else path

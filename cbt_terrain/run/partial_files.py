@@ -2,9 +2,9 @@
 """Files while they are written: in a private folder beside their destination, locked by its living writer.
 
 An unlocked folder was left by a killed process, and is removed. A process number would not do: numbers are used again,
-and other machines and containers have the same ones. The system releases a lock however its holder ends. Some network
-folders keep locks to one machine. So the folder's name begins with the machine's mark, and a free lock counts only on
-that machine; folders of other machines are removed when they are a day old.
+and other machines and containers have the same ones. The system releases a lock however its holder ends. Some file
+systems have no locks, and some network folders keep them to one machine. So the folder's name begins with the machine's
+mark, and a free lock counts only on that machine; other folders are removed when they are a day old.
 
     .partial-MARK.../lock    held by the writer
     .partial-MARK.../NAME    will be renamed to ../NAME
@@ -139,11 +139,13 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False, may_exis
     """
     for attempt in range(ATTEMPTS):
         try:
+            # The attempt before may have made the folder.
             lock = _make_locked(folder, mode, parents, may_exist or attempt > 0)
         except FileNotFoundError:
             if attempt == ATTEMPTS - 1:
                 raise
         else:
+            # `_try_lock` returns None where there are no locks.
             if _try_lock(lock) is not False and _is_there(folder / LOCK, lock):
                 return lock
             os.close(lock)
@@ -184,7 +186,7 @@ def remove_abandoned(parent: Path) -> None:
 
 
 def is_in_use(folder: Path) -> bool:
-    """Return whether a living process has locked a folder. Raises OSError."""
+    """Return whether a living process has locked a folder; False where there are no locks. Raises OSError."""
     lock = _open_lock(folder)
     try:
         return lock is not None and _try_lock(lock) is False
@@ -199,12 +201,14 @@ def remove_if_abandoned(
     is_needed: Callable[[], bool] = lambda: False,
     may_remove: Callable[[str, bool], bool] | None = None,
 ) -> None:
-    """Remove a folder of `make_folder` with a name with this token, if no living process uses it.
+    """Remove a folder of `make_folder` if no living process uses it. A folder that cannot be removed is no error.
 
-    token: that of `new_token`, by which a folder of this machine is known. A folder of another machine, or where locks
-    are unknown, has to be older than STALE_SECONDS. `is_needed` is called once no process uses the folder, because the
-    process may have ended well; if it returns True the folder stays. may_remove: returns whether this program created
-    an entry, from its name and whether it is a folder; None for all. A folder that cannot be removed is no error.
+    A folder of another machine, or where there are no locks, has to be older than STALE_SECONDS.
+
+    token: that of `new_token` in the folder's name; it begins with the machine's mark. is_needed: called once no
+    process uses the folder; it returns True if the writer ended well: then only the lock is removed. may_remove:
+    returns whether this program created an entry, from its name and whether it is a folder; None for a private folder,
+    all of whose entries are removed.
     """
     try:
         if not _is_ours(folder):
@@ -215,13 +219,14 @@ def remove_if_abandoned(
             if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
                 return  # another process may have removed the folder, and its owner created it again
             if is_needed():
-                owned_files.remove_file(folder / LOCK)  # its process was killed before this
+                owned_files.remove_file(folder / LOCK)  # the writer was killed before `end_work`
             elif (free and token.startswith(_machine())) or _age(folder) > STALE_SECONDS:
                 if sys.platform == "win32" and lock is not None:  # Windows removes no open file
                     os.close(lock)
                     lock = None
                 for file in folder.parent.glob(f"{folder.name}-*"):
                     owned_files.remove_file(file, may_be_link=True)
+                # A private folder may be in a folder that the user reaches through a link.
                 owned_files.remove_tree(folder, may_remove, may_be_link=may_remove is None)
         finally:
             if lock is not None:

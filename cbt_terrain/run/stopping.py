@@ -92,9 +92,9 @@ def held() -> Iterator[None]:
 def listening() -> Iterator[None]:
     """Turn SIGINT and SIGTERM into requests to stop until the block ends.
 
-    Then send an unanswered signal again. A second signal, or a step that takes longer than GRACE_SECONDS, ends the
-    process at once with the code 128 + the signal's number; the next run removes its leftovers. Inside another such
-    block, and on any thread except the main one, this does nothing.
+    After the block, send the signal again unless `answer` has cleared the request. A second signal, or a step that
+    takes longer than GRACE_SECONDS, ends the process at once with the code 128 + the signal's number; the next run
+    removes its leftovers. Inside another such block, and on any thread except the main one, this does nothing.
     """
     global _listening
     if _listening or threading.current_thread() is not threading.main_thread():
@@ -117,13 +117,13 @@ def listening() -> Iterator[None]:
         for put_back in restore:
             put_back()
         signal.set_wakeup_fd(previous_fd)
-        os.write(writer, b"\0")
+        os.write(writer, b"\0")  # ends the thread
         thread.join()
         os.close(reader)
         os.close(writer)
-        number = answer()
-        if number is not None:
-            signal.raise_signal(number)
+        unanswered = answer()
+        if unanswered is not None:
+            signal.raise_signal(unanswered)
 
 
 def _replace(number: int) -> Callable[[], object]:

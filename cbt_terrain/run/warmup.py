@@ -120,7 +120,7 @@ class _Preparation:
         from ...kernels import wp
 
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
-        cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
+        cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}  # Warp appends its version
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
         names = [[module.__name__.removeprefix(HOUSE) for module in group] for group in groups]
         names.append([name.removeprefix(HOUSE) for name in self._later])

@@ -89,10 +89,10 @@ def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
 def image_height(layers: PackedLayers, layer: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return the height, metres, of a displacement layer's image, (x, y) metres from the raster's middle.
 
-    The image repeats. Its pixels are control heights of a bicubic B-spline, evaluated along four rows and then across
-    them.
+    The image repeats. Its pixels, from index `layer.pixel` on, are control heights of a bicubic B-spline, evaluated
+    along four rows and then across them.
     """
-    u = x * layer.frequency
+    u = x * layer.frequency  # pixels
     v = y * layer.frequency
     rows = wp.vec4d()
     for b in range(4):
@@ -115,6 +115,7 @@ def mask_weight(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.floa
     It is interpolated between four samples; beyond the raster it is that of the border. first: index of the mask's
     first byte in `layers.masks`.
     """
+    # samples from the south-west one
     s = wp.clamp((x - layers.west) * layers.per_x, wp.float64(0.0), wp.float64(layers.columns - 1))
     t = wp.clamp((y - layers.south) * layers.per_y, wp.float64(0.0), wp.float64(layers.rows - 1))
     total = wp.float64(0.0)
@@ -129,14 +130,17 @@ def mask_weight(layers: PackedLayers, first: wp.int64, x: wp.float64, y: wp.floa
 
 @wp.func
 def detail_height(layers: PackedLayers, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the sum of all displacement layers, metres before vertical scaling, at (x, y) metres from the anchor."""
+    """Return the sum of all displacement layers, metres before vertical scaling, at (x, y) metres from the anchor.
+
+    The anchor is the origin of the terrain's space.
+    """
     total = wp.float64(0.0)
     x += layers.anchor_x  # from the middle
     y += layers.anchor_y
     for k in range(layers.count):
         layer = layers.layer[k]
         z = wp.float64(0.0)
-        if layer.columns > 0:
+        if layer.columns > 0:  # an image
             z = image_height(layers, layer, x, y)
         else:
             z = octaves_height(layer, x, y)

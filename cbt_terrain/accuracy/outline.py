@@ -73,7 +73,7 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
     first, segment = _lines(cover)
     points = np.concatenate(crossings)
     distance = np.zeros(len(points))
-    # size and south-west corner of the area that is searched, pixels from the frame's middle
+    # size of the area that is searched, and the middle of its first pixel, pixels from the frame's middle
     inputs = [columns, rows, 0.5 - columns / 2, 0.5 - rows / 2, sight.eye, shared(first, wp.int32)]
     inputs += [shared(segment, wp.vec2i), shared(np.concatenate(mesh_crossings), wp.vec2d)]
     inputs += [shared(points, wp.vec2d), shared(distance, wp.float64)]

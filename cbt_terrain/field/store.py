@@ -17,7 +17,7 @@
     STORE/data-*/mask*_*.npy    uint8, masks of displacement layers (attributes/layered_detail.py), of a large raster
     STORE/data-*/borders.npy    with tiles.jsonl and work.json: inputs and borders of tiles
     STORE/data-*/finer_*.npy    finer tiles (finer_tiles.py), if the store has some: their numbers, heights and errors
-    STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
+    STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
 A new version is written into a new folder; then store.json is replaced, which is atomic on every platform, also while

@@ -247,7 +247,7 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
                 file.add(coded[k][:, tile_columns])
         for _, _, file, _, _ in tiles:
             file.close()
-        finish = samples.layers[0].form.finish
+        finish = samples.layers[0].form.finish  # turns complete raw files into TIFF; None for other formats
         if finish is not None:
             written = [(partial, shape) for k, _, _, partial, shape in tiles if k == 0]
             finish(*zip(*written, strict=True))

@@ -101,7 +101,7 @@ def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     """Return the tiles along an axis with the samples of a grid.
 
     `count`: tiles that end at the border exactly, with another grid; 0 to keep the grid. `size`: samples of a
-    tile, 0 for a single tile.
+    tile, 0 for a single tile. `grid.inside`: number of samples on the terrain.
     """
     if not size:
         return TileAxis(grid.inside, 1, overlap, grid)

@@ -76,7 +76,7 @@ def fit(
         whole = Terrain(field, threads, whole=True)
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
-        else:  # the limit is one of the delivered mesh: the cut at the border makes two of some triangles
+        else:  # the limit is for delivered triangles: find how many whole leaves keep it after the cut at the border
             delivered = Terrain(field, threads).update(criterion, **heights)
             plain = whole.update(replace(criterion, max_triangles=delivered.leaves), **heights)
             plain = replace(plain, relaxed=delivered.relaxed)
@@ -153,6 +153,7 @@ def _is_better(best: FittedMesh, plain: Update, fitter: Fitter, error_m: float, 
         return False  # more triangles than interpolation, or as many for a larger bound
     if max_cut is not None and len(fitter.end_at_borders(best).triangles) > max_cut:
         return False
+    # `within`: the requested error, or more if the source's rounding requires it.
     return best.bound_m <= max(plain.bound_m, fitter.within(error_m))
 
 
@@ -161,7 +162,7 @@ def _fit_within(
 ) -> FittedMesh | None:
     """Return the fit for the smallest error, `error_m` times a power of 2^(1/8), that is within the triangle limit.
 
-    Bisection finds it. It has at most `triangle_limit` triangles when cut. None if no such error is below `plain_m`.
+    Bisection finds it. The limit counts triangles after the cut at borders. None if no such error is below `plain_m`.
 
     relaxed, plain_m: factor by which interpolation had to coarsen the error for that limit, and the bound that it
     reached, metres.

@@ -21,7 +21,8 @@ START = 1.7
 def raised_codes(finer: FinerTiles | None, halvings: int) -> raising.RaisedCodes:
     """Return the number of error codes in an octave, and the code that makes a split, for kernels.
 
-    With finer tiles, codes above it are left for up to `halvings` of a cell's side. finer: the raster's, or None.
+    halvings: largest number of halvings of a cell's side that `raise_cells` gets; with finer tiles, the code is so low
+    that all of them have codes. finer: the raster's tiles, or None.
     """
     raised = raising.RaisedCodes()
     if finer is None:
@@ -29,9 +30,10 @@ def raised_codes(finer: FinerTiles | None, halvings: int) -> raising.RaisedCodes
         raised.per_octave, raised.split = raising.PER_OCTAVE, raising.RAISED
     else:
         per_cell = 2 * raising.FINER_PER_OCTAVE  # codes from a cell to the next
+        # The code of the last halving is 254.
         raised.per_octave, raised.split = raising.FINER_PER_OCTAVE, 254 - per_cell * halvings
         assert raised.split > per_cell
-        raised.more = raised.split // per_cell
+        raised.more = raised.split // per_cell  # steps to farther cells until no code is left
     return raised
 
 
@@ -48,10 +50,11 @@ def make_codes(
     per_octave, steps = raised.per_octave, np.arange(255)
     first = 2.0 * error * 2.0 ** (-(raised.split - 1) / per_octave)  # of code 1, so that `split` is twice the error
     values = np.concatenate([[0.0], np.ldexp(first * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
-    code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])
+    code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])  # geometric means with the next code
     diamond_codes = np.empty_like(field.error)
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
         new = np.searchsorted(code_ends, group_errors / START)
+        # `has_finer` is 1 with finer tiles, the first code.
         codes.translate(field.error[part], np.maximum(new, plain.has_finer), diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:
@@ -62,7 +65,7 @@ def make_codes(
 def _restore_in_tiles(
     field: HeightField, plain: Domain, diamond_codes: np.ndarray, values: np.ndarray, threads: int
 ) -> None:
-    """Raise the codes of cells in finer tiles to those of their own errors, rounded up, and others to stay nested.
+    """Raise codes of cells in finer tiles to those of their stored errors, rounded up, and others as nesting requires.
 
     So the walk splits what interpolation splits there: raised codes of a cell would split all of its finer cells.
     diamond_codes: those of all diamonds, changed in place. values: float32 [256], metres of the codes.
@@ -70,11 +73,12 @@ def _restore_in_tiles(
     lattice, stack = field.lattice, wp.zeros(1024, wp.vec3i, device="cpu")
     part = slice(lattice.cell_base, lattice.node_count)
     cells = hierarchy.stored_at(lattice, lattice.cell_depth)
-    cells.base = 0
+    cells.base = 0  # in arrays of cells alone
     errors, metres = field.table[lattice.groups][field.error[part]], values[diamond_codes[part]]
     inputs = [plain, cells, flat(errors, wp.float32), flat(metres, wp.float32)]
     cost = 2.0 * cells.columns
     launch.spread(finer_kernels.restore_in_tiles, cells.rows, inputs, step="fit codes", threads=threads, cost=cost)
+    # The stored errors of neighbouring cells differ by a factor of four at most, too.
     hierarchy.saturate_cells(cells, 0.25, flat(metres, wp.float32), "fit codes", threads)
     cell_codes = np.zeros(len(metres), np.uint8)
     codes.encode_part(metres, values, cell_codes, threads)

@@ -102,8 +102,9 @@ class Fitter:
         self.depth = max(1, usual_depth(field))
         self.finer = field.raster.finer
         self.finest = FINEST + (self.finer.bits if self.finer else 0)
-        # Triangles at this depth are not split: this is the largest number of halvings that `raise_cells` gets.
+        # Triangles at this depth are not split, so `raise_cells` gets at most a halving for two levels below cells.
         self.raised = fit_codes.raised_codes(self.finer, max(0, self.depth - field.lattice.cell_depth) // 2)
+        # 0: without meshlets.
         self.plain = refinable_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:
@@ -122,7 +123,9 @@ class Fitter:
         domain.is_raised = 1
         m, known = self._mesh(error_m), self._nothing_known()
         criterion = _vertical_criterion(error_m)
-        if self.finer is not None:  # no leaf in a tile's cells is beyond the bound, because the fit cannot split it
+        if self.finer is not None:
+            # The fit cannot split in finer tiles, so the walk splits all that is beyond the bound. That excludes the
+            # source's rounding already.
             criterion, domain.source = _vertical_criterion(m.bound), 0.0
             domain.enough = min(self.plain.enough, m.bound)
         m.codes, sweeps = shared(error, wp.uint8), Sweeps(self, m, buffers)
@@ -159,7 +162,7 @@ class Fitter:
         in metres.
         """
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
-        if not self.scale:
+        if not self.scale:  # flat, so there is nothing to measure
             return FittedMesh(
                 update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed
             )
@@ -172,6 +175,7 @@ class Fitter:
         mesh = self._bounded_mesh(update.surface, buffers, error_m, rounds=0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
+        # The update's reason is kept, whichever bound is smaller.
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
 
     def within(self, error_m: float) -> float:
@@ -182,9 +186,10 @@ class Fitter:
         """Return an empty mesh for the kernels, with its error and its bound in metres.
 
         The bound, which measured distances must not exceed, is the error without the rounding that is added to them.
+        The mesh's rounding takes at most half of the error that remains beside the source's.
         """
         m = mesh_kernels.FitMesh()
-        # Vertices are moved in steps of 2^snap units.
+        # Vertices are multiples of 2^snap units; a cell's side is 2^(unit_bits - levels) units.
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
         remaining = left_of(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
@@ -221,10 +226,10 @@ class Fitter:
     ) -> FittedMesh:
         """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
-        buffers: have the measured distances ("fit_worst"). rounds: number of meshes that the fit walked. deepest: a
-        triangle is too coarse at the deepest level. Rounding a plane coordinate moves a facet sideways, and no facet is
-        steeper than the surface but for twice the distance of its corners over the shortest way between them. The bound
-        is rounded up unless it then exceeded one that holds already.
+        buffers: have the measured distances ("fit_worst"). rounds: number of meshes that the fit walked. deepest:
+        whether a triangle is too coarse at the deepest level. Rounding a plane coordinate moves a facet sideways, and
+        no facet is steeper than the surface but for twice the distance of its corners over the shortest way between
+        them. The bound is rounded up, but not beyond `within(error_m)` if the sum keeps that.
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
@@ -264,7 +269,7 @@ class Fitter:
         A fit moves vertices by up to `error_m`, metres, which makes facets steeper.
         """
         lattice = self.field.lattice
-        # In raster cells that are split only the corners of the cells are moved. twist: their largest error, metres.
+        # A fit moves no vertex inside a raster cell. twist: largest error of cells before they are divided, metres.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error.
         divided = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
@@ -276,8 +281,9 @@ class Fitter:
     def _plane_rounding_error(self, steeper: float, divided: float) -> float:
         """Return the metres of error that rounding plane coordinates to float32 adds.
 
-        Coordinates count from the anchor. A facet whose corners were rounded away from the raster's border continues
-        to it, and is steeper than before by twice their rounding over its length; twice that covers second-order terms.
+        Coordinates count from the anchor. A facet whose corners were rounded away from the raster's border is
+        extended to it. Its slope grows by the factor 1 + 2 * rounding / length; 4 instead of 2 covers second-order
+        terms.
 
         steeper: by how many metres a cell facets may be steeper than the surface. divided: a cell is this number of
         times as long as the shortest facet, 1 at least.

@@ -24,9 +24,9 @@ MAX_ROUNDS = 64
 class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads.
 
-    `triangles`, `vertices`: numbers of the mesh. `count`: number of listed triangles. `recorded`: recorded launches.
-    `found_np`: results of the kernels `move` (listed triangles; those beyond the bound) and `refine` (listed triangles,
-    triangles, vertices; splits, pins, those left to the next walk, those too coarse at the deepest level).
+    `m`: the mesh for kernels. `triangles`, `vertices`: numbers of the mesh. `count`: number of listed triangles.
+    `recorded`: recorded launches. `found_np`: results of the kernels `move` (listed triangles; those beyond the bound)
+    and `refine` (listed triangles, triangles, vertices; then the counts that `Sweeps.refine` returns).
     """
 
     def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers) -> None:
@@ -37,12 +37,13 @@ class Sweeps:
         self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
+        # Scratch stacks of kernels: triangles to split, and diamonds whose errors rise.
         m.splitting, m.climbing = wp.zeros(64, wp.int32, device="cpu"), wp.zeros(1024, wp.vec3i, device="cpu")
         self.found_np = np.zeros(7, np.int32)  # counts that kernels write (`_sweep`, `refine`)
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
-        """Start the sweeps from a welded mesh, all of its triangles active and none measured.
+        """Start the sweeps from a welded mesh, all of its triangles listed and none measured.
 
         `known`: Warp arrays of the heights and states of the vertices of earlier meshes, by sample (`_nothing_known` of
         Fitter); vertices of `surface` that were in one of them get these.
@@ -54,7 +55,7 @@ class Sweeps:
         self.buffers.numpy("fit_corner_verts")[: 3 * triangles] = surface.corner_verts
         self.buffers.numpy("fit_level")[:triangles] = surface.level
         self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)
-        self.buffers.numpy("fit_awake")[:triangles] = -1
+        self.buffers.numpy("fit_awake")[:triangles] = -1  # measured in no round
         self.mark_unmeasured(slice(None))
         self.fitter.spread(binding.place_vertices, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
@@ -72,17 +73,17 @@ class Sweeps:
                 setattr(self.m, name, get(f"fit_{name}", count, dtype))
         self.m.marks = get("fit_marks", triangles // 32 + 1, wp.uint32)
         self.buffers.numpy("fit_marks")[:] = 0
-        self.m.room = triangles - 32  # a list is written in blocks
+        self.m.room = triangles - 32  # to spare: `list_marked` also writes past the end of its list
 
     def link(self, surface: Surface) -> None:
-        """Find the neighbours of the triangles across their edges, and a triangle of each vertex.
+        """Write to `m` the neighbours of the triangles across their edges, and a triangle of each vertex.
 
         Call it before anything is split or moved.
         """
         edges = len(surface.edges)
-        side = self.buffers.get("fit_side", edges, wp.int32)
+        first_corners = self.buffers.get("fit_side", edges, wp.int32)  # scratch: of each edge the first corner, or -1
         self.buffers.numpy("fit_side")[:edges] = -1
-        inputs = [self.triangles, self.m, shared(surface.corner_edges, wp.int32), side]
+        inputs = [self.triangles, self.m, shared(surface.corner_edges, wp.int32), first_corners]
         launch.once(binding.link_triangles, inputs, step="fit link")
 
     def beyond(self) -> np.ndarray:
@@ -106,7 +107,7 @@ class Sweeps:
             is_local = beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS
             counts = self.refine(LOCAL if is_local else 0.0)
             later = counts["later"]
-            num_changes = counts["splits"] - later + counts["pins"]  # in this mesh
+            num_changes = counts["splits"] - later + counts["pins"]  # in this mesh: splits include those that wait
             if num_changes <= later:  # the next walk is due, or nothing was beyond the bound
                 break
 
@@ -135,7 +136,8 @@ class Sweeps:
     def refine(self, min_share: float) -> dict[str, int]:
         """Split triangles beyond the bound, or pin them to the surface; return counts by the names below.
 
-        They are splits, pins, splits that wait for the next walk, and triangles too coarse at the deepest level.
+        They are all splits, pins, those splits that wait for the next walk, and triangles too coarse at the deepest
+        level.
         min_share: part of the largest excess around that a triangle must have: LOCAL, or 0 to split all of them.
         """
         self.found_np[1:3] = self.triangles, self.vertices  # before the splits; the kernel replaces them

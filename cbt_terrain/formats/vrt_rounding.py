@@ -73,7 +73,8 @@ def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:
     """Return scale and offset that a source's values get.
 
-    For a lookup table (pairs of a value and its replacement) they are bounds: those of its steepest segment.
+    For a lookup table (pairs of a value and its replacement) they are bounds for `SourceRounding`: the steepest slope,
+    and an offset with which values up to the table's largest are counted.
     """
     pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
     if not pairs:

@@ -13,7 +13,8 @@ from ..view.linear import add_up
 # Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off
 # the slack.
 MAX_DRIFT = 2e-3
-# Fields of a criterion that may drift: squared lengths and pixels. The others must be equal, except those of views.
+# Fields of a criterion that may drift: squared limits in pixels, and squared lengths. The others must be equal, except
+# those of views, and `limit`, compared with its value when subtrees were cached.
 SQUARES = "error_px2", "edge_px2", "area_px2", "diagonal2", "axis2"
 VIEWS = "limit", "view", "views", "slopes"
 
@@ -32,9 +33,9 @@ class CachedSubtrees:
         self.limit = self.criterion.limit  # which later refinements may change
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
-        """Return the largest relative change of squared lengths and pixels since the subtrees were cached.
+        """Return the largest relative change of the values of `_squares` since the subtrees were cached.
 
-        Lengths in `Motion` do not count. Infinity if anything but the camera has changed: then no subtree is reused.
+        Infinity if anything but the camera has changed: then no subtree is reused. `move` handles the rest of the view.
         """
         of_criterion = [name for name in CriterionArrays.vars if name not in SQUARES + VIEWS]
         of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
@@ -48,7 +49,10 @@ class CachedSubtrees:
 
 
 def _squares(criterion: CriterionArrays) -> list[float]:
-    """Return squared lengths and pixels that may differ a little between frames: Blender's matrices are float32."""
+    """Return the squares that may differ a little between frames: Blender's matrices are float32.
+
+    They are the fields SQUARES, and of the view its squared scales along the axes, `cosine2` and `near2`.
+    """
     of_criterion = [getattr(criterion, name) for name in SQUARES]
     return [
         float(square)
@@ -59,12 +63,11 @@ def _squares(criterion: CriterionArrays) -> list[float]:
 def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
     """Fill in the motion of the view from `before` to `now`, for the kernels that test cached subtrees.
 
-    before: the view for which the subtrees were cached. drift: fraction by which the lengths differ that footprints are
-    made of (`CachedSubtrees.drift`).
+    before: the view for which the subtrees were cached. drift: the result of `CachedSubtrees.drift`.
     """
     motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
-    # The way of the eye, metres of camera space.
+    # The way of the eye, metres of camera space. weight: squared metres of camera space per squared metre, by axis.
     motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))
     motion.slant_x, motion.slant_y, motion.max_gain2 = before.slant_x, before.slant_y, before.max_gain2
-    motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))
+    motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))  # of pixel footprints

@@ -115,14 +115,14 @@ class FrameHistory:
         return key == self.last.key
 
     def commit(self, key: tuple | None = None, result: object = None, keeps_vertices: bool = False) -> None:
-        """Make the next frame the last one; the one before it becomes the memory of the next.
+        """Make the next frame the last one; the frame after it reuses the memory of the one before.
 
         key: the arguments of the update that computed it, None for a frame that is never found again; result: that
         update. keeps_vertices: the next frame has the mesh of the last one and takes over its vertices.
         """
         if keeps_vertices:
             self.next.vertices = self.last.vertices
-            self._replace_vertices()
+            self._hand_over_vertices()
         self.next.key, self.next.result = key, result
         self.last, self.next = self.next, self.last.emptied()
 
@@ -172,8 +172,8 @@ class FrameHistory:
         reuses = has_runs and vertices is not None and vertices.domain is domain and vertices.morphs == morphs
         self.last.result = None
         if not reuses:
-            self._replace_vertices()
-        # What callers still read is neither written nor changed: those arrays get other memory.
+            self._hand_over_vertices()
+        # Arrays that are written or changed below get other memory where callers still read them.
         written, last = [self.scratch, self.next.arrays], [self.last.arrays]
         if not reuses or vertices is None or not vertices.swapped:
             self._loans.reclaim(written, copied=[], read=last)
@@ -186,8 +186,8 @@ class FrameHistory:
             vertices.swapped = []
         return reuses
 
-    def _replace_vertices(self) -> None:
-        """Let the next frame write its vertices into the memory of the last ones."""
+    def _hand_over_vertices(self) -> None:
+        """Give the memory of the last vertices to the next frame, which keeps them or writes over them."""
         self.next.arrays.exchange(self.last.arrays, VERTEX_ARRAYS)
         self.last.vertices = None
 

@@ -52,8 +52,8 @@ def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
     second = x + y > unit  # of the square's two halves
     a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)
     path = second.astype(np.int64)
-    # a, b: distances of the point from both legs of its triangle, if these are `unit` long. It is in the second half
-    # where a is smaller than b, or larger if they have changed places, which `order` -1 means.
+    # a, b: distances of the point from both legs of its triangle, scaled so that a leg is `unit` long. After a second
+    # half they are exchanged: `order` is -1. The point is in the second half where a < b, or a > b if exchanged.
     order = np.ones(len(x), np.int64)
     for _ in range(depth - 1):
         difference = a - b

@@ -53,7 +53,8 @@ def box_range(
     row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
     ranges = height_ranges_of(field, surface)
-    ranges.more = rounded_more(field, surface, highest(field.parts))  # the detail's alone: finer tiles have ranges
+    # The detail's largest displacement alone: the heights of finer tiles are read.
+    ranges.more = rounded_more(field, surface, highest(field.parts))
     inputs = [
         surface,
         ranges,

@@ -19,6 +19,7 @@ ROUNDED = 2.0 ** -(PLANE_BITS + 1)
 
 # Of the greatest height: more than float64 rounds off a sum of heights.
 ROUNDED_HEIGHT = 1e-12
+# Of the relief plus the greatest height: far more than the rounding of the lowest and the highest height.
 SPARE = 1e-3
 
 

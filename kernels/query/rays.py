@@ -54,7 +54,8 @@ def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.samples.rows - 1))
-    # Where a ray comes in above or below everything its side is known, also where it is cut at a flat surface.
+    # A ray that comes in above or below all heights has a known side, also if it is then cut at the height of a flat
+    # surface.
     side = known
     z = ray.z + first * ray.dz
     if side == zero and not (z >= blocks.low_z and z <= blocks.high_z):
@@ -126,7 +127,7 @@ def hit_in_block(
         on_side = clear_of(low, high, ray, part)
         done = on_side != zero
         if done:
-            hit, side = passed(part, on_side)
+            hit, side = passed(part, on_side)  # a hit if the ray has changed sides between segments
     return hit, side, done
 
 

@@ -126,6 +126,7 @@ def in_finer_cell(surface: QueriedSurface, x: wp.int32, y: wp.int32, u: wp.float
     g = bilinear_patch(finer_corners(surface.finer[0], tile, x, y), u, v)
     g = wp.vec3d(g[0], g[1] * finer_per_cell, g[2] * finer_per_cell)
     if surface.bicubic == 1:
+        # The bicubic surface less its bilinear interpolation between the finer cell's corners.
         g += off_corners(surface.samples, surface.finer[0].bits, x, y, u, v)
     return g
 
@@ -152,8 +153,8 @@ def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.f
 def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling, for shading.
 
-    s, t: position in the cell, 0 .. 1. Displacement is included. On a bilinear surface the slopes are interpolated
-    between samples, so that shading has no steps.
+    s, t: position in the cell, 0 .. 1. Displacement is included. On a bilinear surface and in finer tiles the slopes
+    are interpolated between samples, so that shading has no steps.
     """
     g = wp.vec3d()
     tile = finer_tile(surface, i, j)

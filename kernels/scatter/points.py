@@ -126,8 +126,9 @@ def place_candidates(
     ground; the position there is meaningless. valid: 0 for missing samples, empty without holes.
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
-    slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
+    # From slopes in metres a cell to metres a metre after scaling.
+    to_slope_x = domain.height_scale / (domain.unit_x * units_a_cell)
+    to_slope_y = domain.height_scale / (domain.unit_y * units_a_cell)
     for t in range(begin, end):
         run = runs[t]
         shift = shift_of(pattern.seed, run.tile_x, run.tile_y)
@@ -150,8 +151,8 @@ def place_candidates(
                 px = domain.west + wp.float64(p[0]) * domain.unit_x
                 py = domain.south + wp.float64(p[1]) * domain.unit_y
                 pz = g[0] * domain.height_scale + domain.height_offset
-                nx = -g[1] * slope_x
-                ny = -g[2] * slope_y
+                nx = -g[1] * to_slope_x
+                ny = -g[2] * to_slope_y
                 nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
                 position = wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz))
                 normal = wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz))
@@ -228,9 +229,10 @@ def fill_points(
     style: ScatterStyle,
     points: PointArrays,
 ):
-    """Write the chosen points of runs begin .. end - 1 to the output arrays; a run's start at index first[run].
+    """Write the chosen points of runs begin .. end - 1 to the output arrays, those of a run from index first[run] on.
 
-    Size, variant and rotation depend on the style's seed, the tile and the rank alone, so a point keeps them.
+    Size, variant and rotation depend on the style's seed, the tile and the rank alone, so a point keeps them. Its
+    variant is a random number, 0 .. 2^31 - 1.
     """
     for t in range(begin, end):
         run = runs[t]
@@ -242,7 +244,7 @@ def fill_points(
             rank = chosen.rank[run.out + k]
             bits = scramble(tile_bits + wp.uint32(rank))
             more_bits = scramble(bits + wp.uint32(1))
-            vary = wp.float32(wp.int32(more_bits)) * 4.656612873077393e-10  # -1 .. 1
+            vary = wp.float32(wp.int32(more_bits)) * 4.656612873077393e-10  # 2^-31: -1 .. 1
             points.positions[n] = candidates.positions[candidate]
             points.normals[n] = candidates.normals[candidate]
             points.size[n] = style.size * (1.0 + style.variation * vary) * chosen.scale[run.out + k]

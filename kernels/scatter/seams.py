@@ -94,10 +94,11 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
 
 @wp.func
 def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
-    """Return the density factor, 0 .. 1, of a point at q (units of the tile) with this rank in tile (x, y).
+    """Return the factor, 0 .. 1, on the density at a point at q (units of the tile) with this rank in tile (x, y).
 
-    It is 1, or less if a point of another tile is too near for its rank: the squared distance to it over the required
-    one. It is 0 if the point would be too near at any density.
+    The point appears where the product reaches its rank. The factor is 1, or less if a point of another tile is too
+    near: the squared distance to it over the one required at this rank. It is 0 for a point that would appear at no
+    density up to 1.
     """
     side = wp.int32(1) << UNIT_BITS
     num_points = wp.float64(rank) + wp.float64(0.5)  # of the tile at the density at which this one appears

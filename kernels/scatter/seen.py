@@ -82,6 +82,7 @@ def density_bounds(views: Views, low: wp.vec3d, high: wp.vec3d):
         if frustum_class != OUTSIDE:
             a = low - view.eye  # the box's corners relative to the eye
             b = high - view.eye
+            # Scattered objects reach out of the box.
             is_visible = is_visible or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near_squared = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip

@@ -33,7 +33,7 @@ def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float
 
     Displacement is included. x0 .. y1: sides of the rectangle inside the raster, metres.
     """
-    low = q.low
+    low = q.low  # of the whole surface, if no cells with stored ranges are as large as a square
     high = q.high
     if q.ranges.columns > 0:
         low = wp.float64(wp.inf)

@@ -152,7 +152,7 @@ def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cel
 
     slot, level: the word's slot and level. cell: the leaf's first deepest cell. number: the leaf's number.
     """
-    # The highest word may use fewer than 64 bits.
+    # The highest word may use fewer than 64 bits. lowest_bit: 64 for no bit, and log2 of a leaf's size in bits.
     next_bit = wp.min(lowest_bit(t.words[slot] & ~bits_below(bit + 1)), 1 << wp.min(t.max_depth - WORD_BITS * level, 6))
     leaf = TreeLeaf()
     leaf.number = number

@@ -142,10 +142,10 @@ def fill_below(
     first = run.first + k
     count = next_same - k
     readable = run.count - k
-    deepest = run.cell_depth - WORD_BITS * (level - 1)
+    bit_depth = run.cell_depth - WORD_BITS * (level - 1)  # of a leaf that takes one bit of these words
     slot = 64 * page + bit
     packed = fill_words(
-        run.codes, first, count, readable, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
+        run.codes, first, count, readable, run.shift, bit_depth, bit, slot, t.words, t.counts, t.pages, t.state
     )
     return packed >> wp.int64(8), wp.int32(packed & wp.int64(255))
 
@@ -198,7 +198,7 @@ def close_word(
         t.words[below] = wp.uint64(0)
         t.stored[below] = wp.uint64(0)
         t.counts[below] = 0
-        t.pages[below] = 0
+        t.pages[below] = 0  # the words below are out of reach, and their page is lost until the tree is cleared
         freed = freed & (freed - ONE)
 
 
@@ -206,9 +206,10 @@ def close_word(
 def set_leaves(t: Bitfield, run: LeafRun):
     """Make the leaves of a run those of the tree: along the curve, down and up between the levels of words.
 
-    A word's bits are gathered in a register, and its leaves are counted by their numbers. The kernel ends early if the
-    pool has no page left, which sets state[IS_FULL]: clear the tree, and repeat with a larger pool. Words that runs
-    share are only listed as changed, and are summed afterwards.
+    Each turn stores whole words of a level, or copies the bits of a node whose leaves are the same, or fills a word up
+    to its end or a smaller leaf. The kernel ends early if the pool has no page left, which sets state[IS_FULL]: clear
+    the tree, and repeat with a larger pool. Words that runs share are only listed as changed, and are summed
+    afterwards.
     """
     slots = SlotPath()  # of the words that are open, by level
     bits = BitPath()
@@ -263,8 +264,8 @@ def set_leaves(t: Bitfield, run: LeafRun):
                 same += wp.int64(1)
                 next_same = first_of_same(run, same)
             else:
-                deepest = run.cell_depth - WORD_BITS * level
-                word = fill_word(run.codes, run.first + k, next_same - k, run.shift, deepest, bit)
+                bit_depth = run.cell_depth - WORD_BITS * level
+                word = fill_word(run.codes, run.first + k, next_same - k, run.shift, bit_depth, bit)
                 bits[level] = bits[level] | word
                 k += wp.int64(count_bits(word))
                 cell += wp.uint64(highest_bit(word) - bit) << wp.uint64(WORD_BITS * level)

@@ -48,7 +48,8 @@ def missed_change(d: Domain, left: wp.vec2i, right: wp.vec2i, level: wp.int32) -
     missed = wp.float64(0.0)
     if d.has_finer == 1:
         middle = middle_between(left, right)
-        if not is_beyond(d, middle[0], middle[1], level):
+        if not is_beyond(d, middle[0], middle[1], level):  # the raster's border
+            # The triangle is the leaf, so both depths are its level.
             missed = wp.float64(detail_missed(d, middle[0], middle[1], level, level)) * d.error_scale
     return missed
 
@@ -66,9 +67,10 @@ def in_tile(d: Domain, i: wp.int32, j: wp.int32) -> wp.bool:
 def restore_in_tiles(
     offset: int, d: Domain, cells: Depth, errors: wp.array(dtype=wp.float32), out: wp.array(dtype=wp.float32)
 ):
-    """Raise the values `out` of the cells of row `offset + tid` in finer tiles to their own errors.
+    """Raise errors `out` of cells of row `offset + tid` to `errors`, where a finer tile holds the cell.
 
-    errors, out: metres before scaling. cells: layout of both.
+    errors: stored errors of the cells. out: those that the walk of a fit reads, which are lower or rounded. Both are
+    metres before scaling. cells: layout of both.
     """
     j = offset + wp.tid()
     for i in range(cells.columns):
@@ -87,10 +89,10 @@ def raise_to_cells(
 ):
     """Raise the codes of all cells to `cell_codes`, and those of their ancestors, so that errors stay nested.
 
-    One thread. cells: layout of `cell_codes`. codes: errors of all diamonds. stack: scratch.
+    One thread. cells: layout of `cell_codes`. codes: of the errors of all diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
-    half = 1 << (bits - 1)
+    half = 1 << (bits - 1)  # a cell's diamond is split in its middle, at depth 2 * levels + 1
     for j in range(cells.rows):
         for i in range(cells.columns):
             code = wp.int32(item_at(cell_codes, entry(cells, i, j)))

@@ -51,7 +51,10 @@ class FitMesh:
 
 @wp.func
 def facet_of(m: FitMesh, t: wp.int32) -> Facet:
-    """Return triangle t as a Facet: a plane over its legs, which are orthogonal and equally long."""
+    """Return triangle t as a Facet: a plane over its legs, in metres before scaling and lattice units.
+
+    The legs are orthogonal and equally long.
+    """
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
@@ -186,8 +189,9 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
 
 @wp.func
 def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
-    """Bisect triangle t and those that a conforming mesh requires; raise the codes of their diamonds to `raised.split`.
+    """Bisect triangle t and those that a conforming mesh requires; raise the error codes of their diamonds.
 
+    The codes become `m.raised.split`, so that the next walk splits them, too.
     `size`: numbers of triangles and vertices; returns the new ones, for which the arrays must have room. New vertices
     are samples, on the surface and not pinned. The triangles around them, all new ones among them, are marked.
     """
@@ -215,7 +219,7 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
             m.state[new_vertex] = wp.uint8(0)
             m.push[2 * new_vertex] = wp.float64(0.0)
             m.push[2 * new_vertex + 1] = wp.float64(0.0)
-            m.first[new_vertex] = triangle
+            m.first[new_vertex] = triangle  # one of those around it
             new = triangles
             triangles += 1
             if partner >= 0:

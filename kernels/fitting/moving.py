@@ -33,8 +33,8 @@ def measure(offset: int, m: FitMesh):
     t = offset + wp.tid()
     left = m.point[m.corner_verts[3 * t]]
     right = m.point[m.corner_verts[3 * t + 2]]
-    change = missed_change(m.domain, left, right, m.level[t])
-    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale + change
+    change_error = missed_change(m.domain, left, right, m.level[t])
+    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale + change_error
     m.seen[t] = corner_heights(m, t)
     for c in range(3):
         m.pushes[3 * t + c] = wp.vec2f()
@@ -64,7 +64,7 @@ def measure_pushes(first: int, end: int, m: FitMesh):
     `m.worst`, `m.pushes`, `m.seen` and `m.awake` change.
     """
     d = m.domain
-    per_scale = wp.float64(1.0) / d.height_scale
+    per_scale = wp.float64(1.0) / d.height_scale  # `error_scale` is its magnitude, for distances
     for k in range(first, end):
         t = m.active[k]
         z = corner_heights(m, t)
@@ -83,8 +83,8 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             m.awake[t] = m.round
             rise_left = (wp.float64(z[0]) - wp.float64(z[1])) * per_scale
             rise_right = (wp.float64(z[2]) - wp.float64(z[1])) * per_scale
-            change = missed_change(d, left, right, m.level[t])
-            aim = wp.max(aim - change, wp.float64(0.0))  # for the distance from the raster's surface
+            change_error = missed_change(d, left, right, m.level[t])
+            aim = wp.max(aim - change_error, wp.float64(0.0))  # for the distance from the raster's surface
             q = Pushes()  # largest distance, then weight and push of the apex, the left and the right corner
             if m.level[t] <= 2 * d.levels + 1:  # its corners are samples; smaller ones are inside a cell
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
@@ -93,7 +93,7 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
             magnitude = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
-            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale + change
+            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale + change_error
             sum_weights = q[1] + q[3] + q[5]
             m.pushes[3 * t] = push_and_weight(q[4], q[3], sum_weights)
             m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], sum_weights)
@@ -113,7 +113,8 @@ def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)
 
     One thread. Pinned vertices stay. `m.active` becomes the list of triangles for the next sweep: those with a moved
     corner, and those beyond the aim that push a vertex. count: number of listed triangles. triangles: number of all.
-    found [2] receives the length of the new list, and the number of triangles beyond the bound.
+    found [2] receives the length of the new list, and the number of triangles beyond the bound. `m.push` [2 V] has the
+    sums of pushes (metres before scaling) and of weights of each vertex.
     """
     num_beyond = wp.int32(0)
     # Triangles beyond the bound decide which vertices move. Those that are not awake in this round push none.

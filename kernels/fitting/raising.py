@@ -55,7 +55,7 @@ def raise_ancestors(
     """Raise the error codes of the diamond split at (x, y) and all its ancestors to `code`, so that errors stay nested.
 
     An ancestor that has the code already ends the ascent: those above it have it, too. depth: of the diamond, at most
-    that of the raster's cells. codes: errors of all diamonds. stack: scratch.
+    that of the raster's cells. codes: of the errors of all diamonds. stack: scratch.
     """
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)
@@ -86,12 +86,12 @@ def raise_cells(
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise the codes of cell (i, j) and of cells around it, so that triangles after `halvings` of its sides are split.
+    """Raise the codes of cell (i, j) and cells around it: triangles in it are split even after `halvings` of its sides.
 
     An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
     cell more on every side is raised: a triangle with a quarter of a split's error may be split again; one with a
-    sixteenth never is, unless a change is added (`raised.more`). halvings: at most MAX_HALVINGS. codes: errors of all
-    diamonds. stack: scratch.
+    sixteenth never is, unless a change is added: hence `raised.more` further cells. halvings: at most MAX_HALVINGS.
+    codes: of the errors of all diamonds. stack: scratch.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1 + raised.more
@@ -101,7 +101,7 @@ def raise_cells(
             inside = i + a >= 0 and j + b >= 0 and i + a < d.cell_columns and j + b < d.cell_rows
             if steps_left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
-                y = ((j + b) << bits) + (1 << (bits - 1))
+                y = ((j + b) << bits) + (1 << (bits - 1))  # the cell's middle, at depth 2 * levels + 1
                 # The code of splits with one step left; two octaves, a factor of four, more for each further one.
                 code = raised.split + (steps_left - 1 - raised.more) * 2 * raised.per_octave
                 raise_ancestors(d, x, y, 2 * d.levels + 1, code, codes, stack)

@@ -15,13 +15,14 @@ from .raising import raise_cells
 def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
     """Split triangles beyond the bound that interpolation would split too; move the vertices of others to the surface.
 
-    count: listed triangles. max_depth: level whose triangles are not split. min_share: split only triangles whose
-    excess is at least this fraction of the largest among the triangles that they touch, since one split may help them
-    all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are split in place if there
-    is room, those in cells only in `m.codes`, for the next walk; not in finer tiles, where the walk has split what
-    interpolation would split. `found` [7] receives the numbers of listed triangles, of triangles and of vertices (the
-    last two are also its input), of all splits, of vertices that are new on the surface, of those splits that wait for
-    the next walk, and of triangles too coarse at the deepest level. One thread.
+    Interpolation is the mesh without a fit: all vertices on the surface. count: listed triangles. max_depth: level
+    whose triangles are not split. min_share: split only triangles whose excess is at least this fraction of the largest
+    among the triangles that they touch, since one split may help them all. `m.active` becomes the list for the next
+    sweep. Triangles above the raster's cells are split in place if there is room, those in cells only in `m.codes`, for
+    the next walk; not in finer tiles, where the walk has split what interpolation would split. `found` [7] receives the
+    numbers of listed triangles, of triangles and of vertices (the last two are also its input), of all splits, of
+    vertices that are new on the surface, of those splits that wait for the next walk, and of triangles too coarse at
+    the deepest level. One thread.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -39,7 +40,8 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
             if excess >= min_share * _max_excess_around(m, t):
                 below = m.level[t] - 2 * d.levels - 1  # bisections below the raster's cells
                 cell = _cell_of(m, t)
-                error = _grid_error(m, t, below, cell)
+                error = _error_on_surface(m, t, below, cell)
+                # Float32 positions add at most rounding + max_lean to the error.
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
                 can_split = m.level[t] < max_depth and not (below >= 0 and in_tile(d, cell[0], cell[1]))
                 if can_split and (too_coarse or _needs_split_on_surface(m, t, error)):
@@ -113,7 +115,7 @@ def _middle(m: FitMesh, t: int):
 
 
 @wp.func
-def _grid_error(m: FitMesh, t: int, below: int, cell: wp.vec2i):
+def _error_on_surface(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     """Return the stored error of triangle t if its vertices were on the surface, metres before scaling.
 
     below: bisections below the raster's cells, negative above them; in a cell the error divides by four with each two
@@ -155,7 +157,7 @@ def _pin_corners(m: FitMesh, t: int):
         v = m.corner_verts[3 * t + c]
         if (m.state[v] & PINNED) == wp.uint8(0):
             m.state[v] = m.state[v] | PINNED
-            m.push[2 * v + 1] = wp.float64(1.0)  # the distances of its triangles are out of date
+            m.push[2 * v + 1] = wp.float64(1.0)  # for `_needs_split_on_surface`: distances here are out of date
             put_on_surface(m, v)
             pins += 1
             mark_around(m, v)

@@ -138,7 +138,7 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     "left", "right" and "edge". The node's depth in its square is at least 1.
     """
     depth = highest_bit(node.heap_id)
-    start = wp.min(depth, 2)  # depth from which on neighbours are mirrored
+    start = wp.min(depth, 2)  # depth in the table; neighbours of deeper nodes follow from their parents'
     heap_id = wp.int32(node.heap_id >> wp.uint64(depth - start))
     left = first_neighbour(grid, node, heap_id, 0)
     right = first_neighbour(grid, node, heap_id, 1)

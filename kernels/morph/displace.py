@@ -42,8 +42,8 @@ def fetch_point(domain: Domain, p: wp.vec2i):
     """Prefetch the samples around lattice point p, and error and range of its diamond where they are stored."""
     fetch_samples(domain, p)
     depth = depth_of(domain.unit_bits, p)
-    if depth > 0 and depth < 2 * domain.levels - 1:
-        fetch_ahead(domain, p[0], p[1], depth)
+    if depth > 0 and depth < 2 * domain.levels - 1:  # deeper diamonds have no stored range
+        fetch_ahead(domain, p[0], p[1], depth)  # the error
         fetch_range(domain, p[0], p[1], depth)
 
 
@@ -73,13 +73,13 @@ def displace_morphing(
         # Points v .. begin - 1 are new; those from there to stop - 1 are copied from vertex `last_first` on.
         begin, stop, last_first = find_run(points, run, run_end, v, end, point_base)
         copy_run(points, last_first, begin, stop, vertex_base)
-        # Squared metres of error above which points of the run have settled. All frustums contain those diamonds of
-        # its points that are deeper than `run_clear_below`.
+        # Above `settled_above2` squared metres of error, points of the run have settled. All frustums contain those
+        # diamonds of its points that are deeper than `run_clear_below`.
         settled_above2 = wp.float64(wp.inf)
         run_clear_below = NOT_CLEAR
         if stop > begin:
             reused = points.reused.runs[run]
-            settled_above2 = settled_above(morphing, reused.coarse * reused.coarse)
+            settled_above2 = settled_above(morphing, reused.coarse * reused.coarse)  # its coarsest pixel, metres
             run_clear_below = reused.clear_below
         run += wp.int64(1)
         next_end = next_new(points, run, run_end, stop, end, point_base)

@@ -70,7 +70,7 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 
 @wp.func
 def diamond_above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
-    """Return the diamond an even number of bisections above that of v, of which one triangle contains v's whole edge.
+    """Return the diamond `bisections` above that of v, the one with v's whole edge in one of its two triangles.
 
     unit_bits: a root square has 2^unit_bits lattice units a side. bisections: even, below v's depth. Two above, the
     split vertex is that end of the edge which is two bisections older; the other end is older still.

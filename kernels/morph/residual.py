@@ -13,6 +13,9 @@ A point whose W is 1 is *settled*: z = h and N = n. Ratios are nested, so the en
 the recursion ends there. Sums over two settled ends depend on the terrain only. The next frame reuses them while both
 ends are certainly settled.
 
+`metres2` is the squared error of a point's diamond, m2, that the criterion compares; `settled_metres2` is the same of a
+settled point, and 0 of others.
+
 Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one.
 """
 
@@ -41,7 +44,7 @@ def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
 
 @wp.func
 def relief_of(domain: Domain, a: SplitVertex):
-    """Return heights (Relief) and weighed squared error, m2, of the diamond split at a.
+    """Return heights (Relief) and `metres2` of the diamond split at a.
 
     The morph weight of a depends on them.
     """
@@ -50,6 +53,7 @@ def relief_of(domain: Domain, a: SplitVertex):
     r.low = wp.where(d.border == 2, wp.float64(wp.inf), d.low[2])
     r.high = d.high[2]
     r.rise = d.rise
+    # `rest_of` is the error of float32 positions.
     return r, metres2_of(domain, error_at(domain, a.point[0], a.point[1], a.depth), rest_of(domain, d))
 
 
@@ -59,8 +63,9 @@ def ratio2_of(
 ):
     """Return the squared ratio of a vertex's diamond to the criterion, and its finest squared pixel footprint.
 
-    The ratio is the largest of all criteria; the vertex's weight W depends on it. r, metres2: heights and weighed
-    squared error of the diamond, from `relief_of`. in_frame: 1 if all frustums are known to contain its box.
+    The ratio is the largest of error, edges and area to their limits; the vertex's weight W depends on it. r, metres2:
+    heights and squared error of the diamond, from `relief_of`. in_frame: 1 if all frustums are known to contain its
+    box.
     """
     reach = reach_of(domain.unit_bits, a.depth)
     d = Diamond()
@@ -131,11 +136,11 @@ def evaluate_point(
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
     surface = wp.vec3d()
-    known = Known()
-    known.metres2 = wp.float64(wp.inf)
+    record = Known()
+    record.metres2 = wp.float64(wp.inf)
     is_old = is_vertex and last >= wp.int64(0)
     if is_old:
-        known = morphing.last_known[last]
+        record = morphing.last_known[last]
     if depth > morphing.ramp.bisections:
         judged = SplitVertex()  # its diamond decides the point's W
         judged.point = point
@@ -143,32 +148,32 @@ def evaluate_point(
         if morphing.ramp.bisections > 0:
             judged = diamond_above(domain.unit_bits, split_vertex(domain.unit_bits, point), morphing.ramp.bisections)
         relief = Relief()
-        if is_old and known.is_settled == 0:
+        if is_old and record.is_settled == 0:
             relief = morphing.last_relief[last]
         else:
             relief, metres2 = relief_of(domain, judged)  # new, or settled in the last frame, which stored none
-            known.metres2 = metres2
+            record.metres2 = metres2
         in_frame = wp.where(is_vertex and depth > clear_below, 1, 0)
-        ratio2, finest2 = ratio2_of(domain, morphing.criterion, judged, relief, known.metres2, in_frame)
+        ratio2, finest2 = ratio2_of(domain, morphing.criterion, judged, relief, record.metres2, in_frame)
         if morphing.ramp.limit != wp.float64(1.0):
-            ratio2 = ratio2 / morphing.ramp.limit
+            ratio2 = ratio2 / morphing.ramp.limit  # a triangle limit coarsens the criterion
         weight = weight_of(morphing.ramp, ratio2)
         pixel2 = finest2
         if is_vertex and weight < wp.float64(1.0):  # not settled, so that the next frame reads it
             morphing.relief[vertex] = relief
     if not is_old:
         surface = surface_of(domain, morphing.ramp.layers, point)
-        known.height = surface[0]
-        known.normal = normal_of(domain, surface)
-    known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
+        record.height = surface[0]
+        record.normal = normal_of(domain, surface)
+    record.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
     if is_vertex:
-        morphing.known[vertex] = known
-    return weight, known, surface, pixel2
+        morphing.known[vertex] = record
+    return weight, record, surface, pixel2
 
 
 @wp.func
 def add_end(ends: Ends, end: MorphedPoint) -> Ends:
-    """Return the sums `ends` with one end of the edge added: sums of heights and normals, minimum of settled errors."""
+    """Return the sums `ends` with one end of the edge added; of `settled_metres2`, they have the minimum."""
     ends.height += end.height
     ends.z += end.z
     ends.settled_metres2 = smaller(ends.settled_metres2, end.settled_metres2)
@@ -289,7 +294,7 @@ def morphed_point(
     recurse. All are remembered in `memory`, and the records of `vertex` are written for the next frame. last: its
     number in the last frame, -1: none. clear_below: depth; the frustums contain the diamonds of all deeper points.
     """
-    first = memory.slot * PENDING
+    first = memory.slot * PENDING  # the first entry of this thread's stack
     top = first - 1  # the last of the points that wait
     point = p
     morphed = MorphedPoint()
@@ -306,15 +311,15 @@ def morphed_point(
             is_known = morphed.point == point
         if not is_known:
             depth = depth_of(domain.unit_bits, point)
-            weight, known, surface, pixel2 = evaluate_point(
+            weight, record, surface, pixel2 = evaluate_point(
                 domain, morphing, point, depth, is_vertex, vertex, last, clear_below
             )
             is_known = weight >= wp.float64(1.0)  # settled: it needs no ends
             morphed.point = point
-            morphed.height = known.height
-            morphed.z = known.height
-            morphed.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
-            morphed.normal = known.normal
+            morphed.height = record.height
+            morphed.z = record.height
+            morphed.settled_metres2 = wp.where(is_known, record.metres2, wp.float64(0.0))
+            morphed.normal = record.normal
             if not is_known:
                 if is_vertex and was_unsettled(morphing, last):
                     # Pixels on the diamonds of the two ends are no coarser than on this one.

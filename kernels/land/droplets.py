@@ -127,6 +127,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     Each step goes downhill with inertia; the droplet deposits where it climbs or has more than its capacity, else it
     erodes. It ends after `rain.steps`, at the sea, on a plain, before ground that must not change, or at the border of
     these samples; there it takes its load along, elsewhere it deposits the rest. x, y: samples of the whole level.
+    Fractions a step: `rain.load` of the difference to the capacity, `rain.dry` of the water. `rain.mask` scales
+    erosion.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)

@@ -3,8 +3,8 @@
 
 Heights are functions of the position by arithmetic alone: a seed gives the same bits on every machine, and a point has
 the same height at every resolution. `x`, `y`: metres from the centre of the square, to the east and north. `wx`, `wy`:
-the position moved by noise, so that forms are not straight. Lengths, heights and other numbers are chosen by their
-looks.
+the position moved by noise, so that forms are not straight. Indices 0 and 1 of a noise are its slopes, 2 is its value.
+Lengths, heights and other numbers are chosen by their looks.
 """
 
 import warp as wp
@@ -136,7 +136,7 @@ def archipelago_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed
     )
     land = land - wp.float64(1.2) * open_sea
     dry = smooth(wp.float64(-0.12), wp.float64(0.05), land)
-    rough = relief(wx / wp.float64(2600.0), wy / wp.float64(2600.0), dry, seed)
+    rough = relief(wx / wp.float64(2600.0), wy / wp.float64(2600.0), dry, seed)  # no fine octaves on the sea bed
     inland = land + wp.float64(0.06) * rough
     hills = smooth(wp.float64(0.0), wp.float64(0.5), inland)
     height = wp.float64(420.0) * inland + hills * (wp.float64(420.0) + wp.float64(380.0) * rough) - wp.float64(14.0)

@@ -159,7 +159,7 @@ def sum_octaves(
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
     convexity = 3.0 * noise.wave * curvature
-    crest = noise.ridge * (0.5 + 0.5 * convexity / (1.0 + wp.abs(convexity)))
+    crest = noise.ridge * (0.5 + 0.5 * convexity / (1.0 + wp.abs(convexity)))  # rises with convexity
     wave = noise.wave
     amplitude = 0.5 * noise.wave * (noise.plain + (noise.rough - noise.plain) * slope)
     px = x / wp.float64(wave)
@@ -171,7 +171,7 @@ def sum_octaves(
             n = gradient_noise(px, py, seed)
             # The slope of -|n| without its jump, which damping would transfer to the ground.
             folded = wp.clamp(-8.0 * n[2], -1.0, 1.0) * crest
-            value = n[2] * (1.0 - crest) + crest * (0.35 - wp.abs(n[2]))
+            value = n[2] * (1.0 - crest) + crest * (0.35 - wp.abs(n[2]))  # round and sharp forms, mixed
             total += fade * amplitude * value / (1.0 + DAMP * (gx * gx + gy * gy))
             gx += amplitude / wave * n[0] * (1.0 - crest + folded)
             gy += amplitude / wave * n[1] * (1.0 - crest + folded)

@@ -107,7 +107,7 @@ def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     horn = noise(x / wp.float64(1300.0), y / wp.float64(330.0), seed + wp.uint32(14))[2]
     bays = wp.float64(220.0) * wp.sqrt(horn * horn + wp.float64(0.004))
     wx = x + wp.float64(150.0) * medium[2] + wp.float64(30.0) * curl[2] + wp.float64(220.0) * wide[2] + bays
-    large = crests(wx / length, y / length, seed)
+    large = crests(wx / length, y / length, seed)  # phase, and coherence of the waves
     supply = smooth(wp.float64(-0.55), wp.float64(0.35), wide[2] + wp.float64(0.35) * medium[2])
     coherent = smooth(wp.float64(0.05), wp.float64(0.55), large[1])
     height = wp.float64(62.0) * (wp.float64(0.25) + wp.float64(0.75) * supply) * coherent

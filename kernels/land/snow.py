@@ -49,7 +49,8 @@ def fall(
 
     snow = fall * cold(T) * (UNDER_COVER + (1 - UNDER_COVER) sky) * drift(lee), T by height and aspect, cold a logistic
     function less MELTS, 0 .. 1; 0 where `bare` is not 0. sky: visible part, 0 .. 1. lee: shelter from the wind, above 0
-    where snow gathers; drift is 0.2 .. 1.8. Boundary: slopes are one-sided at the border.
+    where snow gathers; drift is 0.2 .. 1.8. weather.sun: sine and cosine of the sun's height. Boundary: slopes are
+    one-sided at the border.
     """
     one = wp.float64(1.0)
     y = offset + wp.tid()
@@ -65,7 +66,7 @@ def fall(
         to_north *= weather.per_y / wp.float64(north - south)
         slope2 = to_east * to_east + to_north * to_north
         facing = wp.clamp((to_north * weather.sun[1] + weather.sun[0]) / wp.sqrt(one + slope2), wp.float64(0.0), one)
-        # Above the temperature at which rain turns to snow; level ground has none of the aspect.
+        # Above the temperature at which rain turns to snow. Aspect adds 0 on level ground, where `facing` is sun[0].
         kelvin = (weather.line - wp.float64(heights[i])) * LAPSE + weather.aspect * (facing - weather.sun[0])
         cold = one / (one + exponential(wp.clamp(kelvin / BLEND, wp.float64(-50.0), wp.float64(50.0))))
         cold = wp.max(cold - MELTS, wp.float64(0.0)) / (one - MELTS)

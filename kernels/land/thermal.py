@@ -197,7 +197,8 @@ def vary_repose(offset: int, slope: Slope, longest: wp.float32, octaves: int, ta
     """Add noise to `base` in row `offset + tid`, so that the angle at which scree rests varies by about `tangent`.
 
     The noise has waves of `longest` metres and `octaves` - 1 shorter ones, at the same positions on every level.
-    tangent: of the change of the angle.
+    tangent: of the change of the angle. Scree settles on this rough base, and its depth is then added to the smooth
+    one.
     """
     row = offset + wp.tid()
     for column in range(slope.width):

@@ -27,11 +27,12 @@ def distance_from_corners(surface: QueriedSurface, blocks: HeightRanges, i: wp.i
     It is 0 for a bilinear surface. Of a bicubic one it is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side
     h, and it includes the displacement.
     """
-    off = wp.float64(0.0)
+    bound = wp.float64(0.0)
     if surface.bicubic == 1:
-        finer_cells = wp.float64(wp.int64(1) << wp.int64(2 * surface.finer[0].bits))
-        off = cell_curvature(blocks, i, j) / finer_cells * wp.abs(surface.scale) + blocks.more
-    return off
+        finer_per_cell = wp.float64(wp.int64(1) << wp.int64(2 * surface.finer[0].bits))
+        # A quarter of the norm of the second derivatives is not less than the sum over 8.
+        bound = cell_curvature(blocks, i, j) / finer_per_cell * wp.abs(surface.scale) + blocks.more  # the displacement
+    return bound
 
 
 @wp.kernel
@@ -64,7 +65,7 @@ def row_ranges(
     high = -wp.float64(wp.inf)
     i = first_column
     while i < surface.samples.columns - 1 and wp.float64(i) <= east:
-        if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):
+        if is_ground(surface, i, j, wp.bool(False), wp.bool(False)):  # not on the cell's western or southern side
             tile = finer_tile(surface, i, j)
             s0 = wp.clamp(west - wp.float64(i), zero, one)
             s1 = wp.clamp(east - wp.float64(i), zero, one)

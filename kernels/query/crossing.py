@@ -180,17 +180,17 @@ def half_curvature_along(
 ) -> wp.float64:
     """Return an upper bound of half the second derivative of the surface along the ray in cell (i, j).
 
-    Displacement is included. The unit is metres per squared metre of t. finer_twist: |h00 + h11 - h10 - h01| of the
-    finer cell that the ray is in, metres, scaled to a squared raster cell; negative without a finer cell.
+    Displacement is included. The unit is metres over squared metres along the ray. finer_twist: |h00 + h11 - h10 - h01|
+    of the finer cell that the ray is in, metres, scaled to a squared raster cell; negative without a finer cell.
     """
     cells2 = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
-        quarter = cell_curvature(blocks, i, j)
-        curvature = wp.float64(2.0) * quarter * cells2
+        quarter_norm = cell_curvature(blocks, i, j)  # of the second derivatives, metres over squared cells
+        curvature = wp.float64(2.0) * quarter_norm * cells2
         if finer_twist >= wp.float64(0.0):
             # The differences between the surfaces at finer samples have the twists of both.
-            curvature += (finer_twist + wp.float64(4.0) * quarter) * wp.abs(ray.du * ray.dv)
+            curvature += (finer_twist + wp.float64(4.0) * quarter_norm) * wp.abs(ray.du * ray.dv)
     elif finer_twist >= wp.float64(0.0):  # in a finer cell
         curvature = finer_twist * wp.abs(ray.du * ray.dv)
     else:
@@ -209,8 +209,8 @@ def in_curved(
 
     t is infinite if they meet nowhere; the side is then that at the segment's end, too. They meet where the ray is
     `part.slack` metres beyond the surface. side: 1 above, -1 below, 0 if it is unknown and the ray is on the surface.
-    The segment is in one raster cell, or in the finer cell `finer` with a twist (see `half_curvature_along`). The ray
-    advances by steps in which the bounded second derivative rules out a crossing.
+    The segment is in one raster cell if `finer_twist` is negative, else in the finer cell `finer` with that twist (see
+    `half_curvature_along`). The ray advances by steps in which the bounded second derivative rules out a crossing.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j, finer_twist)
@@ -220,9 +220,9 @@ def in_curved(
     k = wp.int32(0)
     while k < MAX_STEPS:
         k += 1
-        s = ray.u + t * ray.du - wp.float64(part.i)
+        s = ray.u + t * ray.du - wp.float64(part.i)  # position in the raster cell, 0 .. 1
         r = ray.v + t * ray.dv - wp.float64(part.j)
-        g = wp.vec3d()
+        g = wp.vec3d()  # height and slopes (metres a metre) of the surface, before scaling
         if finer_twist >= zero:
             # Rounding must not choose the cell: a surface between finer samples has other slopes in each.
             bits = surface.finer[0].bits
@@ -354,7 +354,7 @@ def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: R
         low, high = cell_range(surface, blocks, part.i, part.j)
         on_side = clear_of(low, high, ray, part)
         if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0), wp.vec2i())
+            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0), wp.vec2i())  # -1: in no finer cell
         else:
             hit, side = passed(part, on_side)
     return hit, side

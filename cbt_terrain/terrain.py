@@ -159,8 +159,8 @@ class Terrain:
     def saved(self) -> tuple[bytes, dict]:
         """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
 
-        If points were morphing, `morph` is the ratio at which the ramp ends: the tree has no heights of points. Raises
-        TerrainError before the first update.
+        If points were morphing, `morph` is the ratio where the ramp ends; `restore` puts them at their final heights.
+        Raises TerrainError before the first update.
         """
         with self.history.alone():
             shape = self._need_result().shape
@@ -206,7 +206,7 @@ class Terrain:
         return self._need_result().update.surface
 
     def _restore(self, key: tuple, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float) -> Update:
-        """Rebuild the mesh of a saved tree and commit it as the last frame; its bound in metres is that of its errors.
+        """Rebuild the mesh of a saved tree and commit it as the last frame. Its only bound is in metres.
 
         Raises TerrainError if the tree does not fit the height field. key: arguments that identify the frame. meshlet:
         leaves are drawn as 4**meshlet triangles.
@@ -224,7 +224,7 @@ class Terrain:
                 raise TerrainError(
                     "The saved tree is corrupt", expected="leaves that form a conforming mesh", fix="save it again"
                 ) from None
-            # of the bound: the mesh's error, and the rounding of float32 and of the source
+            # metres of the bound: the leaves' error, the rounding to float32 (heights and plane), and the source's
             terms_m = leaf_error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
             bound = add_up(terms_m) * (1 + MARGIN)
             update = Update(
@@ -329,7 +329,7 @@ class Terrain:
                 exact_depth = depth_in_plane(self.field.lattice, surface.positions, surface.corner_verts, surface.level)
                 if exact_depth is not None:  # float32 cannot represent the corners of deeper triangles
                     return max(1, exact_depth - 2 * criterion.meshlet)
-            horizon = None  # else arguments of `horizon_of`, the last a factor on the criterion that the mesh satisfies
+            horizon = None  # or arguments of `horizon_of`; the last: the mesh satisfies the criterion times this
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
                 horizon = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
             outcome = Outcome(
@@ -369,11 +369,11 @@ class Terrain:
             geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
             surface = None  # the surface of an earlier turn would keep its memory in use
             surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
-            # The cut makes two of some triangles. The root triangles remain, whatever the limit.
+            # The cut makes two of some triangles.
             excess = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
-            if excess <= 0 or leaves.total > max_leaves:
+            if excess <= 0 or leaves.total > max_leaves:  # more: root triangles remain, whatever the limit
                 return leaves, relaxed, surface, changed
-            max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
+            max_leaves = leaves.total - 1  # the smallest step, so that a larger limit never gives a coarser mesh
 
     def _placed_domain(self, shape: _Shape) -> Domain:
         """Return the height field at this scale and offset, with float32's rounding at this depth; cached."""

@@ -81,7 +81,7 @@ class ScatterGround:
         """Return the ground that fits a ScatterRequest on this field; its cache of candidates is empty."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
-        box, domain = box_of(field, *scale), make_domain(field, 0, *scale)
+        box, domain = box_of(field, *scale), make_domain(field, 0, *scale)  # 0: no meshlets
         detail = displacement_layers.pack_layers(field.detail, field.finest_edge, field.lattice)
         pattern, tiles = _pattern(field, request.scatter)
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
@@ -100,10 +100,11 @@ class ScatterGround:
         """
         tiles, window = squares.of_tile(self.scatter.seed)
         runs = np.zeros(len(window), kernels.CandidateRun.numpy_dtype())
-        first_rank, available = tile().runs(squares.halvings, window)
+        first_rank, available = tile().runs(squares.halvings, window)  # index of each window's first rank; its ranks
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first_rank, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
-        runs["clear"] = squares.clear if views == 1 else 0  # several views: unknown whose frame it is in
+        # clear: inside the only view's frame; of several views it is unknown whose frame that is
+        runs["clear"] = squares.clear if views == 1 else 0
         # A key is the square's tile and its first rank in one number.
         keys = (tiles[:, 1].astype(np.int64) * self.tiles + tiles[:, 0]) * tile().length + first_rank
         cached_at, known = self.candidates.find(keys, squares.count)
@@ -121,9 +122,9 @@ class ScatterGround:
     def _place(self, runs: np.ndarray, added: slice, threads: int) -> None:
         """Compute positions, normals and densities of candidates.
 
-        The density is the product of the pattern's, the boundary's and that of attributes. runs: numbers of the
-        candidates of each square. added: their slice of the candidates' arrays. Raises TerrainError for heights that
-        are not finite.
+        The density is the product of the pattern's (below 1 at seams of tiles), the boundary's and that of attributes.
+        runs: a CandidateRun for each square. added: their slice of the candidates' arrays. Raises TerrainError for
+        heights that are not finite.
         """
         inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(
@@ -141,7 +142,7 @@ class ScatterGround:
             places = SamplePoints(
                 self.field,
                 positive_positions,
-                footprint_levels(self.field, positive_positions, ()),
+                footprint_levels(self.field, positive_positions, views=()),
                 *self.scale,
                 threads,
             )
@@ -173,7 +174,7 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
     """
     west, south, east, north = field.lattice.rectangle()
     side, pattern = scatter.tile_side, Pattern()
-    tiles = int(max(east - west, north - south) / side) + 2
+    tiles = int(max(east - west, north - south) / side) + 2  # one for the shift, one for a partial tile
     if tiles > MAX_TILES:
         raise TerrainError(
             f"The scatter's spacing is {scatter.spacing:g} m on a terrain of {max(east - west, north - south):g} m, "
@@ -183,11 +184,11 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
     # Shifts for each seed in fractions of a side (R2 of Roberts, 2018).
     shift = (scatter.seed * 0.7548776662466927) % 1.0, (scatter.seed * 0.5698402909980532) % 1.0
     pattern.west, pattern.south = west - side * shift[0], south - side * shift[1]
-    pattern.side, pattern.seed, points = side, scatter.seed, tile()
-    pattern.place = shared(points.place, wp.vec2i)
-    pattern.order = flat(np.concatenate(points.order), wp.int32)
-    # the finest squares have the last POINTS ranks of `order`
-    pattern.first = flat((points.length - POINTS + points.first[FINEST]).astype(np.int32), wp.int32)
+    pattern.side, pattern.seed, ranked = side, scatter.seed, tile()
+    pattern.place = shared(ranked.place, wp.vec2i)
+    pattern.order = flat(np.concatenate(ranked.order), wp.int32)
+    # `ranked.first` counts from the first rank of the finest squares; they have the last POINTS ranks of `order`
+    pattern.first = flat((ranked.length - POINTS + ranked.first[FINEST]).astype(np.int32), wp.int32)
     return pattern, tiles
 
 

@@ -108,9 +108,9 @@ def _points(
     """
     scratch = history.scratch
     seen, pattern, scatter = _pack_views(request, views, ground), ground.pattern, request.scatter
-    placed = pattern.west, pattern.south, pattern.side, scatter.seed
-    max_density = min(scatter.where.strength, 1.0)  # where all rules hold
-    squares = squares_in_view(ground.field, ground.domain, seen, *placed, max_density, threads)
+    tiling = pattern.west, pattern.south, pattern.side, scatter.seed
+    max_density = min(scatter.where.strength, 1.0)  # rules only lower it
+    squares = squares_in_view(ground.field, ground.domain, seen, *tiling, max_density, threads)
     runs, tested = ground.runs(squares, len(views), threads), int(squares.count.sum())
     listed, candidates = pack_runs(runs), ground.candidates.packed()
     chosen = kernels.Chosen()
@@ -138,7 +138,9 @@ def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGroun
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
     criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)
     for view in views:
-        local_view = localise(view, placement, ground.box, criterion, 1.0, margins=margins)
+        # any criterion and scale: they change footprints, which scatters do not read
+        local_view = localise(view, placement, ground.box, criterion, height_scale=1.0, margins=margins)
+        # a plane gives the distance to it in metres of the world
         planes = np.array(local_view.planes, np.float64).reshape(-1, 4)
         planes[: local_view.plane_count, 3] += scatter.margin_m
         local_view.planes = planes
@@ -171,15 +173,15 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
 
 
 def _take_horizon(views: list[LocalView], horizon: CriterionArrays) -> None:
-    """Give each view its part of the horizon map, in place, so that points behind ground are left out.
+    """Give each view the rings of its horizon map, in place, so that points behind ground are left out.
 
-    Raises TerrainError if the map was made for another number of views or other eyes.
+    horizon: the mapped views, from Terrain.horizon. Raises TerrainError if their number or their eyes are others.
     """
-    others = horizon.views.numpy()[: horizon.view_count]
-    if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):
+    mapped = horizon.views.numpy()[: horizon.view_count]
+    if len(mapped) != len(views) or any(list(v.eye) != m["eye"].tolist() for v, m in zip(views, mapped, strict=True)):
         raise TerrainError("The horizon is one of other views", fix="update the terrain for the scatter's views first")
-    for view, other in zip(views, others, strict=True):
-        view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
+    for view, mapped_view in zip(views, mapped, strict=True):
+        view.rings.first, view.rings.count, view.rings.at = (int(number) for number in mapped_view["rings"])
 
 
 def _point_arrays(history: FrameHistory, count: int) -> kernels.PointArrays:

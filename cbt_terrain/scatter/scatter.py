@@ -75,7 +75,7 @@ class Scatter:
         return self.spacing * math.sqrt(POINTS)
 
     def reads(self) -> list[tuple[AttributeRequest, int]]:
-        """Return the attributes whose product is the density, each with the column of its values; none for 1."""
+        """Return the attributes whose product is the density, each with the column of its values; [] if it is 1."""
         requests = []
         if self.where.rules or self.where.strength != 1.0:
             requests.append((_splat(0, self._density_layers()), 1))  # the second of these layers is the density

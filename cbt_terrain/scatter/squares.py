@@ -2,7 +2,8 @@
 """The squares of the plan whose points views may show, and the number of ranks of each.
 
 It walks a quadtree over the plan: in its middle are tiles, above them squares of 2 x 2 tiles and so on, below them the
-parts of tiles. A square is not divided if it needs few points or an about constant density.
+parts of tiles. A square is not divided if it needs few points, or if its density is about constant. From a tile down, a
+square shows a window of the one set of ranked points in tile.py.
 """
 
 from dataclasses import dataclass
@@ -67,15 +68,15 @@ def squares_in_view(
     max_density: float,
     threads: int,
 ) -> Squares:
-    """Return the squares that views may show, for tiles of `side` metres and a density of at most `max_density`.
+    """Return the squares of the plan that views may show, for tiles of `side` metres.
 
-    The south-western corner of tile (0, 0) is at `west`, `south`. Raises TerrainError for more than MAX_CANDIDATES
-    points.
+    The south-western corner of tile (0, 0) is at `west`, `south`. max_density: of the points, 0 .. 1, as a fraction of
+    those of a tile. Raises TerrainError for more than MAX_CANDIDATES points.
     """
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
     halvings = -max(0, int(np.ceil(np.log2(tiles))))  # below 0: a square of 2^-halvings tiles a side
-    numbers, final_squares = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of the final ones
+    numbers, final_squares = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of `Squares`
     while len(numbers):
         density_range = np.empty((len(numbers), 2))
         packed = _pack_squares(field, west, south, side * 2.0**-halvings)
@@ -83,17 +84,17 @@ def squares_in_view(
         inputs = [domain, views, packed, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.density_range, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
         high, low = density_range.T
-        # Ranks r = (rank + 1/2) / POINTS of full or partial size, with a margin for the rounding of densities.
-        growing = high * max_density * (float(GROWING) * (1 + 1e-6))
-        ranks = np.minimum(np.ceil(growing * POINTS - 0.5), POINTS).astype(np.int64)
+        # Points have a size above 0 where (rank + 1/2) / POINTS < GROWING * density; 1e-6 covers rounding.
+        limit = high * max_density * (float(GROWING) * (1 + 1e-6))
+        ranks = np.minimum(np.ceil(limit * POINTS - 0.5), POINTS).astype(np.int64)  # those below the limit
         divided = ranks > 0  # squares without points are dropped
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
             _, windows = Squares(depth, numbers, ranks, divided).of_tile(seed)
-            count = tile().count(halvings, windows, ranks)  # of these ranks, those of points in the square
+            count = tile().count(halvings, windows, ranks)  # points of the square that have these ranks
             divided &= (count > FEW) & (high > EVEN * low) & (halvings < FINEST)
             final = ~divided & (count > 0)
-            final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))
+            final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))  # the last: clear
         if divided.sum() > MAX_DIVIDED:
             raise too_many_error(f"more than {MAX_CANDIDATES:,}")
         numbers = _quarter(numbers[divided])
@@ -119,9 +120,9 @@ def _pack_squares(field: HeightField, west: float, south: float, side: float) ->
     lattice, q = field.lattice, kernels.ScatterSquares()
     q.west, q.south, q.side, q.low, q.high = west, south, side, field.min_height, field.max_height
     cells = max(side / min(lattice.step_x, lattice.step_y), 4.0)  # ranges are of 4 x 4 cells and more
-    bits = int(np.ceil(np.log2(cells * (1 + 1e-9))))
-    q.ranges = Depth()
-    if bits <= lattice.levels:
-        q.ranges = ranges_at(lattice, 2 * (lattice.levels - bits) + 1)
-        q.cell_x, q.cell_y = lattice.step_x * 2.0**bits, lattice.step_y * 2.0**bits
+    doublings = int(np.ceil(np.log2(cells * (1 + 1e-9))))  # of a cell's side to that of the cells with ranges
+    q.ranges = Depth()  # empty: kernels use `low` and `high`
+    if doublings <= lattice.levels:
+        q.ranges = ranges_at(lattice, 2 * (lattice.levels - doublings) + 1)  # two bisections halve a side
+        q.cell_x, q.cell_y = lattice.step_x * 2.0**doublings, lattice.step_y * 2.0**doublings
     return q

@@ -77,11 +77,12 @@ def tile() -> Tile:
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")
     order, first, keys = [], [], []
     for halvings, starts in enumerate(STARTS.tolist()):
-        # Each point is in several windows, one for each step between starts inside a window.
+        # Each point is in several windows: those that start up to a window's side before it. column, row: of these
+        # starts, [POINTS, starts of a window's side]; window: row * starts + column.
         column, row = (place[:, :, None] * starts // UNITS - np.arange(starts >> halvings)).transpose(1, 0, 2) % starts
         window = (row[:, :, None] * starts + column[:, None, :]).reshape(-1).astype(np.int64)
         keys.append(np.sort(_rank_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))
-        order.append((keys[-1] % (POINTS + 1)).astype(np.int32))
+        order.append((keys[-1] % (POINTS + 1)).astype(np.int32))  # the rank of each key
         first.append(np.searchsorted(keys[-1], _rank_key(np.arange(starts**2 + 1), 0)).astype(np.int64))
     return Tile(place, order, first, keys)
 

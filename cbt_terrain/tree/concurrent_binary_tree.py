@@ -144,7 +144,7 @@ class ConcurrentBinaryTree:
         inputs: its arguments after the tree's arrays. The kernel runs again after the pool of pages was full, so a
         repeated run must give the same result.
         """
-        if 2 * self._pages_used > self.bits.num_pages:  # pages of words that are no longer stored were lost
+        if 2 * self._pages_used > self.bits.num_pages:  # writing anew frees the pages of words that are gone
             depths = self.depths()
             self._clear(self.bits.num_pages)
             self.set_depths(depths)
@@ -163,8 +163,8 @@ class ConcurrentBinaryTree:
 
         Return whether the tree has changed; also True if the pool of pages was full, because then nothing is compared.
 
-        shift, levels: a leaf has 2^(levels - depth) deepest cells, and its depth is in the bits `shift` .. `shift` + 5
-        of its code. levels: `max_depth` by default. Nodes whose leaves are the same, as the parts state, are skipped.
+        shift: a leaf's depth is in the bits `shift` .. `shift` + 5 of its code. levels: a leaf has 2^(levels - depth)
+        deepest cells; `max_depth` by default. Nodes that a part lists as `same` have their leaves already.
         """
         parts, start = [part for part in parts if part.count], 0
         while len(self._runs) < len(parts):
@@ -186,7 +186,7 @@ class ConcurrentBinaryTree:
             launch.slices(writing.set_leaves, [[self.bits, run] for run in runs], step="tree", recorded=self._recorded)
             if not self._state[bitfield.IS_FULL]:
                 break
-            # Begin anew with an empty pool, or a larger one: pages of words that are no longer stored were lost.
+            # Begin anew with an empty pool, which frees the pages of words that are gone; then with larger ones.
             num_pages *= 2 if is_empty else 1
             self._clear(num_pages)
             self._state[bitfield.DIFFERS] = is_empty = True
@@ -244,13 +244,13 @@ class ConcurrentBinaryTree:
         launch.spread(kernel, count, [self.bits, *inputs], step="tree", threads=self.threads, cost=DECODE_COST)
 
     def _reduce(self) -> None:
-        """Sum the changed words again, level by level, and empty their list."""
+        """Sum the changed words again, level by level from the lowest, and empty their list."""
         changed = int(self._state[bitfield.NUM_CHANGED])
         if changed > FEW_CHANGED:
             for level in range(self.bits.top + 1):
                 self._launch(reduction.reduce_level, changed, [level])
             self._state[bitfield.NUM_CHANGED] = 0
-        elif changed:
+        elif changed:  # one thread, which also empties the list
             launch.once(reduction.reduce_words, [self.bits], step="tree", recorded=self._recorded)
 
     def _clear(self, num_pages: int) -> None:

@@ -86,7 +86,7 @@ def min_stretch(matrix: np.ndarray) -> float:
             aa, bb, ab = (add_up(x * y for x, y in zip(u, v, strict=True)) for u, v in ((a, a), (b, b), (a, b)))
             if abs(ab) > 1e-16 * math.sqrt(aa * bb):
                 at_right_angles = False
-                # of the smaller angle by which a rotation of both makes it 0
+                # The rotation of both columns that makes `ab` 0, by the smaller of two angles.
                 cotangent_of_double = (bb - aa) / (2 * ab)
                 root = math.sqrt(1 + cotangent_of_double * cotangent_of_double)
                 tangent = math.copysign(1 / (abs(cotangent_of_double) + root), cotangent_of_double)

@@ -35,7 +35,7 @@ def localise(
     Args:
         placement: float64 [4, 4], from terrain space to the world.
         box: float64 [2, 3], the bounding box of the terrain in terrain space, metres.
-        height_scale: metres across the view that a metre of height counts as.
+        height_scale: for footprints: metres across the view that a metre of height moves a point, see `Spans.scales`.
         off: largest distance of mesh and surface, metres of height; the frustum is wider by it, and boxes are higher.
         margins: degrees beyond the left and right sides, and beyond the top and bottom, that count as inside; by
             default those of the criterion's guard band.
@@ -43,8 +43,8 @@ def localise(
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
     eye = eye_of(to_camera)
-    # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
-    # only under shear. The last factor keeps rounding on the safe side.
+    # Shear shortens distances in camera space to sigma times those with the axes stretched alone, or more; without
+    # shear sigma is 1. In `weight`, 1 - 1e-12 keeps rounding on the safe side.
     stretch = lengths(linear)
     sigma = min_stretch(linear / stretch)
     pixels = view.pixels_per_unit * height_scale
@@ -59,7 +59,7 @@ def localise(
     largest, smallest = slants_of(view, placement, criterion)
     # Rows of 0 mean that one slant, the largest, serves the whole frame.
     slants = slant_rows(view, placement) / largest if largest > smallest else np.zeros((2, 2))
-    numbers = {
+    numbers = {  # the fields of LocalView, where each is described
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
         "unsure": off,
@@ -93,7 +93,7 @@ def _off_screen(view: View, criterion: Criterion, planes: np.ndarray, box: np.nd
     With geomorphing the factor grows gradually, over the fringe; else both are 0. planes: of the frustum, in terrain
     space, float64 [n, 4]. box: the terrain's bounding box, float64 [2, 3].
     """
-    narrow = _narrowness(view)  # ground off the screen is as coarse as a normal lens has it
+    narrow = _narrowness(view)  # below 1 for a telephoto lens: off screen, ground is as coarse as with a normal one
     factor = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST)
     if factor > 1 and _outside(planes, box):
         return OUT_OF_VIEW, 0.0, 0.0

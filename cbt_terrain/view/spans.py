@@ -3,6 +3,8 @@
 
 The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. The size on
 screen also depends on the slant at which the height is seen, and on the angle of the ray to the view's axis.
+
+"Whole" is the size on screen, pixels, of an error that reaches the eye. "Secant" is distance over depth.
 """
 
 import math
@@ -86,8 +88,8 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     by_view = tuple(views), tuple(wholes), tuple(widenings)
     if not views or not criterion.measures_edges:
         return Spans(*by_view, tuple(scales))
-    # Spans are at the largest slant, but edges may be across the view. All views share one scale for edges, which must
-    # not depend on the widening of errors in each view.
+    # Edges have no slant: across the ray they are seen up to secant times as long as at the view's axis. All views
+    # share one scale for edges, which must not depend on the widening of errors in each view.
     secants = [secant_of(v) for v in views]
     edge_spans = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
     scales = [edge_spans * secant for secant in secants]
@@ -102,10 +104,10 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
     """Return the largest and the smallest slant that counts in the frame.
 
-    Both are the largest if one slant serves the whole frame.
+    They are equal if one slant serves the whole frame.
 
-    A slant is how many metres a metre of height moves a point across the view of a perspective, at a depth of 1 m; of a
-    panorama across the ray, at a distance of 1 m.
+    A slant is the length of a metre of height as a perspective sees it at a depth of 1 m: metres across the view. In a
+    panorama it is seen at a distance of 1 m: metres across the ray.
 
     No slant counts as less than the shading floor, since shading and shadows show an error too.
     """
@@ -121,21 +123,21 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
         ]
         largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
         smallest = length([max(low, -high, 0.0) for low, high in ends])
-    if view.kind == ORTHOGRAPHIC or not criterion.error_px:
+    if view.kind == ORTHOGRAPHIC or not criterion.error_px:  # only errors on screen use the smallest
         return largest, largest
     smallest = max(criterion.shading_floor, MIN_SLANT * largest, smallest)
     return largest, largest if largest < EVEN_SLANTS * smallest else smallest
 
 
 def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
-    """Return rows that give how far a metre of height moves a point of a perspective across and along the view.
+    """Return the rows, float64 [2, 2], that times (x, y) of a point, metres from the eye, give its slant times depth.
 
-    The products of these rows, float64 [2, 2], with (x, y) metres of the terrain's space from the eye are these
-    distances times the squared depth. The height of the point changes nothing: it stays on its vertical.
+    One row is for the picture's x, one for its y; see `slants_of`. The point's height changes nothing: it stays on its
+    vertical.
 
-    That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of
-    either axis over those of the larger. In a panorama it is the distance of c from the eye's vertical, in two
-    directions at right angles to u, times the squared distance.
+    For a point c and the unit vector u of height, both in camera space, the product is f (u_z c - u c_z), f being the
+    pixels of either axis over those of the larger. In a panorama it is slant times distance: the distance of c from
+    the eye's vertical, in two directions at right angles to u.
     """
     up, linear = _up(view, placement), product(view.world_to_camera, placement)[:3, :2]
     if view.kind == PANORAMIC:
@@ -171,12 +173,14 @@ def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
 
 
 def as_seen(view: View, whole: float, spans: float) -> float:
-    """Return the pixels between a point and its true position on screen, if its height is wrong by `spans`.
+    """Return the pixels between a point and its true position on screen, if its height is wrong by `spans` footprints.
 
-    A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
-    depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
-    a panorama the angle whose tangent is e slant / (d - e steep), with slant^2 + steep^2 = 1, and at most asin(e / d)
-    where e > d steep. If the error may reach the eye, LARGEST. whole: pixels of an error that reaches the eye.
+    Footprints are measured at the reference surface; an error towards the camera looks larger. At depth z or more and
+    distance d or more, an error e is seen as at most
+    - in a perspective of focal length f: f e slant / (z - |u_z| e) pixels, where |u_z| e / z = spans / whole; LARGEST
+      if it may reach the eye;
+    - in a panorama, where e / d = spans / whole and slant^2 + steep^2 = 1: the angle whose tangent is
+      e slant / (d - e steep), or asin(e / d) where e > d steep; half a turn if it may reach the eye.
     """
     if view.kind == PERSPECTIVE:
         return min(spans / (1 - spans / whole), LARGEST) if spans < whole else LARGEST
@@ -191,10 +195,9 @@ def as_seen(view: View, whole: float, spans: float) -> float:
 
 
 def widening(view: View, whole: float, error_px: float) -> float:
-    """Return the factor, 1 or more, on a pixel's span that makes a limit in spans hold in pixels on screen.
+    """Return the factor >= 1 by which an error of up to `error_px` pixels on screen may exceed its size in footprints.
 
-    A span is a pixel footprint in the kernels' measure. `as_seen` is convex: below the requested error, spans times
-    this factor are not below `as_seen`, either. whole: pixels of an error that reaches the eye.
+    It is that of an error of just `error_px`; since `as_seen` is convex, smaller ones have smaller factors.
     """
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING

@@ -133,6 +133,9 @@ class DropToGround(GroundOperator, bpy.types.Operator):
         if pose is None:
             raise TerrainError(f"{name} has no ground above or below it", fix="move it over the terrain")
         if self.keep:
+            if not math.isfinite(pose.ground):
+                what = f"{name} has no ground below its origin, from which Keep Every Frame measures"
+                raise TerrainError(what, fix="move its origin over the terrain")
             settings = obj.adaptive_terrain_keep
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
             settings.offset = pose.height - pose.ground + self.offset  # of the origin from the ground below it

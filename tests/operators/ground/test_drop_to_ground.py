@@ -195,6 +195,17 @@ def test_one_that_cannot_be_moved_stops_no_other(askew, capfd):
     assert "'Lost' has a location" in output and "1 of 4" in output
 
 
+def test_an_object_without_ground_below_its_origin_is_not_kept(askew, capfd):
+    rock = cube("Rock", (9000.0, -30.0, 80.0))
+    rock.data.transform(Matrix.Translation((-8900.0, 0.0, 0.0)))
+    only(rock)
+    assert "'Rock' has no ground below its origin" in refused(capfd, keep=True)
+    assert not rock.adaptive_terrain_keep.keep and rock.adaptive_terrain_keep.offset == 0.0
+    assert drop() == {"FINISHED"}, "without keeping, the ground below its middle is enough"
+    lowest = min((world(rock) @ Vector(corner)).z for corner in rock.bound_box)
+    assert lowest == pytest.approx(Cast(askew).height((100.0, -30.0)), abs=NEAR)
+
+
 def test_linked_objects_are_left_alone(askew, tmp_path, capfd):
     rock = cube("Rock", (100.0, -30.0, 80.0))
     bpy.data.libraries.write(str(tmp_path / "rocks.blend"), {rock})

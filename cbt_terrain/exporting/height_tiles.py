@@ -8,6 +8,7 @@ written.
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -152,7 +153,7 @@ def export_height_tiles(
         raise TerrainError(
             f"{settings.form!r} is no format of height tiles", expected=", ".join(n[1:] for n in FORMATS)
         )
-    if not out.is_dir():
+    if not os.path.isdir(out):
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
     check_no_description(out / f"{settings.name}.json")
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap, settings.step)

@@ -9,6 +9,7 @@ the root's bound hangs from each border inside the terrain.
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,7 +82,7 @@ def export_tileset(
         triangles: mean number in a tile of the finest level.
         on_progress: called with the fraction done; may raise, which cancels.
     """
-    if path.suffix.lower() != ".json" or not path.parent.is_dir():
+    if path.suffix.lower() != ".json" or not os.path.isdir(path.parent):
         raise TerrainError(f"{path} is no tileset", expected="a .json file in an existing folder")
     if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")

@@ -131,7 +131,7 @@ def find_moved(path: str, new: Path) -> str:
     name, rest = parts[entry_indices[-1]], parts[entry_indices[-1] + 1 :]
     ending, moved = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
     for store in names_of(name.removesuffix(ending)):
-        if not (new / store).exists():
+        if not os.path.exists(new / store):
             break
         moved = str(new.joinpath(store + ending, *rest))
     return moved

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..attributes.exr import ExrFile
 from ..attributes.png import PngFile
-from ..errors import TerrainError, unwritable
+from ..errors import TerrainError, check_path, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
@@ -63,7 +63,8 @@ def check_export(file: str | os.PathLike) -> Path:
     file = Path(file)
     if file.suffix.lower() not in WRITERS:
         raise TerrainError(f"{file} is of no format for heights", expected=", ".join(WRITERS))
-    if not file.parent.is_dir():
+    check_path("The file", file)
+    if not os.path.isdir(file.parent):
         problem = f"{file} cannot be written: there is no folder {file.parent}"
         raise TerrainError(problem, fix="create it or choose another")
     if is_device(file):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The Blender file that a program opens: a scene with terrains, or an empty one; and its objects' names as files."""
 
+import os
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
@@ -19,7 +20,7 @@ def open_scene(blend: Path, stores: Path | None = None) -> tuple:
     bpy = import_bpy("A .blend file")
     from ..session import session
 
-    if not Path(blend).is_file():
+    if not os.path.isfile(blend):
         raise TerrainError(f"There is no scene at {blend}", expected="a .blend file")
     try:
         with quiet():

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, check_path
 from ...cbt_terrain.field.store_folder import check_no_description
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
@@ -151,10 +151,11 @@ def make_folder(path: Path) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise TerrainError if a file must not be written to `path`: its folder is missing, a folder or device has its
-    name, or it would replace the description of a terrain's store.
+    """Raise TerrainError if a file must not be written to `path`: no file can have that path, its folder is missing, a
+    folder or device has its name, or it would replace the description of a terrain's store.
     """
-    if path.parent.is_file():
+    check_path("The file", path)
+    if os.path.isfile(path.parent):
         raise TerrainError(
             f"{path.parent} is a file", expected=f"a folder to write {path.name} into", fix="choose another"
         )
@@ -162,7 +163,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(
             f"There is no folder {path.parent} to write {path.name} into", fix="make it, or choose another"
         )
-    if os.path.isdir(path):  # False for a name that is too long, for which Path.is_dir raises
+    if os.path.isdir(path):
         raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")

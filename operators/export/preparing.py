@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make the stores, land and maps of a scene once ahead of its frames, so that no two workers make them at once."""
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -58,7 +59,7 @@ def store_folder_of(obj) -> Path:
 
 def is_missing(store: Path) -> bool:
     """Return whether a folder has no complete store yet; False for a damaged one: opening it reports the damage."""
-    if not (store / JSON_NAME).exists():
+    if not os.path.exists(store / JSON_NAME):
         return True
     with suppress(TerrainError):  # who opens a damaged store reports it
         return loaded_m(read_json(store)["provenance"]) is not None  # None: all samples are loaded

@@ -104,7 +104,7 @@ def _check_keeps_sources(scene, files: set[Path]) -> None:
         sources = [settings.source_path, *(item.path for item in settings.more_sources)]
         sources.append(imported.settings.get("source", "") if imported else "")
         for source in (Path(absolute_path(name)) for name in sources if name):
-            if any(file.exists() and source.exists() and file.samefile(source) for file in files):
+            if any(os.path.exists(file) and os.path.exists(source) and file.samefile(source) for file in files):
                 raise TerrainError(f"The map would replace the height map {source}", fix="choose another name")
 
 

@@ -4,6 +4,7 @@
 All frames are there and whole, made with one set of settings, of the files that are there now.
 """
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache
@@ -43,7 +44,7 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
             f"{out} is not complete: {'; '.join(faults[:MAX_NAMED_FAULTS])}{more}", fix="make those frames again"
         )
     names = {name for summary in summaries for name in summary["inputs"]}
-    return summaries, sum(not Path(file_named(name, out)).exists() for name in names)
+    return summaries, sum(not os.path.exists(file_named(name, out)) for name in names)
 
 
 def _describe_stale_frames(summaries: list[dict], out: Path) -> list[str]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The job of a scene: everything that a worker needs in addition to the .blend file."""
 
+import os
 import tomllib
 import zipfile
 from collections.abc import Sequence
@@ -64,7 +65,7 @@ def submit(
 
     blend, out = real_path(bpy.data.filepath), real_path(out)
     frames = frames or frames_of(scene)
-    files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if path.is_file()))
+    files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if os.path.isfile(path)))
     height_maps, folders, outputs, notes, tiles = [], [], [], [], []
     for obj in objects:
         _add_terrain(obj, height_maps, folders, outputs)
@@ -154,7 +155,7 @@ def _height_maps(obj, store: Path) -> list[Path]:
     """
     settings = settings_of(obj)
     sources = files_of(settings) if names_several(settings) else [Path(settings.source)]
-    missing = next((source for source in sources if not source.is_file()), None)
+    missing = next((source for source in sources if not os.path.isfile(source)), None)
     if missing is not None:
         raise TerrainError(
             f"The terrain {obj.name!r} has neither its store {store} nor its height map {missing}",
@@ -187,7 +188,7 @@ def _zip_path(extension: str, out: Path) -> Path:
     Raises TerrainError for a file that is no zip, and for an extension that was not installed from one.
     """
     if extension != INSTALLED:
-        if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # reading a pipe would wait
+        if not (os.path.isfile(extension) and zipfile.is_zipfile(extension)):  # reading a pipe would wait
             raise TerrainError(f"{extension} is no zip", expected=f"the extension's, or {INSTALLED!r}")
         return real_path(extension)
     if not (PACKAGE / "wheels").is_dir():

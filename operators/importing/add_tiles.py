@@ -71,7 +71,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
     def invoke(self, context, event):
         """Ask for files, beginning in the folder of those that the terrain has."""
         folder = Path(absolute_path(context.object.adaptive_terrain.source_path)).parent
-        if not self.directory and folder.is_dir():
+        if not self.directory and os.path.isdir(folder):
             self.directory = str(folder)
         return ChosenFiles.invoke(self, context, event)
 

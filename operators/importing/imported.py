@@ -3,6 +3,7 @@
 
 import dataclasses
 import functools
+import os
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
@@ -180,7 +181,7 @@ def _same_file(path: str, before: object) -> bool:
         return path not in LANDS and list(PurePath(path).parts[-len(end) :] if end else ()) == end
     if not {path, before} & set(LANDS) and absolute_source(path) == absolute_source(before):
         return True
-    return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()
+    return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not os.path.exists(before)
 
 
 def tag_object(obj) -> None:

@@ -127,7 +127,7 @@ def _maps_of(obj, target: str) -> dict[str, str]:
     is the name of the terrain's folder, which the first baking sets. target: new path of the terrain's store.
     """
     maps, folder = obj.adaptive_terrain.maps, real_path(map_folder(obj))
-    if maps.folder or not maps.mark or not folder.is_dir():
+    if maps.folder or not maps.mark or not os.path.isdir(folder):
         return {}
     store = Path(absolute_path(target))
     return {str(folder): str(store.with_name(store.name + MAPS) / folder.name)}
@@ -157,7 +157,8 @@ def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
             existing = stores.read_json(Path(absolute_path(folder)))
             is_free = (existing["key"], existing["data"]) == (content["key"], content["data"])
         except TerrainError:
-            is_free = not Path(absolute_path(folder), stores.JSON_NAME).exists()  # a damaged store is not replaced
+            # A damaged store is not replaced.
+            is_free = not os.path.exists(os.path.join(absolute_path(folder), stores.JSON_NAME))
         if is_free and folder not in targets:
             return folder
         number += 1

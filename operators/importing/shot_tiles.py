@@ -6,6 +6,7 @@ picture in the job's folder, the job's store, so that neither the artist's work 
 """
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -57,7 +58,7 @@ ALL_SAMPLES = "the frames need all samples"
 def can_load_tiles(store: Path) -> bool:
     """Return whether a store is incomplete, of a source so large that only the tiles in view are loaded."""
     with suppress(TerrainError):
-        if (store / JSON_NAME).exists() and loaded_m(read_json(store)["provenance"]) is not None:
+        if os.path.exists(store / JSON_NAME) and loaded_m(read_json(store)["provenance"]) is not None:
             return is_large(open_store(first_picture(store)))
     return False
 
@@ -74,7 +75,7 @@ def use_job_stores(objects: Sequence, stores: Path) -> None:
     """
     for obj in objects:
         scene_store, of_job = Path(absolute_path(obj.adaptive_terrain.store)), job_store(obj, stores)
-        if (of_job / JSON_NAME).exists():
+        if os.path.exists(of_job / JSON_NAME):
             obj.adaptive_terrain.store = str(of_job)
         elif obj.adaptive_terrain.store and can_load_tiles(scene_store):
             what = f"The tiles of {obj.name!r} that the frames see are not loaded in {stores}"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Paths of stores stay right: where a file is saved to another folder, a terrain is appended, or stores were moved."""
 
+import os
 from pathlib import Path
 
 import bpy
@@ -76,7 +77,7 @@ def on_append(imported, _unused=None) -> None:
             continue
         settings = item.id.adaptive_terrain
         folder = absolute_path(settings.store, library=item.source_library)
-        if settings.store.startswith(RELATIVE) and Path(folder).is_dir():
+        if settings.store.startswith(RELATIVE) and os.path.isdir(folder):
             try:
                 settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
             except ValueError:  # another drive
@@ -129,14 +130,14 @@ def _find_moved_images() -> None:
 
 def _new_folder(path: str) -> str:
     """Return where a folder was moved to; "" if it is in its place or was not moved."""
-    found = "" if Path(path).exists() else find_moved(path, data_folder())
-    return found if found and Path(found).is_dir() else ""
+    found = "" if os.path.exists(path) else find_moved(path, data_folder())
+    return found if found and os.path.isdir(found) else ""
 
 
 def _would_be_deleted(path: str) -> bool:
     """Return whether no store is at a path, and one imported there would be deleted with the extension."""
     above = deleted_folder()
-    return above is not None and Path(path).is_relative_to(above) and not Path(path).exists()
+    return above is not None and Path(path).is_relative_to(above) and not os.path.exists(path)
 
 
 def show_notice(topic: str, notice: str) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shaped land as a store that needs no stack."""
 
+import os
 from collections.abc import Callable
-from pathlib import Path
 
 import bpy
 
@@ -103,7 +103,7 @@ def unused_path(wanted: str) -> str:
     The path may begin with "//", the .blend file's folder.
     """
     number, folder = 1, wanted
-    while Path(absolute_path(folder)).exists():
+    while os.path.exists(absolute_path(folder)):
         number += 1
         folder = f"{wanted}_{number}"
     return folder

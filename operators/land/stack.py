@@ -2,6 +2,7 @@
 """A terrain's stack of land effects: its settings as the engine's data, and the engine's data as settings."""
 
 import math
+import os
 from pathlib import Path
 
 import bpy
@@ -132,7 +133,7 @@ def preset_of(land) -> Stack:
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:
             image = absolute_path(entry.mask.image.filepath)
-            if not Path(image).is_file():
+            if not os.path.isfile(image):
                 raise TerrainError(
                     f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, has no file, and a preset names "
                     "files",

@@ -3,6 +3,7 @@
 
 import glob
 import io
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -87,7 +88,8 @@ def numbered_files(path: Path, source: str) -> list[Path]:
     number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)", "MOVIE": None}.get(source)
     if number is None or not path.name:
         return []
-    return list(path.parent.glob("*".join(map(glob.escape, re.split(number, path.name)))))
+    pattern = "*".join(map(glob.escape, re.split(number, path.name)))
+    return [Path(file) for file in glob.glob(os.path.join(glob.escape(str(path.parent)), pattern))]
 
 
 def _check_not_truncated(image, user: str) -> None:

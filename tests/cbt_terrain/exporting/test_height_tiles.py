@@ -281,6 +281,11 @@ def test_settings_that_cannot_work_are_refused(make, tmp_path, settings):
     assert list((tmp_path / "tiles").iterdir()) == []
 
 
+def test_a_folder_that_cannot_exist_is_refused(land, tmp_path):
+    with pytest.raises(TerrainError, match="There is no folder"):
+        export_height_tiles(land(False)[1], tmp_path / ("n" * 300), HeightTiles())
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit to lower")
 @pytest.mark.parametrize("form", ["r16", "png"])
 def test_a_row_may_have_more_tiles_than_open_files(make, tmp_path, form):

@@ -8,7 +8,7 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
+from adaptive_terrain.cbt_terrain.height_operators.export import check_export, export_raster
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -23,6 +23,12 @@ PLACES = {
     "feet": ("EPSG:2263", Affine(30.0, 0, 980_000.0, 0, -30.0, 200_000.0)),
     "south first": ("EPSG:32632", Affine(30.0, 0, 500_000.0, 0, 20.0, 5_200_000.0)),
 }
+
+
+@pytest.mark.parametrize("name", [f"{'n' * 300}/land.tif", f"{'n' * 300}.tif"])
+def test_a_path_that_is_too_long_is_refused_before_the_work(tmp_path, name):
+    with pytest.raises(TerrainError, match=r"a name of 30\d bytes; expected 255 at most: choose a shorter one"):
+        check_export(tmp_path / name)
 
 
 @pytest.fixture(scope="module")

@@ -46,6 +46,12 @@ def test_a_file_is_counted_as_another_reader_counts_it(terrain, tmp_path, form):
                 count_triangles(path)
 
 
+@pytest.mark.parametrize("name", [f"{'n' * 300}/hills.ply", f"{'n' * 300}.ply"])
+def test_a_path_that_is_too_long_is_one_error_with_a_fix(terrain, tmp_path, name):
+    with pytest.raises(RuntimeError, match=r"a name of 30\d bytes; expected 255 at most: choose a shorter one"):
+        export(tmp_path / name)
+
+
 @pytest.mark.parametrize("form", ("ply", "obj", "stl"))
 def test_faces_of_a_mirrored_terrain_point_up(terrain, tmp_path, form):
     terrain.scale.x = -terrain.scale.x

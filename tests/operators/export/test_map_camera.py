@@ -174,6 +174,7 @@ def test_the_command_renders_the_map_of_a_scene(scene, mapped, tmp_path, capsys)
 
 @pytest.mark.parametrize("name", ["in.png", "in.tif"])
 def test_a_map_does_not_replace_its_height_map(scene, mapped, tmp_path, name):
+    mapped.adaptive_terrain.source_path = f"/{'n' * 300}.tif"  # no file can have this name
     before = (tmp_path / "in.tif").read_bytes()
     bpy.ops.adaptive_terrain.map_camera()
     with pytest.raises(RuntimeError, match="would replace the height map"):

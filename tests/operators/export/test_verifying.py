@@ -133,6 +133,12 @@ def test_missing_inputs_are_counted_and_not_compared(frames, capsys):
     assert "1 of the files that they were made of are not here" in capsys.readouterr().out
 
 
+def test_an_input_with_an_impossible_name_is_missing(frames, capsys):
+    write_summary(frames, 6, inputs={f"../{'n' * 300}.png": None})
+    assert run("verify", frames, "--frames", "6") == 0
+    assert "1 of the files that they were made of are not here" in capsys.readouterr().out
+
+
 def test_frames_stay_complete_in_another_place(frames, tmp_path):
     digests = {"../tex.png": content_digest(tmp_path / "tex.png")}
     moved = tmp_path / "elsewhere" / "deeper"

@@ -216,6 +216,10 @@ def test_a_terrain_without_store_and_height_map_has_no_job(shot, tmp_path, capsy
     (shot.parent / "dunes.npy").unlink()
     assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 1
     assert "'Dunes' has neither its store" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    bpy.data.objects["Dunes"].adaptive_terrain.source_path = f"//{'n' * 300}.npy"  # no file can have this name
+    bpy.ops.wm.save_mainfile()
+    assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 1
+    assert "'Dunes' has neither its store" in capsys.readouterr().err
 
 
 def test_the_operator_writes_a_job(shot, tmp_path):

@@ -152,6 +152,9 @@ def test_a_file_that_moved_is_the_same(tmp_path):
     ):
         older = dataclasses.replace(store, settings=kept | {"source": recorded})
         assert changed_settings(asked, older) == changed, "of a version that recorded relative paths"
+    long = f"{'n' * 300}.tif"  # no file can have this name
+    older = dataclasses.replace(store, settings=kept | {"source": str(tmp_path / long)})
+    assert changed_settings(dataclasses.replace(asked, source=f"/now/{long}"), older) == []
     dotted = dataclasses.replace(asked, source=str(tmp_path / "x" / ".." / "dem.tif"))
     (tmp_path / "x").mkdir()
     assert changed_settings(dotted, store) == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder, requested_tiles
-from adaptive_terrain.operators.importing import pack_store
+from adaptive_terrain.operators.importing import pack_plan, pack_store
 from adaptive_terrain.operators.importing.store_location import lies_beside
 from adaptive_terrain.operators.land import shape_land, shaped_land
 from adaptive_terrain.operators.maps import images as map_images
@@ -32,6 +32,11 @@ def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terra
     assert absolute(one) == (tmp_path / "terrain" / "valley_One_store").resolve()
     assert open_store(absolute(one)).key == open_store(store).key
     assert not bpy.ops.adaptive_terrain.pack_store.poll(), "there is nothing left to pack"
+
+
+def test_a_name_that_is_too_long_counts_as_free():
+    """Copying the store then raises the error that names the folder."""
+    assert pack_plan._free_folder(f"/{'n' * 300}", {}, set()) == f"/{'n' * 300}"
 
 
 def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):

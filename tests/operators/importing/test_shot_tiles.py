@@ -41,6 +41,11 @@ def import_source(settings, store, _on_progress=None, part=None):
     return run(settings, store, part=part)
 
 
+def test_a_store_that_no_folder_can_have_is_missing():
+    store = Path("n" * 300)
+    assert preparing.is_missing(store) and not shot_tiles.can_load_tiles(store)
+
+
 @pytest.fixture
 def small_tiles(monkeypatch):
     """Make small tiles, as if each source was large, and import in this process."""

@@ -58,6 +58,16 @@ def test_a_file_names_its_store_where_it_was_moved(scene, add_terrain, store, fo
     assert store_paths.FOUND not in store_paths.notices, "it is about the file that was open"
 
 
+def test_a_path_that_cannot_exist_stops_no_other(scene, add_terrain, store, folders):
+    old, new = folders
+    shutil.copytree(store, new / "hills")
+    long, terrain = add_terrain("Long"), add_terrain()
+    long.adaptive_terrain.store = str(old / ("n" * 300))
+    terrain.adaptive_terrain.store = str(old / "hills")
+    store_paths.find_moved_stores()
+    assert terrain.adaptive_terrain.store == str(new / "hills")
+
+
 def test_an_appended_terrain_finds_its_moved_store(scene, add_terrain, store, folders, tmp_path):
     old, new = folders
     shutil.copytree(store, new / "hills")

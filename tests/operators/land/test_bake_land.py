@@ -96,6 +96,11 @@ def test_a_window_refuses_to_bake_unshaped_land(terrain):
     assert operator.began == {"CANCELLED"} and "press Shape Now" in operator.report.call_args.args[1]
 
 
+def test_a_path_that_is_too_long_does_not_exist_yet():
+    """Copying the land then raises the error that names the folder."""
+    assert bake_land.unused_path(f"/{'n' * 300}") == f"/{'n' * 300}"
+
+
 def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
     import rasterio
 

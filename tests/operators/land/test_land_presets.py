@@ -100,8 +100,10 @@ def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch
     monkeypatch.setattr(bpy.utils, "user_resource", lambda _kind, path="", create=False: str(tmp_path))
     entry = add("relief")
     entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
-    with pytest.raises(RuntimeError, match="'Paint', which masks 'Fine Relief', has no file"):
-        bpy.ops.adaptive_terrain.land_preset_add(name="Painted")
+    for filepath in ("", f"/{'n' * 300}.png"):  # no file can have the second name
+        entry.mask.image.filepath = filepath
+        with pytest.raises(RuntimeError, match="'Paint', which masks 'Fine Relief', has no file"):
+            bpy.ops.adaptive_terrain.land_preset_add(name="Painted")
     assert not list(tmp_path.glob("Painted*.json"))
     rules = [{"of": "aspect", "low": -0.5, "high": 0.5}]
     stack = stack_from({"version": 1, "entries": [{"effect": "relief", "mask": {"rules": rules}}]})

@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.land import stack as land_stack
-from adaptive_terrain.operators.layers.images import painted_of
+from adaptive_terrain.operators.layers.images import numbered_files, painted_of
 from adaptive_terrain.operators.maps import images as map_images
 from blender_scenes import add_terrain, empty, scene, store  # noqa: F401
 from map_scenes import bake
@@ -45,6 +45,12 @@ def test_pixels_of_a_pipe_are_not_requested(name, source, pipe, empty, tmp_path)
     os.mkfifo(tmp_path / pipe)
     with time_limit(20), pytest.raises(TerrainError, match=r"'a.*png' of a mask is .*pipe.*; expected an image file"):
         painted_of(image, "of a mask")
+
+
+@pytest.mark.parametrize("source", ["TILED", "SEQUENCE", "MOVIE", "FILE"])
+def test_a_name_that_is_too_long_has_no_files(source, tmp_path):
+    assert numbered_files(tmp_path / f"{'n' * 300}.png", source) == []
+    assert numbered_files(tmp_path / ("n" * 300) / "a.1001.png", source) == []
 
 
 def test_a_scene_that_names_a_pipe_is_refused(scene, add_terrain, tmp_path, capsys):  # noqa: F811

@@ -85,7 +85,7 @@ def numbered_files(path: Path, source: str) -> list[Path]:
 
     source: of the image; [] for one that is neither TILED nor SEQUENCE.
     """
-    number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)", "MOVIE": None}.get(source)
+    number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)"}.get(source)
     if number is None or not path.name:
         return []
     pattern = "*".join(map(glob.escape, re.split(number, path.name)))

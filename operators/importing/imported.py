@@ -176,12 +176,14 @@ def _same_file(path: str, before: object) -> bool:
     """
     if path == before or not isinstance(before, str):
         return path == before
-    if before not in LANDS and not PurePath(before).is_absolute():
+    if path in LANDS or before in LANDS:
+        return False
+    if not PurePath(before).is_absolute():
         end = [part for part in PurePath(before).parts if part != ".."]
-        return path not in LANDS and list(PurePath(path).parts[-len(end) :] if end else ()) == end
-    if not {path, before} & set(LANDS) and absolute_source(path) == absolute_source(before):
+        return list(PurePath(path).parts[-len(end) :] if end else ()) == end
+    if absolute_source(path) == absolute_source(before):
         return True
-    return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not os.path.exists(before)
+    return Path(path).name == Path(before).name and not os.path.exists(before)
 
 
 def tag_object(obj) -> None:

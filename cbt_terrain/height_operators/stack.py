@@ -38,6 +38,7 @@ MAX_BYTES = 1 << 20
 EXPECTED = "a JSON file of entries"
 MAX_ENTRIES, MAX_RULES = 64, 16
 MAX_SEED = 2**31 - 1
+MIN_HEIGHT_M, MAX_HEIGHT_M = -12_000, 20_000  # of the land that a stack was designed for
 _TOP = ("version", "entries", "heights")
 _ENTRY = ("effect", "parameters", "seed", "on", "name", "mask")
 _MASK = ("image", "rules", "factor")
@@ -237,18 +238,19 @@ def stack_from(content: object, where: str = "The stack", folder: Path | None = 
 def _heights(where: str, content: object) -> tuple[float, float] | None:
     """Return the lowest and highest height of the land in metres, None if not given.
 
-    Raises TerrainError unless they are 1 m apart or more, between -12,000 and 20,000 m. where: subject of the error.
-    content: the parsed JSON.
+    Raises TerrainError unless they are 1 m apart or more, from MIN_HEIGHT_M to MAX_HEIGHT_M. where: subject of the
+    error. content: the parsed JSON.
     """
     if content is None:
         return None
     if isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content):
         low, high = content
-        if -12000 <= low <= high - 1 <= 20000:
+        if MIN_HEIGHT_M <= low <= high - 1 and high <= MAX_HEIGHT_M:
             return float(low), float(high)
     raise TerrainError(
         f"{where} has heights {shown(repr(content))}",
-        expected="the land's lowest and highest height in metres, as [0, 1500]",
+        expected="the land's lowest and highest height in metres, as [0, 1500], at least 1 m apart and within "
+        f"{MIN_HEIGHT_M:,} .. {MAX_HEIGHT_M:,}",
     )
 
 

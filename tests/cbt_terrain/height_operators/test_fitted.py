@@ -49,6 +49,8 @@ def test_values_stay_in_range_and_flat_land_changes_nothing():
 def test_a_file_keeps_the_heights_and_wrong_ones_are_refused(tmp_path):
     write_stack(MADE, tmp_path / "made.json")
     assert read_stack(tmp_path / "made.json") == MADE
-    for wrong in ([0], [5, 5], [0, "1"], [True, 900], [0, float("nan")], [-1e9, 10], 7):
+    for right in ([19_999, 20_000], [-12_000, -11_999]):
+        assert stack_from(stack_content(MADE) | {"heights": right}).heights == tuple(right)
+    for wrong in ([0], [5, 5], [0, "1"], [True, 900], [0, float("nan")], [-1e9, 10], [0, 20_001], [-12_001, 10], 7):
         with pytest.raises(TerrainError, match="expected the land's lowest and highest height in metres"):
             stack_from(stack_content(MADE) | {"heights": wrong})

@@ -216,21 +216,25 @@ def _bake_images(
             side = together[0].side
             with ExitStack() as stack:
                 files = [_open_image(folder, image, pool, stack) for image in together]
-                for first in range(0, side, _band_rows(side)):  # bands divide a side, a power of two
+                for first in range(0, side, _band_rows(side)):
+                    rows = min(_band_rows(side), side - first)
                     with lock:
-                        texels = _texel_points(ground, tile, side, first, _band_rows(side))
+                        texels = _texel_points(ground, tile, side, first, rows)
                         values = values_at(texels, [image.request for image in together])
                     for image, file in zip(together, files, strict=True):
                         file.add(_encode_band(values[image.request.name], image))
-                    done += _band_rows(side) * side
+                    done += rows * side
                     on_progress(done / total)
                 for file in files:
                     file.close()
 
 
 def _band_rows(side: int) -> int:
-    """Return how many rows of texels are computed at once: whole blocks of an EXR file. side: texels of a row."""
-    return min(max(BAND_TEXELS // side, exr.BLOCK), side)
+    """Return how many rows of texels are computed at once, of whole blocks of an EXR file; the last band may have less.
+
+    side: texels of a row.
+    """
+    return max(BAND_TEXELS // side // exr.BLOCK, 1) * exr.BLOCK
 
 
 def _open_image(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -> png.PngFile | exr.ExrFile:

@@ -225,12 +225,17 @@ def test_a_place_that_cannot_be_written(tmp_path):
         bake(rough(20, 20), [SLOPE], tmp_path / "file", [64])
 
 
-def test_bands_change_nothing(tmp_path, monkeypatch):
+@pytest.mark.parametrize("form", ["png", "exr"])
+@pytest.mark.parametrize(("side", "texels"), [(256, 1), (100, 4000)])  # 100 rows: three bands of 32, and one of 4
+def test_bands_change_nothing(tmp_path, monkeypatch, form, side, texels):
     field = rough(60, 60)
-    bake(field, [SLOPE], tmp_path / "a", [256])
-    monkeypatch.setattr(baking, "BAND_TEXELS", 1)
-    bake(field, [SLOPE], tmp_path / "b", [256])
-    assert (values(tmp_path / "a", "slope", 0) == values(tmp_path / "b", "slope", 0)).all()
+    bake(field, [SLOPE], tmp_path / "a", [side], form=form)
+    monkeypatch.setattr(baking, "BAND_TEXELS", texels)
+    fractions = []
+    bake(field, [SLOPE], tmp_path / "b", [side], form=form, on_progress=fractions.append)
+    found = values(tmp_path / "b", "slope", 0)
+    assert found.shape == (side, side, 1) and (values(tmp_path / "a", "slope", 0) == found).all()
+    assert fractions[-1] == 1.0
 
 
 def test_a_decal_may_be_finer_than_the_samples(tmp_path):

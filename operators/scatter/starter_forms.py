@@ -7,12 +7,21 @@ starter.MATERIALS; `size` is 1 for the height in a form's docstring.
 """
 
 import math
+from typing import NamedTuple
 
 from ..bridge.nodes import Nodes
 
 SHADE = "shade"
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # of neighbouring twigs about their stem
 TWIGS = 6  # of a conifer's branch
+
+
+class CoordinateSockets(NamedTuple):
+    """The sockets of a position's three coordinates."""
+
+    x: object
+    y: object
+    z: object
 
 
 class FormNodes(Nodes):
@@ -35,10 +44,13 @@ class FormNodes(Nodes):
         """Add a node that combines three numbers into a vector; return its output."""
         return self.add("ShaderNodeCombineXYZ", {0: x, 1: y, 2: z}).outputs[0]
 
-    def place(self):
-        """Return the position of each element and its three coordinates."""
-        position = self.add("GeometryNodeInputPosition").outputs[0]
-        return position, *self.add("ShaderNodeSeparateXYZ", {0: position}).outputs
+    def position(self):
+        """Add a node that gives the position of each element; return its output."""
+        return self.add("GeometryNodeInputPosition").outputs[0]
+
+    def coordinates(self) -> CoordinateSockets:
+        """Add nodes that give the coordinates of each element's position; return their outputs."""
+        return CoordinateSockets(*self.add("ShaderNodeSeparateXYZ", {0: self.position()}).outputs)
 
     def index(self):
         """Add a node that gives the number of each element; return its output."""
@@ -81,7 +93,7 @@ class FormNodes(Nodes):
         """
         inputs = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": along, "Vertices Y": across}
         grid = self.add("GeometryNodeMeshGrid", inputs).outputs["Mesh"]
-        _, x, y, _ = self.place()
+        x, y, _ = self.coordinates()
         x = self.math("ADD", x, 0.5)
         local_width = self.math("MULTIPLY", self.math("POWER", self.math("SUBTRACT", 1.02, x), 0.7), width)
         local_width = self.math("MULTIPLY", local_width, self.math("ADD", self.math("MULTIPLY", x, 0.8), 0.35))
@@ -94,7 +106,7 @@ class FormNodes(Nodes):
         """Return a rhombus of length 1 along X and `width`, folded down along X: two triangles."""
         grid = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": 2, "Vertices Y": 2}
         mesh = self.add("GeometryNodeMeshGrid", grid).outputs["Mesh"]
-        _, x, y, _ = self.place()
+        x, y, _ = self.coordinates()
         along = self.math("MULTIPLY_ADD", self.math("ADD", x, y), 0.5, 0.5)
         across = self.math("MULTIPLY", self.math("SUBTRACT", x, y), 0.5 * width)
         down = self.math("MULTIPLY", self.math("ABSOLUTE", across), -fold)
@@ -110,7 +122,7 @@ class FormNodes(Nodes):
             "Depth": height,
         }
         cone = self.add("GeometryNodeMeshCone", inputs, fill_type="NONE").outputs["Mesh"]
-        _, x, y, z = self.place()
+        x, y, z = self.coordinates()
         swing = self.math("SINE", self.math("MULTIPLY", z, 3.0 / height))
         lower = self.math("SUBTRACT", z, 0.2)  # 0.2 m of it is in the ground
         return self.move(cone, self.xyz(self.math("MULTIPLY_ADD", swing, sway, x), y, lower))
@@ -118,7 +130,7 @@ class FormNodes(Nodes):
     def blob(self, subdivisions: int, size: tuple, middle: tuple, rough: float, noise_scale: float):
         """Return an ellipsoid with radii `size` about `middle`, dented by noise. rough: fraction of the radii."""
         sphere = self.add("GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": subdivisions}).outputs["Mesh"]
-        position = self.place()[0]
+        position = self.position()
         self.seed += 1
         shifted = self.vector("ADD", position, (0.37 * self.seed, 0.0, 0.0))  # another part of the noise
         noise = self.add("ShaderNodeTexNoise", {"Vector": shifted, "Scale": noise_scale, "Detail": 2.0}).outputs[0]
@@ -143,9 +155,9 @@ class FormNodes(Nodes):
         euler = self.xyz(self.random(-0.9, 0.9), pitch, self.math("ADD", angle, self.random(-0.9, 0.9)))
         placed = self.put(points, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
         # The shade is lighter above and outside.
-        position, _, _, z = self.place()
+        position = self.position()
         away = self.vector("LENGTH", self.vector("DIVIDE", self.vector("SUBTRACT", position, middle), size))
-        light = self.math("MULTIPLY_ADD", self.math("SUBTRACT", z, middle[2]), 0.25 / size[2], 0.1)
+        light = self.math("MULTIPLY_ADD", self.math("SUBTRACT", self.coordinates().z, middle[2]), 0.25 / size[2], 0.1)
         return self.dress(placed, material, self.math("ADD", light, self.math("MULTIPLY", away, 0.5)))
 
 
@@ -170,12 +182,12 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     pitch = nodes.math("MULTIPLY_ADD", part, -1.3, nodes.random(0.15, 0.65))
     euler = nodes.xyz(nodes.random(-0.5, 0.5), pitch, nodes.math("ADD", angle, nodes.random(-0.8, 0.8)))
     twigs = nodes.put(points, nodes.leaf(0.62, 0.7), euler, length)
-    _, x, y, z = nodes.place()
+    x, y, z = nodes.coordinates()
     away = nodes.vector("LENGTH", nodes.xyz(x, y, 0.0))
     shade = nodes.math("MULTIPLY_ADD", away, 0.26 / size, nodes.math("MULTIPLY", z, 0.35 / height))
     inner = {"Vertices": 8, "Radius Bottom": 0.9 * size, "Radius Top": 0.04, "Depth": 0.84 * height}
     core = nodes.add("GeometryNodeMeshCone", inner, fill_type="NONE").outputs["Mesh"]
-    core = nodes.move(core, nodes.vector("ADD", nodes.place()[0], (0.0, 0.0, 0.1 * height)))
+    core = nodes.move(core, nodes.vector("ADD", nodes.position(), (0.0, 0.0, 0.1 * height)))
     needles = materials["Needles"]
     nodes.finish(trunk, nodes.dress(core, needles, 0.0), nodes.dress(twigs, needles, shade))
 
@@ -220,16 +232,16 @@ def grass(nodes: FormNodes, materials, size: float) -> None:
     pitch = nodes.math("MULTIPLY_ADD", away, 0.75, nodes.random(-1.75, -1.4))
     euler = nodes.xyz(0.0, pitch, nodes.math("ADD", angle, nodes.random(-0.6, 0.6)))
     blades = nodes.put(points, nodes.blade(4, 2, 0.07, 0.0, 0.22), euler, nodes.random(0.28 * size, 0.45 * size))
-    shade = nodes.math("MULTIPLY", nodes.place()[3], 2.4 / size)
+    shade = nodes.math("MULTIPLY", nodes.coordinates().z, 2.4 / size)
     nodes.finish(nodes.dress(blades, materials["Grass"], shade))
 
 
 def rock(nodes: FormNodes, materials, size: float) -> None:
     """Build a rock that is partly in the ground. `size`: its diameter in metres."""
     stone = nodes.blob(4, (0.5 * size, 0.42 * size, 0.34 * size), (0.0, 0.0, 0.14 * size), 0.55, 0.9)
-    position, _, _, z = nodes.place()
+    position = nodes.position()
     cells = nodes.add("ShaderNodeTexVoronoi", {"Vector": position, "Scale": 2.2 / size}).outputs["Distance"]
     cut = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", cells, 0.4), -0.22, 1.0)
     stone = nodes.move(stone, nodes.scaled(position, cut))
-    shade = nodes.math("MULTIPLY_ADD", nodes.place()[3], 1.3 / size, 0.15)
+    shade = nodes.math("MULTIPLY_ADD", nodes.coordinates().z, 1.3 / size, 0.15)
     nodes.finish(nodes.dress(stone, materials["Stone"], shade, smooth=False))

@@ -111,9 +111,9 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
         with launch.timed("prefilter"):
             launch.together([partial(_fill_levels, raster, tiles, positions, levels, slice(*ends)) for ends in ranges])
 
-    # Levels of few samples are cached in the store only if the raster itself is large (`derive_large`).
-    is_large = size >= derived_arrays.MIN_CACHED
-    derive = derived_arrays.derive if is_large else derived_arrays.derive_large
+    # Levels of many samples are cached in the store, those of few only if the raster itself is large.
+    has_many = size >= derived_arrays.MIN_CACHED
+    derive = derived_arrays.derive_cached if has_many else derived_arrays.derive_cached_if_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
     # Numbers of tiles in the coarser levels, which only tiles that count have.
     level_numbers = np.full(tiles.numbers.shape, -1, np.int32)

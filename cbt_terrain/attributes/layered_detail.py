@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..field.derived_arrays import derive_large
+from ..field.derived_arrays import derive_cached_if_large
 from ..field.detail import Detail
 from ..field.displacement_layers import (
     ALL,
@@ -120,7 +120,7 @@ def _compute_masks(
         mask_array: ((len(numbers), lattice.height, lattice.width), np.uint8),
         maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),  # entries of `max_cells`
     }
-    derived = derive_large(field.raster, shapes, fill)
+    derived = derive_cached_if_large(field.raster, shapes, fill)
     for name in shapes:
         remove_old(field, f"{name.removesuffix(digest)}*.npy", name, MAX_CACHED)
     return list(map(LayerMask, derived[mask_array], derived[maxima_array]))

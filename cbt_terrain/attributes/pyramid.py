@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..field import codes
-from ..field.derived_arrays import derive_large, derived_shapes, samples_by_level
+from ..field.derived_arrays import derive_cached_if_large, derived_shapes, samples_by_level
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
 from ..run import launch
@@ -62,7 +62,7 @@ def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray
             inputs = [packed, level, packed.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
 
-    return derive_large(raster, {name: derived_shapes(raster.lattice)[PYRAMID]}, halve)[name]
+    return derive_cached_if_large(raster, {name: derived_shapes(raster.lattice)[PYRAMID]}, halve)[name]
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:

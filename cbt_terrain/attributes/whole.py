@@ -91,7 +91,8 @@ def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarra
     """
     # `_never` declares an older result invalid, so that it is replaced.
     shapes = {file: (values.shape, np.float32)}
-    return derived_arrays.derive(field.raster, shapes, lambda arrays: np.copyto(arrays[file], values), _never)[file]
+    derived = derived_arrays.derive_cached(field.raster, shapes, lambda into: np.copyto(into[file], values), _never)
+    return derived[file]
 
 
 def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) -> None:

@@ -69,7 +69,7 @@ def bicubic(field: HeightField) -> HeightField:
     field: without detail. Its finer tiles become those of finer_bicubic.py. Raises TerrainError for a sample that is
     not finite.
     """
-    arrays = derived_arrays.derive(
+    arrays = derived_arrays.derive_cached(
         field.raster, arrays_of(field.lattice), lambda arrays: build(field, arrays), _are_valid
     )
     smooth = replace(

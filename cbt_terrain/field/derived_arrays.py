@@ -26,7 +26,7 @@ MIN_CACHED = 1 << 20
 Shapes = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
 
 
-def derive(
+def derive_cached(
     raster: HeightRaster,
     shapes: Shapes,
     fill: Callable[[Arrays], None],
@@ -44,10 +44,10 @@ def derive(
     return _fill_in_memory(shapes, fill) if arrays is None else arrays
 
 
-def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
-    """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive`, of others computed in memory."""
+def derive_cached_if_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
+    """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive_cached`, of others in memory."""
     if raster.samples.size >= MIN_CACHED:
-        return derive(raster, shapes, fill)
+        return derive_cached(raster, shapes, fill)
     return _fill_in_memory(shapes, fill)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from ...kernels.effects import horizon as kernels
 from ..run.locks import cached
 from .blocks import fill_levels, level_offsets, level_shapes, over_cells
-from .derived_arrays import derive_large, derived_shapes
+from .derived_arrays import derive_cached_if_large, derived_shapes
 from .heightfield import HeightField
 
 
@@ -36,5 +36,5 @@ def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.
         """Compute all levels."""
         fill_levels(arrays[name], rows, columns, reduce, finest)
 
-    extremes = derive_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
+    extremes = derive_cached_if_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
     return extremes, *level_offsets(level_shapes(rows, columns), int(kernels.FINEST))

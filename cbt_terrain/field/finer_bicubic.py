@@ -46,7 +46,7 @@ def bicubic_tiles(smooth: HeightField) -> tuple[FinerTiles, float, float]:
     finer = smooth.raster.finer
     assert finer is not None
     shapes = bicubic_shapes(smooth.lattice, finer.bits, len(finer.heights))
-    arrays = derived_arrays.derive(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
+    arrays = derived_arrays.derive_cached(smooth.raster, shapes, partial(_fill, smooth, finer), _are_valid)
     exponent, base, step, low, high, off = arrays["finer_values_c"].tolist()
     heights, errors, ranges, limits, bounds = (
         arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "limits", "bounds")

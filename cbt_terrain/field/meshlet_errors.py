@@ -13,7 +13,7 @@ from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import cached
 from . import codes
-from .derived_arrays import derive
+from .derived_arrays import derive_cached
 from .heightfield import HeightField
 from .hierarchy import items, stored_at
 from .lattice import PAGE, Lattice
@@ -43,7 +43,7 @@ def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
         arrays[name][:] = field.error
         expand_codes(field.lattice, arrays[name], field.table, meshlet, launch.default_threads())
 
-    return derive(field.raster, {name: (field.error.shape, np.uint8)}, expand)[name]
+    return derive_cached(field.raster, {name: (field.error.shape, np.uint8)}, expand)[name]
 
 
 def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshlet: int, threads: int) -> None:

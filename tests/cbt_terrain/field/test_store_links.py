@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.derived_arrays import derive
+from adaptive_terrain.cbt_terrain.field.derived_arrays import derive_cached
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.height_operators.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -139,7 +139,7 @@ def test_a_kept_array_is_not_written_through_a_link(tmp_path, precious):
     data, before = write(tmp_path / "st"), content(precious)
     (data / "error_m1.npy").symlink_to(precious / "notes.txt")
     with pytest.raises(NotOursError, match="error_m1.npy is a link"):
-        derive(open_store(tmp_path / "st").raster, {"error_m1": ((3,), np.uint8)}, lambda _arrays: None)
+        derive_cached(open_store(tmp_path / "st").raster, {"error_m1": ((3,), np.uint8)}, lambda _arrays: None)
     assert content(precious) == before
 
 

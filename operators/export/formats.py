@@ -19,7 +19,7 @@ class ExportFormat:
     Attributes:
         write: write(pieces, path) writes one Piece, or all Pieces of a frame if `is_whole_scene`.
         export: export(obj, name) writes the selected object by Blender's own exporter to the path `name`.
-        count: count(file, size) returns the number of triangles in what `export` wrote; size: of the file, bytes.
+        count: count(file) returns the number of triangles in what `export` wrote; file: open for reading, binary.
         finish: finish(piece, path) completes what `export` wrote, "" if nothing is left to do.
         needs_blender: whether Blender is needed to write it.
         is_whole_scene: whether one file holds all terrains of a frame.

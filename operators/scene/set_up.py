@@ -37,7 +37,8 @@ class SetUpScene(bpy.types.Operator):
     view: bpy.props.EnumProperty(
         name="Camera", description="Where the camera is put",
         items=[(CURRENT, "Current View", "Put the camera where the viewport looks from"),
-               (ACROSS, "Across the Terrain", "Put the camera at the low side of the terrain, towards the high side")],
+               (ACROSS, "Across the Terrain", "Put the camera where it sees most kinds of ground: water or the lowest "
+                "ground, gentle slopes and an uneven skyline, but little of the terrain's border")],
         options={"SKIP_SAVE"},
     )  # fmt: skip
     elevation: bpy.props.FloatProperty(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The place of a camera: where a viewport looks from, or a view across the terrain towards its high ground."""
+"""The place of a camera: where a viewport looks from, or the view that shows most kinds of ground."""
 
 import math
 

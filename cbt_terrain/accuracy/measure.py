@@ -5,6 +5,8 @@ The measured mesh is the one that Blender gets: the float32 arrays of a Surface,
 after a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as
 the field says, and its detail. Bicubic surfaces and detail are evaluated by the measurement's independent code, which
 takes the largest of many points for the maximum (`MeasuredMesh.raise_to_maxima`, kernels/accuracy/rays.py).
+
+A Sight casts its rays when they are first needed, so making one costs little.
 """
 
 from collections.abc import Iterable
@@ -83,7 +85,7 @@ def measure(
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()  # at samples; largest of each triangle
     on_progress(0.1)
-    rounding = mesh.raise_to_maxima(worst)
+    corner_shifts = mesh.raise_to_maxima(worst)  # by float32: metres of height, the largest of each triangle
     between, owner = mesh.differences_at(ground.random_points(random_points, seed))
     covered = slice(None) if mesh.covered is None else mesh.covered.reshape(-1)
     vertical = errors_of(np.concatenate([difference.reshape(-1)[covered], between[owner >= 0]]))
@@ -106,7 +108,7 @@ def measure(
         outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
     on_progress(1.0)
     largest = max(float(worst.max()), vertical.max)
-    return Measurement(vertical, largest, float(rounding.max()), facet_deg, shading_deg, screen, hidden, outline)
+    return Measurement(vertical, largest, float(corner_shifts.max()), facet_deg, shading_deg, screen, hidden, outline)
 
 
 def look(

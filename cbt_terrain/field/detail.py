@@ -82,9 +82,10 @@ class Detail:
         terms = []
         for amplitude, length in self.waves(finest):
             curvature, slope = CURVATURE * amplitude / (length * length), SLOPE * amplitude / length
-            # Two ways to bound a wave: as a smooth part without a rest, or as a rest of this range.
-            splits = Split(0.0, curvature, slope, amplitude), Split(2 * amplitude, 0.0, 0.0, 0.0)
-            terms.append(DetailTerm(amplitude, slope, length, splits))
+            # detail_bounds.py splits a height into a smooth part and a rest, of which it uses only the range (`far`).
+            all_smooth = Split(far=0.0, curvature=curvature, steep=slope, highest=amplitude)
+            all_rest = Split(far=2 * amplitude, curvature=0.0, steep=0.0, highest=0.0)
+            terms.append(DetailTerm(highest=amplitude, steep=slope, shortest=length, splits=(all_smooth, all_rest)))
         return terms
 
     def packed(self, finest: float) -> "kernels.PackedDetail":

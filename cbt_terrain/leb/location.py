@@ -3,7 +3,7 @@
 
 A point in a triangle has the coordinates (a, b): fractions of the way from the apex to the left and the right corner.
 In the halves of a bisection they become (a - b, 1 - a - b) or (1 - a - b, b - a). So the descent in the tree subtracts
-integers, exact at any depth, and its bits are the number of a deepest cell.
+integers, exact at any depth, and its bits are the number of a deepest cell: a triangle of the tree's last level.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ AT_ONCE = 1 << 14  # points whose data fits the processor's cache during the des
 
 
 def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
-    """Return the numbers of the triangles at points: int64 [n] in curve order; -1 beyond the raster.
+    """Return the number of the triangle at each point: int64 [n], counted along the curve; -1 beyond the raster.
 
     places: float64 [n, 2], x and y in metres in the terrain's space; a NaN is beyond the raster. A point on an edge is
     in one of its two triangles. meshlet: each leaf has 4**meshlet triangles, which are numbered; 0 to number leaves.
@@ -25,22 +25,25 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()
     inside = ((places >= (west, south)) & (places <= (east, north))).all(axis=1)
+    # A square has 2^levels raster cells a side, and 2^UNIT_BITS units.
     unit = np.ldexp((lattice.step_x, lattice.step_y), lattice.levels - UNIT_BITS)
     units = np.rint(np.where(inside[:, None], places - (west, south), 0.0) / unit).astype(np.int64)
     # Points on the far border belong to the triangle inside it.
     ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
     (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
-    depth, meshlet_bits = tree.max_depth - lattice.square_bits, 2 * meshlet
-    # numbers of the finest triangles at the points along the curve: the square, then a bit for each bisection
-    path = (row * lattice.columns + column) << depth + meshlet_bits
-    for first in range(0, len(path), AT_ONCE):
+    meshlet_bits = 2 * meshlet
+    bisections = tree.max_depth - lattice.square_bits + meshlet_bits  # of a square down to a deepest cell's meshlet
+    # Number, along the curve, of the triangle at each point if all leaves were deepest cells: the square, then a bit
+    # for each bisection.
+    finest = (row * lattice.columns + column) << bisections
+    for first in range(0, len(finest), AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        path[part] += _path(x[part], y[part], depth + meshlet_bits)
-    leaf, ids = tree.find(path >> meshlet_bits)
-    # A leaf of 2^n cells has 2^n steps of the path in each of its triangles.
-    step_bits = (tree.max_depth - depths_of(ids)).astype(np.int64)
-    first_step = tree.cells_of(ids).astype(np.int64) << meshlet_bits
-    return np.where(inside, (leaf.astype(np.int64) << meshlet_bits) + (path - first_step >> step_bits), -1)
+        finest[part] += _path(x[part], y[part], bisections)
+    leaf, ids = tree.find(finest >> meshlet_bits)
+    # A leaf of 2^n deepest cells has as many triangles as one of them, so each covers 2^n finest triangles.
+    covered_bits = (tree.max_depth - depths_of(ids)).astype(np.int64)
+    first_in_leaf = tree.cells_of(ids).astype(np.int64) << meshlet_bits
+    return np.where(inside, (leaf.astype(np.int64) << meshlet_bits) + (finest - first_in_leaf >> covered_bits), -1)
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:

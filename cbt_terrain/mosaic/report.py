@@ -139,9 +139,9 @@ def _finer_tiles(composite: Composite) -> dict:
     """Return the report's entries about finer tiles: number and step; {} for a mosaic with one step everywhere."""
     if composite.finer is None:
         return {}
-    plan, whole = composite.finer
-    place = georeference_of(whole.grid)
-    return {"finer_tiles": plan.tiles, "finer_step_m": [place.step_x, place.step_y]}
+    plan, finer_composite = composite.finer  # the latter is of all files on a grid with the finest step
+    georeference = georeference_of(finer_composite.grid)
+    return {"finer_tiles": plan.tiles, "finer_step_m": [georeference.step_x, georeference.step_y]}
 
 
 def _expected_bytes(composite: Composite) -> int:
@@ -156,8 +156,8 @@ def _expected_bytes(composite: Composite) -> int:
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
     sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits
     needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, layers=0)
-    tiles = 0 if composite.finer is None else composite.finer[0].tiles
-    return needed + tiles * TILE_BYTES + min(unpacked, MAX_UNPACKED_BYTES)
+    finer_tiles = 0 if composite.finer is None else composite.finer[0].tiles  # [0]: the plan
+    return needed + finer_tiles * TILE_BYTES + min(unpacked, MAX_UNPACKED_BYTES)
 
 
 def _expected_seconds(composite: Composite) -> float:
@@ -168,6 +168,7 @@ def _expected_seconds(composite: Composite) -> float:
         started = time.perf_counter()
         heights, _ = composite.read((grid.height - height) // 2, height, (grid.width - width) // 2, width)
         from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
+    # With finer tiles, the plan has the samples of a raster without them that takes as long.
     samples = grid.width * grid.height if composite.finer is None else composite.finer[0].work
     seconds = (time.perf_counter() - started) * samples / (width * height)
     return float(f"{seconds:.2g}")

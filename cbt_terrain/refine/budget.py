@@ -58,21 +58,23 @@ def ramp_start(
 ) -> float:
     """Return the factor on the criterion from which vertices morph on the mesh of relaxation step `step`.
 
-    step: the finest one that keeps to the budget; it has `leaves` leaves. The factor lies between those of the step and
-    of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
-    continuous where the step changes, and no vertex jumps.
+    step: the finest one that keeps to the budget; it has `leaves` leaves. The factor is the step's own if the next
+    finer step would just keep to the budget, too. It rises to that of the next coarser step as the leaves of this step
+    rise to the budget. So it is continuous where the step changes, and no vertex jumps.
     """
     factor_at_step, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares  # limits are of squares
     max_leaves = max(request.max_leaves, roots)
     # no step keeps to the budget, or the next finer one does, too
     if step > MAX_STEP or (step == 0 and leaves < NEAR * max_leaves):
         return factor_at_step
-    marks = history.hints.marks
-    # count at the next finer step, which may be -1: so the limits are finer, not the step
-    _, splits = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_leaves, finer_by=1)
-    history.hints.marks = marks  # those of the search
-    # leaves at the next finer step, and where the limit is between both counts, 0 .. 1
+    search_marks = history.hints.marks  # points of the curve between equal work, where the next search cuts it
+    # Count at the next finer step. It may be -1, so the count is at this step with limits that are a step finer.
+    _, splits = count_splits(
+        lattice, request, history, threads, finest=step, coarsest=step, max_splits=FAR_OVER * max_leaves, finer_by=1
+    )
+    history.hints.marks = search_marks
     finer_leaves = int(splits[0]) + roots if len(splits) else FAR_OVER * max_leaves
+    # where the budget is from the finer step's leaves (0) to this step's (1)
     fraction = (finer_leaves - max_leaves) / (finer_leaves - leaves) if finer_leaves > max_leaves else 0.0
     return factor_at_step * 2.0 ** (fraction / STEPS_PER_OCTAVE)
 

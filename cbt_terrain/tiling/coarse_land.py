@@ -5,6 +5,9 @@ The grid divides each cell of the coarser store into 2^bits x 2^bits cells. Insi
 surface has the error T/4 at its centre, and a quarter of that after each two bisections (field/hierarchy.py). With the
 coarser store's own errors above its cells this is a nested function on all diamonds. It bounds the errors of tiles that
 are not near a loaded one, and is the lower limit of all others, so the errors of all tiles together are nested.
+
+A level has the diamonds that are split at the centres, and at the middles of the sides, of cells with 2^(level + 1)
+samples a side.
 """
 
 from collections.abc import Iterator
@@ -131,18 +134,21 @@ class CoarseLand:
 
         is_centre: the vertices are centres of cells, otherwise middles of their sides.
         """
-        above = level - self.bits
-        if above >= 0:  # a diamond of the coarser store's cells, not inside one of them
+        coarser_level = level - self.bits  # in the coarser store's samples; below 0 inside its cells
+        if coarser_level >= 0:
             base, pages = self.field.lattice.layout()
-            group = above // 2
+            group = coarser_level // 2  # of two levels, which share a layout and a table of errors in metres by code
             shift = self.bits + 2 * group
             entries = base[group] + tile_index(x >> shift, y >> shift, pages[group])
-            return self.field.table[group][self.field.error[entries]] + self.rounding
+            codes = self.field.error[entries]
+            return self.field.table[group][codes] + self.rounding
         error = self._cell_errors(x >> self.bits, y >> self.bits)
-        if not is_centre:  # a side is of two cells
+        if not is_centre:  # on the border of two coarser cells the sample before is in the other, else in the same one
             error = np.maximum(error, self._cell_errors(x - 1 >> self.bits, y - 1 >> self.bits))
-        # The cell's error is that at its centre, and a quarter after each two bisections below.
-        return error * np.float32(0.25 ** (-above - is_centre)) + self.rounding
+        # The whole error at the coarser cell's centre (level -1), a quarter at the middles of its sides (-1) and at the
+        # centres of its quarters (-2), and so on.
+        quarterings = -coarser_level - is_centre
+        return error * np.float32(0.25**quarterings) + self.rounding
 
     def _cell_errors(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres."""

@@ -4,7 +4,8 @@
 The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. The size on
 screen also depends on the slant at which the height is seen, and on the angle of the ray to the view's axis.
 
-"Whole" is the size on screen, pixels, of an error that reaches the eye. "Secant" is distance over depth.
+"Whole" is the size, in spans, of an error that reaches from the surface to the eye; an error of s spans takes the
+fraction s / whole of that way. "Secant" is distance over depth.
 """
 
 import math
@@ -49,7 +50,7 @@ class PlanUnits:
 class Spans:
     """Factors between pixels and pixel footprints ("spans"), for each of `views`.
 
-    `wholes`: pixels of an error that reaches the eye. `widenings`: factors, 1 or more, on spans that make limits in
+    `wholes`: spans of an error that reaches the eye. `widenings`: factors, 1 or more, on spans that make limits in
     spans hold in pixels on screen. `scales`: largest slant in the frame times the widening. `edge`: spans of an edge of
     one pixel. `lengths`: squared diagonal and side of a lattice unit, in camera space. `allowed`: factor by which the
     request for edges is shorter, for float32 rounding. `off`: largest error of float32 corners, in camera space.
@@ -114,15 +115,16 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
     if view.kind == PANORAMIC:
         largest, smallest = 1.0, 0.0
     else:
-        x, y, z = _up(view, placement).tolist()
+        up_x, up_y, up_z = _up_in_camera(view, placement).tolist()
+        # The tangents of rays at the frame's left and right border, and at the lower and upper one.
         frame = view.bounds() if view.kind == PERSPECTIVE else ((0.0, 0.0), (0.0, 0.0))
-        # Across and along the view a slant is linear in the tangent of the ray.
+        # Each component of a slant is linear in its tangent, so its extremes (low, high) are at the borders.
         ends = [
-            sorted(scale * (end * z + sideways) for end in tangents)
-            for scale, tangents, sideways in zip(_aspect(view), frame, (x, y), strict=True)
+            sorted(scale * (tangent * up_z + up_along) for tangent in tangents)
+            for scale, tangents, up_along in zip(_axis_scales(view), frame, (up_x, up_y), strict=True)
         ]
         largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
-        smallest = length([max(low, -high, 0.0) for low, high in ends])
+        smallest = length([max(low, -high, 0.0) for low, high in ends])  # 0 where a component changes its sign
     if view.kind == ORTHOGRAPHIC or not criterion.error_px:  # only errors on screen use the smallest
         return largest, largest
     smallest = max(criterion.shading_floor, MIN_SLANT * largest, smallest)
@@ -139,21 +141,21 @@ def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
     pixels of either axis over those of the larger. In a panorama it is slant times distance: the distance of c from
     the eye's vertical, in two directions at right angles to u.
     """
-    up, linear = _up(view, placement), product(view.world_to_camera, placement)[:3, :2]
+    up, linear = _up_in_camera(view, placement), product(view.world_to_camera, placement)[:3, :2]
     if view.kind == PANORAMIC:
         east = np.cross(np.cross(up, linear[:, 0]), up)  # the terrain's own, so that no turn of the camera counts
         east = east / length(east)
         return product(np.array([east, np.cross(up, east)]), linear)
-    return np.array([f * (up[2] * linear[k] - up[k] * linear[2]) for k, f in enumerate(_aspect(view))])
+    return np.array([f * (up[2] * linear[k] - up[k] * linear[2]) for k, f in enumerate(_axis_scales(view))])
 
 
-def _up(view: View, placement: np.ndarray) -> np.ndarray:
+def _up_in_camera(view: View, placement: np.ndarray) -> np.ndarray:
     """Return the unit vector of height in camera space, float64 [3]."""
     up = product(view.world_to_camera[:3, :3], placement[:3, 2])
     return up / length(up)
 
 
-def _aspect(view: View) -> tuple[float, float]:
+def _axis_scales(view: View) -> tuple[float, float]:
     """Return the pixels per unit along x and y as fractions of `pixels_per_unit`, which is the larger one."""
     assert view.projection is not None, "a panorama has no frame"
     scales, unit = view.projection, view.pixels_per_unit
@@ -162,14 +164,14 @@ def _aspect(view: View) -> tuple[float, float]:
 
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
-    """Return the screen size, pixels, of an error that reaches the eye; larger errors have no bound on screen.
+    """Return the size, in spans, of an error that reaches the eye; larger errors have no bound on screen.
 
     In a perspective it is as long as the depth, measured along the view, and seen at the smallest slant; in a panorama
     it is as long as the distance, and seen at that slant. slant: the smallest that counts in the frame.
     """
     if view.kind == PANORAMIC:
         return view.pixels_per_unit * slant
-    return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)
+    return view.pixels_per_unit * slant / max(abs(float(_up_in_camera(view, placement)[2])), NO_SLANT)
 
 
 def as_seen(view: View, whole: float, spans: float) -> float:
@@ -202,12 +204,13 @@ def widening(view: View, whole: float, error_px: float) -> float:
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
     if view.kind == PANORAMIC:
+        # Solve `as_seen` for the fraction of the distance, spans / whole, of an error that is seen at this angle.
         slant, angle = whole / view.pixels_per_unit, error_px / view.pixels_per_unit
         steep = math.sqrt(max(0.0, 1 - slant * slant))
         sine, cosine = (round_last_bits(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
-        fraction = sine if sine > steep else sine / (slant * cosine + steep * sine)  # of the distance, see `as_seen`
-        return angle / (fraction * slant) * (1 + ROUNDING)
-    return (1 + error_px / whole) * (1 + ROUNDING)
+        fraction = sine if sine > steep else sine / (slant * cosine + steep * sine)
+        return angle / (fraction * slant) * (1 + ROUNDING)  # error_px / spans, both over pixels_per_unit
+    return (1 + error_px / whole) * (1 + ROUNDING)  # pixels are spans / (1 - spans / whole)
 
 
 def secant_of(view: View) -> float:

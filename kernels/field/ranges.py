@@ -82,29 +82,30 @@ def finest_ranges(
 ):
     """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
-    A range covers all samples in the diamond's box, or the nearest to a box beyond the raster, and so the finer
-    diamonds that overlap the next cell. Code q stands for base + q step metres. west, south: columns and rows of
-    `raster` before the first vertex. finest: layout of `ranges`.
+    A range covers all samples in the diamond's box, or the nearest to a box beyond the raster. The box contains the
+    diamond's descendants, of which some extend into the next cells. Code q stands for base + q step metres. west,
+    south: columns and rows of `raster` before the first vertex. finest: layout of `ranges`.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
     first_row = wp.clamp(south + 2 * y - REACH, 0, raster.rows - 1)
     last_row = wp.clamp(south + 2 * y + REACH, 0, raster.rows - 1)
-    # Boxes have 2 REACH + 1 columns, and the next one begins REACH columns further on.
-    begin = wp.vec4f()
-    middle = wp.vec4f()
-    first = 1 - (y & 1)
-    for x in range(first - REACH, finest.columns + 1, 2):
-        # [0], [1]: lowest and highest sample of the first column; [2], [3]: of REACH columns
-        end = limits_of_columns(raster, west + 2 * x + REACH, first_row, last_row)
-        if x >= first:
-            low = wp.min(wp.min(begin[2], middle[2]), end[0])
-            high = wp.max(wp.max(begin[3], middle[3]), end[1])
+    # A box has 2 REACH + 1 columns: two strips of REACH, and the first column of a third. The next box, REACH columns
+    # further on, begins with the second strip. Of a strip [0] and [1] are the lowest and the highest sample of its
+    # first column, [2] and [3] those of all.
+    strip1 = wp.vec4f()
+    strip2 = wp.vec4f()
+    first_x = 1 - (y & 1)
+    for x in range(first_x - REACH, finest.columns + 1, 2):  # x counts every other sample
+        strip3 = limits_of_columns(raster, west + 2 * x + REACH, first_row, last_row)
+        if x >= first_x:  # the two rounds before only fill strips
+            low = wp.min(wp.min(strip1[2], strip2[2]), strip3[0])
+            high = wp.max(wp.max(strip1[3], strip2[3]), strip3[1])
             lower_index = wp.int64(2) * entry(finest, x, y)
             put(ranges, lower_index, quantise_down(wp.float64(low), base, step, per_step))
             put(ranges, lower_index + wp.int64(1), quantise_up(wp.float64(high), base, step, per_step))
-        begin = middle
-        middle = end
+        strip1 = strip2
+        strip2 = strip3
 
 
 @wp.func

@@ -6,6 +6,9 @@ moves by the weighted mean of its pushes. Weights of a point add up to 1, so a s
 leads away from heights that keep the bound, if there are any: simultaneous projections as in SIRT (Gilbert 1972;
 convergence in Censor and Elfving 2002). All moves of a sweep use the heights of the last one: no order, no history.
 
+A triangle's distance from the surface is that from the raster's, measured, plus the stored error over the triangle of
+what finer tiles change (`missed_change` in finer.py).
+
 A sweep reads the listed triangles, of which a corner has moved, and measures one of them only if its corners moved by
 more than it was within the aim.
 """
@@ -31,10 +34,10 @@ def measure(offset: int, m: FitMesh):
     The distance is metres after vertical scaling; `m.seen` receives the corners' heights.
     """
     t = offset + wp.tid()
-    left = m.point[m.corner_verts[3 * t]]
+    left = m.point[m.corner_verts[3 * t]]  # the ends of its longest edge
     right = m.point[m.corner_verts[3 * t + 2]]
-    change_error = missed_change(m.domain, left, right, m.level[t])
-    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale + change_error
+    finer_error = missed_change(m.domain, left, right, m.level[t])  # of finer tiles, scaled already
+    m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale + finer_error
     m.seen[t] = corner_heights(m, t)
     for c in range(3):
         m.pushes[3 * t + c] = wp.vec2f()
@@ -83,8 +86,8 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             m.awake[t] = m.round
             rise_left = (wp.float64(z[0]) - wp.float64(z[1])) * per_scale
             rise_right = (wp.float64(z[2]) - wp.float64(z[1])) * per_scale
-            change_error = missed_change(d, left, right, m.level[t])
-            aim = wp.max(aim - change_error, wp.float64(0.0))  # for the distance from the raster's surface
+            finer_error = missed_change(d, left, right, m.level[t])  # of finer tiles
+            aim = wp.max(aim - finer_error, wp.float64(0.0))  # for the distance from the raster's surface
             q = Pushes()  # largest distance, then weight and push of the apex, the left and the right corner
             if m.level[t] <= 2 * d.levels + 1:  # its corners are samples; smaller ones are inside a cell
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
@@ -93,7 +96,7 @@ def measure_pushes(first: int, end: int, m: FitMesh):
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
             magnitude = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
-            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale + change_error
+            m.worst[t] = (wp.float64(q[0]) + ROUNDED * magnitude) * d.error_scale + finer_error
             sum_weights = q[1] + q[3] + q[5]
             m.pushes[3 * t] = push_and_weight(q[4], q[3], sum_weights)
             m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], sum_weights)

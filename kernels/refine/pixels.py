@@ -72,9 +72,9 @@ def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
 def range2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, depth: wp.float64) -> wp.float64:
     """Return the squared range of a point: its distance from the eye, or its depth in a perspective, metres.
 
-    dx, dy, dz: metres from the eye in terrain space. depth: the point's depth, metres. Distances count as at least
-    those below which nothing is visible (`view.near2`). In the frame a depth is at least the distance times a cosine,
-    which bounds it from below.
+    dx, dy, dz: metres from the eye along each axis of terrain space; `view.weight` scales their squares to camera
+    space. depth: the point's depth, metres. The squared distance counts as at least `view.near2`: nothing nearer is
+    visible. In the frame a depth is at least the distance times the smallest cosine, whose square is `view.cosine2`.
     """
     range2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
     range2 = larger(range2, view.near2)

@@ -125,8 +125,9 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
 
 def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
     """Evaluate the scene after objects were written, with their animation if `frame_changes`: it was just set."""
-    for obj in written if frame_changes else ():
-        obj.update_tag(refresh={"TIME"})
+    if frame_changes:
+        for obj in written:
+            obj.update_tag(refresh={"TIME"})
     depsgraph.update()
 
 
@@ -137,20 +138,25 @@ def _find_moves(objects: list, grounds: list, depsgraph, moved) -> dict:
     whose only terrain is not among `grounds` gets a note.
     """
     pairs = [(obj, obj.evaluated_get(depsgraph)) for obj in objects]
-    evaluated = {o: item for o, item in pairs if item.is_evaluated and all(map(math.isfinite, _origin_of(item)))}
+    evaluated_by_object = {
+        obj: evaluated
+        for obj, evaluated in pairs
+        if evaluated.is_evaluated and all(map(math.isfinite, _origin_of(evaluated)))
+    }
     needed = {}
-    for only in {obj.adaptive_terrain_keep.terrain for obj in evaluated}:  # None: any terrain
-        chosen = [obj for obj in evaluated if obj.adaptive_terrain_keep.terrain == only]
-        allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
-        for obj in () if allowed or only is None else chosen:
-            what = f"{obj.name!r} is not moved, because its terrain {only.name!r} is not in the scene"
-            _set_note(obj, TerrainError(what, fix="choose another terrain"))
-        origins = np.array([_origin_of(evaluated[obj]) for obj in chosen], np.float64)
-        below = world_ground.find_below(allowed, origins)
+    for terrain in {obj.adaptive_terrain_keep.terrain for obj in evaluated_by_object}:  # None: any terrain
+        chosen = [obj for obj in evaluated_by_object if obj.adaptive_terrain_keep.terrain == terrain]
+        allowed = [ground for ground in grounds if terrain is None or ground.uid == terrain.session_uid]
+        if terrain is not None and not allowed:
+            for obj in chosen:
+                what = f"{obj.name!r} is not moved, because its terrain {terrain.name!r} is not in the scene"
+                _set_note(obj, TerrainError(what, fix="choose another terrain"))
+        origins = np.array([_origin_of(evaluated_by_object[obj]) for obj in chosen], np.float64)
+        below = world_ground.find_below(allowed, origins)  # its height is NaN without ground
         turning = [_is_aligned(obj) and obj not in moved for obj in chosen]
         normals = world_ground.normals_at(allowed, origins, below) if any(turning) else origins  # else not used
         for obj, height, normal, turns in zip(chosen, below.heights.tolist(), normals, turning, strict=True):
-            rise = _rise_of(obj, evaluated[obj], height)
+            rise = _rise_of(obj, evaluated_by_object[obj], height)
             if rise or (turns and math.isfinite(height)):
                 needed[obj] = rise, normal if turns else None
     return {obj: needed[obj] for obj in objects if obj in needed}
@@ -169,7 +175,7 @@ def _is_aligned(obj) -> bool:
 def _rise_of(obj, evaluated, height: float) -> float:
     """Return the metres by which an object must rise; 0 if it is in place or has no ground.
 
-    height: the ground's height below or above it, metres in the world.
+    height: the ground's height below or above it, metres in the world; NaN without ground.
     """
     settings, z = obj.adaptive_terrain_keep, _origin_of(evaluated).z
     if settings.how == ON:

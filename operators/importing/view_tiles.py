@@ -131,13 +131,16 @@ class TileLoader:
     def load_for_render(self, obj, depsgraph) -> bool:
         """Return whether a render needs no further detail; start `child` for tiles that it lacks unless one runs.
 
-        `turn` looks after the child. Raises TerrainError if the store cannot be read.
+        False while a child runs, which `turn` polls, and after one has failed: only the complete import then helps.
+        Raises TerrainError if the store cannot be read.
         """
         from ...cbt_terrain.importing.view_needs import is_fine_enough
 
-        if self.child is not None or self._has_failed or self.start(obj, depsgraph, request.RENDER) is not None:
+        if self.child is not None or self._has_failed:
             return False
-        return is_fine_enough(self._store, [_seen_by(obj, depsgraph, request.RENDER)])
+        has_started = self.start(obj, depsgraph, request.RENDER) is not None  # tiles are missing
+        # Without missing tiles the store may still be too coarse, as loaded tiles may leave out samples of the source.
+        return not has_started and is_fine_enough(self._store, [_seen_by(obj, depsgraph, request.RENDER)])
 
     def close(self) -> None:
         """End the child."""

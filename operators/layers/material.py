@@ -255,12 +255,13 @@ def _add_map(n: Nodes, sources: LayerSources, name: str):
 def _add_seam_mask(n: Nodes, place, tile: float):
     """Add nodes that give 1 within a few pixels of the border between tiles of `tile` metres, else 0.
 
-    place: output socket of the position in tiles. Returns the output socket of the number. Distances are in tiles.
+    place: output socket of the position in tiles: the tile's number plus a place in it, MARGIN .. 1 - MARGIN, since an
+    image has a margin of its neighbours' ground. Returns the output socket of the number. Distances are in tiles.
     """
     from_middle = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
     x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: from_middle}).outputs
     from_border = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
-    from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]  # metres
     return n.math("LESS_THAN", from_border, n.math("MULTIPLY", from_camera, SEAM / max(tile, 1e-9)))
 
 

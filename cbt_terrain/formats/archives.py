@@ -36,6 +36,7 @@ MAX_SIDECAR_BYTES = 16 << 20
 MAX_UNPACKED_BYTES = 1 << 31  # of the unpacked files of a mosaic: more than a row of tiles across the largest raster
 PIECE = 1 << 20
 IGNORED = ("__MACOSX/",)
+NO_HEIGHT_MAP = "archive.no_height_map"  # code of the error about an archive of other files
 FAULTS = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
@@ -313,7 +314,7 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     """Return the only height map of a .zip, or its tiles (tile_names.py) if it has several, by their names in it.
 
     Raises TerrainError for unsafe members, for none or several height maps of which none is a tile, and for one of more
-    than MAX_BYTES.
+    than MAX_BYTES. The error has the code NO_HEIGHT_MAP if no member has the suffix of a height map or an archive.
     """
     beside: dict[PurePosixPath, dict[str, dict]] = {}  # folder, then name in small letters, then name: its member
     for info in members:
@@ -324,7 +325,8 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     if len(maps) > 1:
         maps = {name: info for name, info in maps.items() if is_tile(name.name, beside[name.parent])}
     if not maps:
-        raise _not_one(path, [info.filename for info in members if _importable(PurePosixPath(info.filename))])
+        names = [name for info in members if PurePosixPath(name := info.filename).suffix.lower() in FORMATS]
+        raise _not_one(path, [name for name in names if _importable(PurePosixPath(name))], is_other=not names)
     largest = max(maps.values(), key=lambda info: info.file_size)
     if largest.file_size > MAX_BYTES:
         raise _too_large(path, PurePosixPath(largest.filename).name, MAX_BYTES)
@@ -363,9 +365,14 @@ def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
     return None if form is None or form.is_archive or form.driver == "VRT" or name.name.startswith(".") else form
 
 
-def _not_one(path: Path, names: list[str]) -> TerrainError:
-    """Return the error about an archive without a height map, or with several that are not tiles."""
+def _not_one(path: Path, names: list[str], is_other: bool = False) -> TerrainError:
+    """Return the error about an archive without a height map, or with several that are not tiles.
+
+    names: its height maps. is_other: whether it has only other files, so that unpacking it does not help.
+    """
     found = f"{len(names)} height maps ({shown(', '.join(names), 120)})" if names else "no height map"
     fix = "unpack it, and import one of them" if names else "unpack it first"
+    fix = "name a file of heights, such as .tif, .hgt or .asc" if is_other else fix
     expected = "one height map in an archive, or tiles with a position"
-    return TerrainError(f"{shown(path)} holds {found}", expected=expected, fix=fix)
+    code = NO_HEIGHT_MAP if is_other else ""
+    return TerrainError(f"{shown(path)} holds {found}", expected=expected, fix=fix, code=code)

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+from ..errors import TerrainError
 from ..rasters.source_formats import FORMATS, SourceFormat
 from ..run.named_file import read_start
 from . import archives
@@ -24,10 +25,15 @@ def format_of(path: Path) -> SourceFormat | None:
 def inner_formats(path: Path) -> list[SourceFormat]:
     """Return the format of a file, or those of the height maps in an archive; [] for an unknown suffix.
 
-    Raises TerrainError for an unusable archive.
+    An archive of other files has none, too. Raises TerrainError for an unusable archive.
     """
     if archives.is_archive(path):
-        return [_packed_format(inner) for inner in archives.height_maps(path)]
+        try:
+            return [_packed_format(inner) for inner in archives.height_maps(path)]
+        except TerrainError as error:
+            if error.code != archives.NO_HEIGHT_MAP:
+                raise
+            return []
     form = format_of(path)
     return [] if form is None else [form]
 

@@ -21,7 +21,15 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Transform, without_rounded_skew
 from ..field.store_folder import named_folder
-from ..formats.archives import UnpackedFiles, archive_of, files_of_tile, height_maps, is_archive, is_inside
+from ..formats.archives import (
+    NO_HEIGHT_MAP,
+    UnpackedFiles,
+    archive_of,
+    files_of_tile,
+    height_maps,
+    is_archive,
+    is_inside,
+)
 from ..formats.sources import check_named, open_source
 from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
 from ..rasters.coded_heights import tile_of
@@ -136,11 +144,7 @@ def build_catalogue(
     a file that cannot be a part of a mosaic.
     """
     unpacked = unpacked or UnpackedFiles()
-    paths: dict[Path, None] = {}  # a file that is named twice has its last place
-    for path in files_of(settings):
-        for file in _tiles_in(path):
-            paths.pop(file, None)
-            paths[file] = None
+    paths = _height_maps_of(settings)
     stored = _stored_tiles(store, settings) if store is not None else {}
     tiles = []
     for number, path in enumerate(paths):
@@ -192,6 +196,30 @@ def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
         matching = (folder for folder in folders if ".." in folder.parts and without_dots(folder) == index.parent)
         paths |= {str(index): str(folder / index.name) for folder in itertools.islice(matching, 1)}  # the first, if any
     return paths
+
+
+def _height_maps_of(settings: ImportSettings) -> list[Path]:
+    """Return the height maps that the sources name, also in tile indexes and archives, in order and once each.
+
+    An archive without a height map is left out if a folder or a pattern names it and others have one. Raises
+    TerrainError.
+    """
+    named = {*map(absolute_source, settings.sources)}
+    paths: dict[Path, None] = {}  # a file that is named twice has its last place
+    left_out: TerrainError | None = None
+    for path in files_of(settings):
+        try:
+            files = _tiles_in(path)
+        except TerrainError as error:
+            if error.code != NO_HEIGHT_MAP or str(path) in named:
+                raise
+            files, left_out = [], error
+        for file in files:
+            paths.pop(file, None)
+            paths[file] = None
+    if not paths and left_out is not None:
+        raise left_out
+    return list(paths)
 
 
 def _tiles_in(path: Path) -> list[Path]:

@@ -82,6 +82,28 @@ def test_an_archive_beside_its_content_is_left_out(packed, tmp_path):
     assert [path.name for path in files_of(ImportSettings(str(folder)))] == ["t0.tif", "t1.zip", "t2.zip", "t3.tif"]
 
 
+def test_an_archive_of_other_files_among_tiles_is_left_out(packed, tmp_path):
+    """An archive that is named, or that is all there is, is refused; so is one of archives, which may hold heights."""
+    run_mosaic_import(ImportSettings(str(tmp_path / "plain")), tmp_path / "one")
+    other = zipped(tmp_path / "packed" / "a.zip", {"licence.txt": b"free", "in/": b""})
+    for source in (tmp_path / "packed", tmp_path / "packed" / "*"):
+        assert describe_sources(ImportSettings(str(source)))["files"] == 4
+        report = import_source(ImportSettings(str(source)), tmp_path / "two")
+        assert report["files"] == 4 and digest_of(tmp_path / "two") == digest_of(tmp_path / "one")
+    lone = zipped(tmp_path / "lone" / "b.zip", {"licence.txt": b"free"})
+    for settings, name in (
+        (settings_of(other), "a"),
+        (settings_of(tmp_path / "packed", other), "a"),
+        (settings_of(lone.parent), "b"),
+    ):
+        with pytest.raises(TerrainError, match=f"{name}.zip holds no height map; .*: name a file of heights, such as"):
+            import_source(settings, tmp_path / "three")
+    zipped(other, {"inner.zip": lone.read_bytes()})
+    with pytest.raises(TerrainError, match="a.zip holds no height map; .*: unpack it first"):
+        import_source(ImportSettings(str(tmp_path / "packed")), tmp_path / "three")
+    assert not (tmp_path / "three").exists()
+
+
 def test_a_bad_archive_among_tiles_is_one_error_about_it(packed, tmp_path, monkeypatch):
     tif = (tmp_path / "plain" / "t1.tif").read_bytes()
     bad = tmp_path / "packed" / "t1.zip"

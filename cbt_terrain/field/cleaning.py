@@ -20,23 +20,31 @@ LARGEST_HEIGHT = 1e30
 def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, int]:
     """Return a float32 copy of rows with NaN for missing samples and no negative zeros, and the number of the missing.
 
-    Samples are missing if they are not finite in float32. Raises TerrainError for a height beyond LARGEST_HEIGHT. name:
-    the raster's, in the error.
+    NaN and infinities are missing. Raises TerrainError for a height beyond LARGEST_HEIGHT, also if it is infinite in
+    float32. name: the raster's, in the error.
     """
     with np.errstate(over="ignore"):
-        rows = rows.astype(np.float32) + np.float32(0.0)
-    missing = ~np.isfinite(rows)
+        heights = rows.astype(np.float32) + np.float32(0.0)
+    missing = ~np.isfinite(heights)
     count = int(np.count_nonzero(missing))
     if count:
-        rows[missing] = np.nan
-    if count < rows.size and largest_of(rows) > LARGEST_HEIGHT:
-        height = float(rows.flat[np.nanargmax(np.abs(rows))])
+        _check_heights(rows[missing], name)
+        heights[missing] = np.nan
+    if count < heights.size and largest_of(heights) > LARGEST_HEIGHT:
+        _check_heights(heights, name)
+    return heights, count
+
+
+def _check_heights(heights: np.ndarray, name: str) -> None:
+    """Raise TerrainError if the largest finite height is beyond LARGEST_HEIGHT. name: the raster's."""
+    finite = heights[np.isfinite(heights)]
+    height = float(finite[np.argmax(np.abs(finite))]) if finite.size else 0.0
+    if abs(height) > LARGEST_HEIGHT:
         raise TerrainError(
             f"{name} holds a height of {height:.8g} m",
             expected="at most 1e30 m above or below 0",
             fix="if it marks missing data, give it as the no-data value",
         )
-    return rows, count
 
 
 def largest_of(rows: np.ndarray) -> float:

@@ -53,17 +53,21 @@ def test_case_06_denormal_heights(tmp_path):
 
 
 def test_case_06_heights_beyond_float32_are_refused(tmp_path):
-    """Heights beyond float32 are filled and counted; its largest number is refused unless it is the no-data value."""
+    """Heights beyond float32, and its largest number, are refused unless they are the no-data value."""
     heights = hills(33, 33).astype(np.float64)
-    heights[4, 4] = -1.7e308
+    for height, text in ((-1.7e308, "-1.7e.308"), (1e39, "1e.39"), (-3.4028234663852886e38, "-3.4028235e.38")):
+        heights[4, 4:6] = height, np.nan
+        np.save(tmp_path / "a.npy", heights)
+        with pytest.raises(TerrainError, match=f"a.npy holds a height of {text} m.*give it as the no-data value"):
+            imported(tmp_path, tmp_path / "a.npy")
+        with pytest.raises(TerrainError, match=f"The raster holds a height of {text} m"):
+            from_array(heights)
+        field, report = imported(tmp_path, tmp_path / "a.npy", no_data=height)
+        assert report["filled"] == 2 and field.min_height > 0.0 and field.max_height < 1e5
+    heights[4, 4:6] = 3e38, np.inf  # beyond it only in metres
     np.save(tmp_path / "a.npy", heights)
-    field, report = imported(tmp_path, tmp_path / "a.npy")  # an infinity in float32: not a height
-    assert report["filled"] == 1 and field.min_height > 0.0
-    heights[4, 4] = -3.4028234663852886e38
-    np.save(tmp_path / "a.npy", heights)
-    with pytest.raises(TerrainError, match="a.npy holds a height of -3.4028235e.38 m.*give it as the no-data value"):
-        imported(tmp_path, tmp_path / "a.npy")
-    assert imported(tmp_path, tmp_path / "a.npy", no_data=-3.4028234663852886e38)[1]["filled"] == 1
+    with pytest.raises(TerrainError, match="a.npy holds a height of 3e.41 m"):
+        imported(tmp_path, tmp_path / "a.npy", height_scale=1000.0)
 
 
 @pytest.mark.parametrize("kind", ["tif", "exr", "npy"])

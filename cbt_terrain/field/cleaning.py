@@ -14,7 +14,7 @@ from ..run.buffers import flat
 COLUMN_BLOCK = 64
 FILLED_ROWS = 128  # rows whose missing samples are filled together
 # Differences of larger heights overflow float32; an undeclared no-data value is the usual cause.
-LARGEST_HEIGHT = 1e30
+LARGEST_HEIGHT = 1e30  # metres; float32 has 1.00000002e30 instead, which is beyond
 
 
 def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, int]:
@@ -42,7 +42,7 @@ def _check_heights(heights: np.ndarray, name: str) -> None:
     if abs(height) > LARGEST_HEIGHT:
         raise TerrainError(
             f"{name} holds a height of {height:.8g} m",
-            expected="at most 1e30 m above or below 0",
+            expected="less than 1e30 m above or below 0",
             fix="if it marks missing data, give it as the no-data value",
         )
 

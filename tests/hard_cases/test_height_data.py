@@ -70,6 +70,16 @@ def test_case_06_heights_beyond_float32_are_refused(tmp_path):
         imported(tmp_path, tmp_path / "a.npy", height_scale=1000.0)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_case_06_the_error_about_a_height_names_the_limit(dtype):
+    """1e30 m is refused, because float32 holds slightly more; the largest float32 below is a height."""
+    heights = np.full((3, 3), 1e30, dtype)
+    with pytest.raises(TerrainError, match=r"holds a height of 1e.30 m; expected less than 1e30 m above or below 0"):
+        from_array(heights)
+    heights[:] = np.nextafter(np.float32(1e30), np.float32(0.0))
+    assert from_array(heights).max_height == heights[0, 0] < 1e30
+
+
 @pytest.mark.parametrize("kind", ["tif", "exr", "npy"])
 def test_case_08_missing_samples_are_filled_and_counted(tmp_path, kind):
     """NaN, infinities and no-data in TIFF, EXR and NPY are filled and counted; all other samples keep their bits."""

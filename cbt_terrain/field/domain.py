@@ -83,6 +83,6 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
         raise TerrainError(
             f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights that no mesh can hold",
             expected="less than 3e38 metres",
-            fix="make them smaller",
+            fix="check both, and drivers that set them",
         )
     return box

@@ -14,6 +14,7 @@ import numpy as np
 from ..attributes import sizing
 from ..attributes.tiling import Tiling
 from ..field.cell_ranges import cell_ranges
+from ..field.domain import box_of
 from ..field.heightfield import HeightField
 from ..field.store import open_store, read_json
 from ..tiling.tile_grid import TileGrid, rows_of
@@ -164,7 +165,8 @@ def errors_in_view(
 
     Arrays have [rows, columns]. Parts of a square, of `part` cells a side, are looked at, each by its own distance;
     None: PARTS parts along a side. Those out of every view have 0. Near an eye, cells of 2^NEAR_BITS samples are
-    looked at, since a part's box also encloses air.
+    looked at, since a part's box also encloses air. Raises TerrainError for a vertical scale or offset that no mesh can
+    have, such as NaN from a driver.
     """
     lattice, part = field.lattice, part or max(side // PARTS, 2)
     west, south, _, _ = lattice.rectangle()
@@ -173,6 +175,7 @@ def errors_in_view(
     codes = _centre_codes(field)
     errors = _largest_errors(field, codes, part).ravel()
     for seen in lands:
+        box_of(field, seen.vertical_scale, seen.vertical_offset)  # raises for numbers that cannot be used
         boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
         errors_px = _errors_px(field, boxes, errors, seen)
         near = np.flatnonzero((errors_px > seen.error_px) & _is_near(boxes, seen))

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which tiles of a quick import views need."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import sizing
 from adaptive_terrain.cbt_terrain.attributes.tiling import Tiling
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import refining, view_needs
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -111,6 +113,14 @@ def test_an_objects_scale_counts_for_errors_in_height(field, scale):
     wanted = view_needs.SeenLand([view], across, vertical_scale=z / max(x, y))
     [needs, same] = view_needs.errors_in_view(field, 16, [scaled, wanted])
     assert needs.max() > 0.0 and np.allclose(needs, same, rtol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [{"vertical_scale": math.nan}, {"vertical_offset": math.nan}])
+def test_heights_that_are_no_numbers_are_refused(field, wrong):
+    """A driver or a script may set NaN. It has no errors in view, which would count as fine enough."""
+    seen = view_needs.SeenLand([camera_at(0.0, 0.0, 6000.0)], np.eye(4), **wrong)
+    with pytest.raises(TerrainError, match="The vertical scale .* and offset .* give heights that no mesh can hold"):
+        view_needs.seen_tiles(field, seen)
 
 
 def test_an_eye_in_a_square_has_the_need_of_the_finest_step(field):

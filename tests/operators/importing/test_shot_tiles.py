@@ -137,6 +137,14 @@ def test_steps_that_run_again_change_nothing(shot):
     assert (shot / "job" / "Terrain.store" / "store.json").read_bytes() == before
 
 
+def test_a_vertical_scale_of_nan_is_refused_by_a_job(shot):
+    """Only a driver or a script sets it. A job loaded no tiles, and told nothing."""
+    terrain().adaptive_terrain.vertical_scale = np.nan
+    for step in ("view", "stores"):
+        with pytest.raises(TerrainError, match="The vertical scale nan .*: check both, and drivers"):
+            prepared(shot, step)
+
+
 def test_frames_in_turn_load_the_union_of_their_tiles(shot):
     for frames in ((1,), (2,)):
         prepared(shot, "stores", frames)

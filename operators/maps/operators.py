@@ -26,6 +26,7 @@ class BakeMaps(JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}  # without an undo step, the next Undo would take the folder from the terrain
 
     kind = jobs.BAKE
+    shows_error_on_panel = False
 
     def stops_on_escape(self) -> bool:
         """Return True: Esc cancels the job at any time."""

@@ -298,6 +298,20 @@ def test_a_folder_beside_a_file_that_is_not_saved_is_refused(terrain):
         bpy.ops.adaptive_terrain.bake_maps()
 
 
+def test_a_bake_leaves_the_state_of_the_last_update(terrain, tmp_path):
+    """The panel calls a terrain with an error "not up to date", which a bake that fails or succeeds does not change."""
+    status = session.record_of(terrain).status
+    terrain.adaptive_terrain.maps.folder = "//maps"
+    for error in ("", "The disk is full."):
+        status.error = error
+        with pytest.raises(RuntimeError, match="never saved"):
+            bpy.ops.adaptive_terrain.bake_maps()
+        assert status.error == error
+    terrain.adaptive_terrain.maps.folder = str(tmp_path / "maps")
+    bake(terrain)
+    assert status.error == "The disk is full."
+
+
 def test_a_material_is_made_without_maps_that_are_gone(terrain):
     bake(terrain)
     folder = map_images.map_folder(terrain)

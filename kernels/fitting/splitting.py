@@ -55,7 +55,7 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
                         postponed += 1
                 else:
                     pins += _pin_corners(m, t)
-                    num_too_coarse += wp.where(too_coarse, 1, 0)
+                    num_too_coarse += wp.where(too_coarse and m.level[t] >= max_depth, 1, 0)
     listed = list_marked(m, size[0])
     for k in range(listed):
         t = m.active[k]

@@ -6,6 +6,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.fit.fit import bake, fit
+from adaptive_terrain.cbt_terrain.fit.sweeps import Sweeps
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from fields import mesh_heights
@@ -83,6 +84,25 @@ def test_rounding_out_of_reach_is_reported():
     fitted = fit(field, 0.05, vertical_offset=1e6)
     off = np.abs(mesh_heights(fitted.surface, plane) - (heights + 1e6)).max()
     assert off <= fitted.bound_m * (1 + 1e-6) and fitted.bound_m > 0.05 and fitted.limited
+
+
+def test_only_triangles_at_the_deepest_level_count_so(monkeypatch):
+    """Triangles in finer tiles are not split either. If they counted, the depth would be given as the reason."""
+    found, real = [], Sweeps.refine
+
+    def refine_once(sweeps: Sweeps, _min_share: float) -> None:
+        """Split as if every triangle was too coarse, and end the fit."""
+        sweeps.count = sweeps.triangles
+        active, worst, level = (sweeps.buffers.numpy(f"fit_{k}")[: sweeps.count] for k in ("active", "worst", "level"))
+        active[:], worst[:], sweeps.m.error, sweeps.m.bound = np.arange(sweeps.count), 1.0, 0.0, 0.0
+        found.append((int(level.max()), real(sweeps, 0.0), sweeps.fitter.depth))
+        raise InterruptedError
+
+    monkeypatch.setattr(Sweeps, "refine", refine_once)
+    with pytest.raises(InterruptedError):
+        fit(finer_field(60, 81, 1, ((0, 0),)), 0.2)
+    [(deepest_level, counts, depth)] = found
+    assert deepest_level < depth and counts["splits"] > 0 and counts["deepest"] == 0
 
 
 def test_threads_do_not_change_a_byte():

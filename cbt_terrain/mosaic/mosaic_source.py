@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +110,14 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         close=composite.close,
     )
 
-    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
+    def read_window(source: Composite, first: int, count: int, column: int, columns: int) -> np.ndarray:
         """Read a window, and keep the largest errors of positions and of shifts of datums."""
-        values, moved = composite.read(first, count, column, columns)
+        values, moved = source.read(first, count, column, columns)
         raster.moved = max(raster.moved, moved)
-        raster.shifted = max(raster.shifted, composite.shift_error(first, count, column, columns))
+        raster.shifted = max(raster.shifted, source.shift_error(first, count, column, columns))
         return values
+
+    window = partial(read_window, composite)
 
     def finish(folder: Path) -> None:
         """Check that no file has changed, and keep the catalogue in the store."""
@@ -134,14 +137,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         raster.finest = FinerSource(composite.finest.bits, composite.finest.boxes, window)
     if composite.finer is not None:  # the raster has the step of the coarser files
         plan, whole = composite.finer
-
-        def finer_window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-            """Read a window of the finest grid, and keep the largest errors of positions and of shifts of datums."""
-            values, moved = whole.read(first, count, column, columns)
-            raster.moved = max(raster.moved, moved)
-            raster.shifted = max(raster.shifted, whole.shift_error(first, count, column, columns))
-            return values
-
+        finer_window = partial(read_window, whole)
         raster.finer = FinerSource(plan.bits, plan.boxes, finer_window, whole.inputs_by_seams, whole.keep_seams)
     return raster
 

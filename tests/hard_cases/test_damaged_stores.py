@@ -32,15 +32,15 @@ def test_case_64_a_damaged_store_is_a_mesh_or_one_error(tmp_path, stores):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links, pipes and forks are those of POSIX")
-@pytest.mark.parametrize("works", [6, pytest.param(MANY_WORKS, marks=pytest.mark.thorough)])
-def test_case_64_an_import_into_damage_is_a_store_or_one_error(tmp_path, works):
+@pytest.mark.parametrize(("first", "works"), [(17, 6), pytest.param(0, MANY_WORKS, marks=pytest.mark.thorough)])
+def test_case_64_an_import_into_damage_is_a_store_or_one_error(tmp_path, first, works):
     """Imports by tile into damaged stores and works end with the undamaged arrays or one error, and touch no user file.
 
-    Damage with valid checksums may also change heights.
+    Damage with valid checksums may also change heights. Of the few seeds, 21 and 22 are refused.
     """
-    script = [sys.executable, str(TESTS / "damaged_works.py"), str(tmp_path / "works"), "0", str(works)]
+    script = [sys.executable, str(TESTS / "damaged_works.py"), str(tmp_path / "works"), str(first), str(works)]
     done = subprocess.run(script, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]
     ends = json.loads(done.stdout.splitlines()[-1])
     fine = sum(number for name, number in ends.items() if name.endswith("fine"))
-    assert sum(ends.values()) == works and works / 3 < fine and (fine < works or works < MANY_WORKS)
+    assert sum(ends.values()) == works and works / 3 < fine < works

@@ -16,13 +16,14 @@ import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, NamedTuple
 
 from ..errors import MAX_NAME_BYTES, TerrainError, shown
 from ..field import store_folder
+from ..rasters.coded_heights import tile_of
 from ..rasters.raster import ImportSettings
 from ..rasters.sidecars import SUFFIXES
 from ..rasters.source_formats import FORMATS, SourceFormat
@@ -285,7 +286,7 @@ def _member(path: Path) -> Member:
     members = _members(archive)
     if archive == path:
         if len(members) > 1:
-            raise _not_one(path, list(members))
+            raise _no_terrain(path, [*map(PurePosixPath, members)])
         return next(iter(members.values()))
     name = path.relative_to(archive).as_posix()
     if name not in members:
@@ -297,7 +298,7 @@ def _members(path: Path) -> dict[str, Member]:
     """Return the height maps in an archive by their names in it, from names and sizes alone. Raises TerrainError."""
     if path.suffix.lower() == ".gz":
         if _importable(path.with_suffix("")) is None:
-            raise _not_one(path, [])
+            raise _no_terrain(path, [], [name] if (name := PurePosixPath(path.stem)).suffix.lower() == ".tar" else [])
         return {path.stem: Member(path.stem)}
     try:
         stat = os.stat(path)
@@ -325,8 +326,8 @@ def _members_of(path: Path, _size: int, _changed_ns: int) -> dict[str, Member]:
 def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     """Return the only height map of a .zip, or its tiles (tile_names.py) if it has several, by their names in it.
 
-    Raises TerrainError for unsafe members, for none or several height maps of which none is a tile, and for one of more
-    than MAX_BYTES. The error has the code NO_HEIGHT_MAP if no member has the suffix of a height map or an archive.
+    Raises TerrainError for unsafe members, for none or several height maps of which none is a tile (`_no_terrain`), and
+    for one of more than MAX_BYTES.
     """
     beside: dict[PurePosixPath, dict[str, dict]] = {}  # folder, then name in small letters, then name: its member
     for info in members:
@@ -337,8 +338,9 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     if len(maps) > 1:
         maps = {name: info for name, info in maps.items() if is_tile(name.name, beside[name.parent])}
     if not maps:
-        names = [name for info in members if PurePosixPath(name := info.filename).suffix.lower() in FORMATS]
-        raise _not_one(path, [name for name in names if _importable(PurePosixPath(name))], is_other=not names)
+        names = [PurePosixPath(info.filename) for info in members]
+        packed = [name for name in names if name.suffix.lower() in FORMATS and not name.name.startswith(".")]
+        raise _no_terrain(path, [*filter(_importable, names)], packed)
     largest = max(maps.values(), key=lambda info: info.file_size)
     if largest.file_size > MAX_BYTES:
         raise _too_large(path, PurePosixPath(largest.filename).name, MAX_BYTES)
@@ -377,14 +379,20 @@ def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
     return None if form is None or form.is_archive or form.driver == "VRT" or name.name.startswith(".") else form
 
 
-def _not_one(path: Path, names: list[str], is_other: bool = False) -> TerrainError:
+def _no_terrain(path: Path, maps: Sequence[PurePosixPath], packed: Sequence[PurePosixPath] = ()) -> TerrainError:
     """Return the error about an archive without a height map, or with several that are not tiles.
 
-    names: its height maps. is_other: whether it has only other files, so that unpacking it does not help.
+    maps: its height maps. packed: its archives and mosaics, which may lead to heights. With neither, it has the code
+    NO_HEIGHT_MAP.
     """
-    found = f"{len(names)} height maps ({shown(', '.join(names), 120)})" if names else "no height map"
-    fix = "unpack it, and import one of them" if names else "unpack it first"
-    fix = "name a file of heights, such as .tif, .hgt or .asc" if is_other else fix
+    names, code = shown(", ".join(map(str, maps or packed)), 120), ""
+    if maps:
+        found = f"{len(maps)} height maps ({names})"
+        is_web = all(tile_of(Path(name)) for name in maps)
+        fix = "unpack it, and import the folder of web map tiles" if is_web else "unpack it, and import one of them"
+    elif packed:
+        found, fix = f"no height map, but {names}", "unpack it, and import that"
+    else:
+        found, fix, code = "no height map", "name a file of heights, such as .tif, .hgt or .asc", NO_HEIGHT_MAP
     expected = "one height map in an archive, or tiles with a position"
-    code = NO_HEIGHT_MAP if is_other else ""
     return TerrainError(f"{shown(path)} holds {found}", expected=expected, fix=fix, code=code)

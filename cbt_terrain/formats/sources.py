@@ -20,6 +20,7 @@ from .header_files import headless_warning, lacks_header
 
 ORDER_ROWS = 256  # rows that are compared in both byte orders
 BLOCK_ROWS = 64  # of arrays, that are read at once
+WEB = {"http:", "https:", "ftp:", "s3:"}  # parts of the path that Python makes of a web address
 SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likelier
 
 
@@ -73,6 +74,7 @@ def check_named(path: Path, kind: str = "height map") -> None:
     if not is_regular:
         archive = archive_of(path)
         fix = f"name the archive ({shown(archive)}), or unpack it" if archive != path else ""
+        fix = "download it first, because no import uses the network" if {*path.parts} & WEB else fix
         raise TerrainError(f"{shown(path)} {what}", expected=expected, fix=fix)
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")

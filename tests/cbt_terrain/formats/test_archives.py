@@ -110,11 +110,13 @@ def cut(path):
     path.write_bytes(path.read_bytes()[:-30])
 
 
+THAT = "expected one height map in an archive, or tiles with a position: unpack it, and import that."
 BAD = {
     "two.zip": ({"a.tif": b"", "b.hgt": b""}, "holds 2 height maps .a.tif, b.hgt.; expected one"),
-    "none.zip": ({"readme.txt": b"a"}, "holds no height map"),
-    "mosaic.zip": ({"a.vrt": b"<VRTDataset/>"}, "holds no height map"),
-    "nested.zip": ({"a.zip": b"PK"}, "holds no height map"),
+    "none.zip": ({"readme.txt": b"a", ".a.zip": b""}, "holds no height map; .*: name a file of heights, such as .tif"),
+    "mosaic.zip": ({"a.vrt": b"<VRTDataset/>"}, "mosaic.zip holds no height map, but a.vrt; .*: unpack it, and import"),
+    "nested.zip": ({"in/a.zip": b"PK", "b.gz": b""}, f"nested.zip holds no height map, but in/a.zip, b.gz; {THAT}"),
+    "web.zip": ({"12/7/8.png": b"", "12/7/9.png": b""}, "holds 2 .*: unpack it, and import the folder of web map"),
     "above.zip": ({"../a.tif": b"II"}, "holds '../a.tif', whose name leads out"),
     "absolute.zip": ({"/etc/a.tif": b"II"}, "holds '/etc/a.tif', whose name leads out"),
     "drive.zip": ({"C:a.tif": b"II"}, "whose name leads out"),
@@ -125,7 +127,8 @@ BAD = {
     "cut.zip": (cut, "cannot be unpacked"),
     "text.zip": (lambda path: path.write_text("no zip"), "cannot be unpacked .File is not a zip file"),
     "bad.zip": ({"bad.tif": b"II*\0"}, "bad.zip/bad.tif cannot be read as GTiff"),
-    "a.tar.gz": (lambda path: path.write_bytes(gzip.compress(b"a")), "holds no height map"),
+    "a.tar.gz": (lambda path: path.write_bytes(gzip.compress(b"a")), f"holds no height map, but a.tar; {THAT}"),
+    "a.txt.gz": (lambda path: path.write_bytes(gzip.compress(b"a")), "holds no height map; .*: name a file of heights"),
     "a.tif.gz": (lambda path: path.write_bytes(gzip.compress(bytes(99))[:-9]), "cannot be unpacked"),
     "b.tif.gz": (lambda path: path.write_bytes(b"no gzip"), "cannot be unpacked .Not a gzipped file"),
     "missing.zip": (lambda path: None, "missing.zip does not exist"),
@@ -139,6 +142,15 @@ def test_an_unusable_archive_is_one_error_and_leaves_nothing(tmp_path, name):
     with pytest.raises(TerrainError, match=said) as caught:
         imported(tmp_path, tmp_path / name)
     assert "\n" not in str(caught.value) and ".partial" not in str(caught.value)
+    assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.parametrize("more", [(), ("https://tiles.org/12/7/9.png",)])
+def test_a_web_address_is_refused_with_the_way_out(tmp_path, more):
+    for name in ("https://tiles.org/12/7/8.png", "http://tiles.org/a.zip")[: 1 if more else 2]:
+        settings = ImportSettings(name, more_sources=more)
+        with pytest.raises(TerrainError, match="does not exist; expected the file of a height map: download it first"):
+            import_source(settings, tmp_path / "store")
     assert not (tmp_path / "store").exists()
 
 

@@ -99,7 +99,7 @@ def test_an_archive_of_other_files_among_tiles_is_left_out(packed, tmp_path):
         with pytest.raises(TerrainError, match=f"{name}.zip holds no height map; .*: name a file of heights, such as"):
             import_source(settings, tmp_path / "three")
     zipped(other, {"inner.zip": lone.read_bytes()})
-    with pytest.raises(TerrainError, match="a.zip holds no height map; .*: unpack it first"):
+    with pytest.raises(TerrainError, match="a.zip holds no height map, but inner.zip; .*: unpack it, and import that"):
         import_source(ImportSettings(str(tmp_path / "packed")), tmp_path / "three")
     assert not (tmp_path / "three").exists()
 

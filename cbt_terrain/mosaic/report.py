@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report on a mosaic before it is imported: grid, coverage, seams, vertical datums, time and disk space."""
+"""The report on a mosaic before it is imported: grid, coverage, seams, edges, datums, time and disk space."""
 
 import time
 from collections import Counter
@@ -18,6 +18,7 @@ from ..importing.tile_import import TILED_SAMPLES
 from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings
 from .composite import Composite
+from .edges import EdgeReport, find_edges
 from .mosaic_source import blend_metres, georeference_of
 from .seams import SeamReport, find_seams
 from .systems import crs_of, period_of, projected
@@ -27,9 +28,11 @@ FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the on
 MAX_KINDS = 12
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
+EDGE_NAMES = ("s", "s_compared", "_median_m", "_max_m", "_max_at", "_max_between")
 IMPORT_ENTRIES = (
     *("files", "kinds", "overlap_percent", "gap_percent", "blend_m"),
     *(f"seam{name}" for name in SEAM_NAMES),
+    *(f"edge{name}" for name in EDGE_NAMES),
 )
 
 
@@ -52,6 +55,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gap_percent": round(100.0 * gap, 2),
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
+        **_edges(find_edges(composite), scale),
         **_finer_tiles(composite),
         **({"blend_m": float(f"{blend_metres(composite):.4g}")} if composite.insets else {}),
         "expected_seconds": _expected_seconds(composite),
@@ -132,6 +136,24 @@ def _seams(seams: SeamReport, scale: float) -> dict:
         "seam_max_m": float(sizes[worst]),
         "seam_max_at": [float(c) for c in seams.places[worst]],
         "seam_max_between": [Path(path).name for path in seams.names[seams.numbers[worst]]],
+    }
+
+
+def _edges(edges: EdgeReport, scale: float) -> dict:
+    """Return the report's entries about edges: how far the heights of files differ that meet without an overlap.
+
+    scale: factor on the heights, by the settings.
+    """
+    entries = {"edges": edges.pairs, "edges_compared": edges.compared}
+    if not len(edges.steps):
+        return entries if edges.pairs else {}
+    sizes = np.abs(edges.steps) * scale
+    worst = int(np.argmax(sizes))
+    return entries | {
+        "edge_median_m": float(np.median(sizes)),
+        "edge_max_m": float(sizes[worst]),
+        "edge_max_at": [float(c) for c in edges.places[worst]],
+        "edge_max_between": [Path(path).name for path in edges.names[worst]],
     }
 
 

@@ -5,11 +5,19 @@ import json
 
 import numpy as np
 import pytest
+import rasterio
+from adaptive_terrain.cbt_terrain.mosaic.edges import find_edges
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
-from adaptive_terrain.cbt_terrain.mosaic.report import _expected_seconds, coverage, datum_warnings
+from adaptive_terrain.cbt_terrain.mosaic.report import (
+    _expected_seconds,
+    coverage,
+    datum_warnings,
+    describe_mosaic,
+)
 from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
 from adaptive_terrain.operators.cli import command_line
 from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, settings_of, sheet
+from rasterio.transform import Affine
 
 
 def opened(*files, **more):
@@ -38,6 +46,37 @@ def test_seams_inside_of_missing_borders_are_found(tmp_path):
     second.heights[:3] = second.heights[-3:] = second.heights[:, :3] = second.heights[:, -3:] = np.nan
     seams = find_seams(opened(first.write(tmp_path / "a.tif"), second.write(tmp_path / "b.tif")))
     assert len(seams.steps) == 24 * 24 and np.abs(seams.steps + 1.5).max() < 1e-3
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_step_between_files_that_only_meet_is_an_edge(tmp_path, turned):
+    """Tiles of cells share no row. One is 7 m too high; another has a cliff and missing samples at its border."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 90, 60)
+    whole.heights[20:, 30:60] += 7.0
+    whole.heights[:8, 60:] += 300.0
+    whole.heights[10:13, 60] = np.nan
+    for row, rows in ((0, 20), (20, 40)):
+        for column in (0, 30, 60):
+            file = whole.write(tmp_path / "tiles" / f"{row}_{column}.tif", row, rows, column, 30)
+            if turned:
+                with rasterio.open(file, "r+") as opened_file:
+                    opened_file.transform = Affine.rotation(20.0) @ opened_file.transform
+    report = describe_mosaic(opened(tmp_path / "tiles"), settings_of(tmp_path / "tiles"))
+    assert (report["seam_samples"], report["edges"], report["edges_compared"]) == (0, 7, 7)
+    assert report["edge_max_m"] == pytest.approx(7.0, abs=0.5) and report["edge_median_m"] < 1.0
+    assert "20_30.tif" in report["edge_max_between"]
+    if not turned:
+        x, y = report["edge_max_at"]
+        middles = {(EAST + 450, NORTH - 200), (EAST + 300, NORTH - 400), (EAST + 600, NORTH - 400)}
+        assert (x, y) in middles
+
+
+def test_edges_pass_the_date_line(tmp_path):
+    west, east = (sheet("EPSG:4326", x, 0.01, 1e-3, 1e-3, 20, 20) for x in (180 - 0.02, -180.0))
+    west.heights[:], east.heights[:] = 5.0, 9.0
+    found = find_edges(opened(west.write(tmp_path / "w.tif"), east.write(tmp_path / "e.tif")))
+    assert found.pairs == 1 and found.steps.tolist() == [4.0]
+    assert find_edges(opened(west.write(tmp_path / "a.tif"), west.write(tmp_path / "b.tif"))).pairs == 0
 
 
 def test_coverage_counts_cells(tmp_path, pair):

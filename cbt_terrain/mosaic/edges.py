@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Edges of a mosaic: how far the heights of two files are apart that meet without an overlap.
+
+They are compared in the middle of the open cell between both files, to which the two outermost samples of each are
+extrapolated, so that a slope is no step. The median along an edge counts: a cliff is on a part of it, but a wrong unit
+or vertical datum is on all of it.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .composite import Composite
+from .lattices import TileLattice
+from .systems import projected
+
+MAX_EDGES = 400  # that are compared; of more, some are chosen evenly
+MIN_LINE = 2  # samples along an edge
+
+
+class TileEdge(NamedTuple):
+    """Two files of a lattice that meet: the second begins one sample east of the first, or one below it.
+
+    Attributes:
+        lattice: their lattice.
+        first, second: indices in its tiles.
+        axis: 0 if the second file is in the east, 1 if it is below.
+    """
+
+    lattice: TileLattice
+    first: int
+    second: int
+    axis: int
+
+    def line(self) -> tuple[int, int]:
+        """Return the first and the last row (axis 0) or column (axis 1) of the lattice along the edge."""
+        one, other = (self.lattice.rectangles[number] for number in (self.first, self.second))
+        across = 1 - self.axis
+        return int(max(one[across], other[across])), int(min(one[across + 2], other[across + 2]))
+
+
+class EdgeReport(NamedTuple):
+    """Edges of a mosaic.
+
+    Attributes:
+        pairs: number of pairs of files that meet.
+        compared: pairs whose heights were compared.
+        steps: float64 [n], metres, median step from the first to the second file of each pair that has heights there.
+        places: float64 [n, 2], x and y of the middles of these edges in the grid's system.
+        names: paths of the two files of each.
+    """
+
+    pairs: int
+    compared: int
+    steps: np.ndarray
+    places: np.ndarray
+    names: list[tuple[str, str]]
+
+
+def find_edges(composite: Composite) -> EdgeReport:
+    """Compare the heights of files that are neighbours on one lattice, where one ends and the other begins."""
+    edges = [edge for lattice in composite.lattices for edge in neighbours(lattice)]
+    chosen = [edges[len(edges) * n // MAX_EDGES] for n in range(MAX_EDGES)] if len(edges) > MAX_EDGES else edges
+    steps, places = [], []
+    names: list[tuple[str, str]] = []
+    for edge in chosen:
+        composite.on_piece()
+        step = _border(composite, edge, is_second=True) - _border(composite, edge, is_second=False)
+        known = step[np.isfinite(step)]
+        if len(known):
+            steps.append(float(np.median(known)) * abs(composite.scale))
+            places.append(_middle(composite, edge))
+            ranks = (edge.lattice.tiles[number] for number in (edge.first, edge.second))
+            one, other = (composite.tiles[rank].path for rank in ranks)
+            names.append((one, other))
+    return EdgeReport(len(edges), len(chosen), np.array(steps), np.array(places).reshape(-1, 2), names)
+
+
+def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:
+    """Yield the edges of a lattice, of at least MIN_LINE samples. The east of the last column may be the first one."""
+    for axis in (0, 1):
+        first, last = lattice.rectangles[:, axis], lattice.rectangles[:, axis + 2]
+        low, high = lattice.rectangles[:, 1 - axis], lattice.rectangles[:, 3 - axis]
+        turn = lattice.period if axis == 0 else 0  # columns around the globe, 0 for none
+        starts, wanted = (first % turn, (last + 1) % turn) if turn else (first, last + 1)
+        order = np.argsort(starts, kind="stable")
+        ends = np.searchsorted(starts[order], wanted), np.searchsorted(starts[order], wanted, side="right")
+        for number, (begin, end) in enumerate(zip(*ends, strict=True)):
+            others = order[begin:end]
+            shared = np.minimum(high[others], high[number]) - np.maximum(low[others], low[number]) + 1
+            for other in others[shared >= MIN_LINE].tolist():
+                yield TileEdge(lattice, number, other, axis)
+
+
+def _border(composite: Composite, edge: TileEdge, is_second: bool) -> np.ndarray:
+    """Return the values of one file of an edge, extrapolated by half a sample beyond its border: float64 [n].
+
+    They are NaN where one of its two outermost samples is missing, and in the composite's unit, before its scale.
+    """
+    number = edge.second if is_second else edge.first
+    rectangle, axis = edge.lattice.rectangles[number], edge.axis
+    low, high = edge.line()
+    size, offset = int(rectangle[axis + 2] - rectangle[axis]) + 1, low - int(rectangle[1 - axis])
+    depth = min(size, 2)
+    across, along = (0 if is_second else size - depth, depth), (offset, high - low + 1)
+    rows, columns = (along, across) if axis == 0 else (across, along)
+    window = composite.tile_window(int(edge.lattice.tiles[number]), *rows, *columns)
+    lines = window.T if axis == 0 else window
+    outer, inner = (lines[0], lines[-1]) if is_second else (lines[-1], lines[0])
+    return outer + 0.5 * (outer - inner)
+
+
+def _middle(composite: Composite, edge: TileEdge) -> tuple[float, float]:
+    """Return x and y of the middle of an edge in the grid's system."""
+    across, along = edge.lattice.rectangles[edge.first][edge.axis + 2] + 0.5, sum(edge.line()) / 2
+    u, v = (across, along) if edge.axis == 0 else (along, across)
+    x, y = edge.lattice.positions(np.array([u]), np.array([v]))
+    x, y = projected(edge.lattice.crs, composite.grid.crs, x, y)
+    return float(x[0]), float(y[0])

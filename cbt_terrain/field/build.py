@@ -14,6 +14,8 @@ from .heightfield import HeightField, HeightRaster
 from .holes import holes_leave_ground, refine_borders
 from .lattice import Lattice, lattice_for
 
+DIGESTED = 1 << 23  # samples that are digested at once
+
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
@@ -40,8 +42,9 @@ def content_key(samples: Rows, lattice: Lattice, source_max: float, valid: Rows 
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
     for values in (samples, *([] if valid is None else [valid])):
-        for row in range(0, values.shape[0], 256):
-            digest.update(np.ascontiguousarray(values[row : row + 256]).data)
+        rows = max(1, DIGESTED // values.shape[1])
+        for row in range(0, values.shape[0], rows):
+            digest.update(np.ascontiguousarray(values[row : row + rows]).data)
     return digest.hexdigest()
 
 

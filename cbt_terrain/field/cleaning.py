@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preparation of a raster's samples: heights in float32, and missing samples filled."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import warp as wp
@@ -69,23 +70,42 @@ def fill_rows(
     """Replace each missing sample of a raster that need not be in memory by the nearest valid one, as `fill_missing`.
 
     opened: maps the samples, of any type, for writing; it is called for each block of rows with missing ones.
-    missing_in: returns, for rows, which samples are missing, bool; it is called twice for all rows, never after their
-    samples are filled. shape: rows and columns of the raster.
+    missing_in: returns, for rows, which samples are missing, bool; it is called three times for all rows, never after
+    their samples are filled. shape: rows and columns of the raster.
     """
     height, width = shape
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
-    above = np.full((len(chunks) + 1, width), -1, np.int32)  # nearest valid row from the start of each chunk on
-    for number, rows in reversed([*enumerate(chunks)]):
-        above[number] = _first_valid(~missing_in(rows), range(rows.start, rows.stop), above[number + 1])
+    length = math.isqrt(len(chunks)) + 1  # chunks of a group: rows are held for all groups, and for one group's chunks
+    groups = [chunks[first : first + length] for first in range(0, len(chunks), length)]
+    above, ends = np.full(width, -1, np.int32), []  # ends: nearest valid rows from the end of each group on
+    for group in reversed(groups):
+        ends.append(above)
+        above = _rows_above(group, missing_in, above)[0]
     below = np.full(width, -1, np.int32)
-    for number, rows in enumerate(chunks):
-        missing = missing_in(rows)
-        if missing.any():
-            row, column = _nearest(missing, rows.start, below, above[number + 1], threads)
-            samples, (y, x) = opened(), np.nonzero(missing)
-            column = column[y, x]
-            samples[rows.start + y, x] = samples[row[y, column], column]
-        below = _first_valid(~missing[::-1], range(rows.start, rows.stop)[::-1], below)
+    for group in groups:
+        nearest_above = _rows_above(group, missing_in, ends.pop())
+        for number, rows in enumerate(group):
+            missing = missing_in(rows)
+            if missing.any():
+                row, column = _nearest(missing, rows.start, below, nearest_above[number + 1], threads)
+                samples, (y, x) = opened(), np.nonzero(missing)
+                column = column[y, x]
+                samples[rows.start + y, x] = samples[row[y, column], column]
+            below = _first_valid(~missing[::-1], range(rows.start, rows.stop)[::-1], below)
+
+
+def _rows_above(
+    chunks: Sequence[slice], missing_in: Callable[[slice], np.ndarray], beyond: np.ndarray
+) -> list[np.ndarray]:
+    """Return for each chunk of rows the nearest valid row of each column from its first row on, int32 [columns].
+
+    `beyond`, which follows as the last item, has the rows from the end of the last chunk on. missing_in: as of
+    `fill_rows`.
+    """
+    above = [beyond]
+    for rows in reversed(chunks):
+        above.append(_first_valid(~missing_in(rows), range(rows.start, rows.stop), above[-1]))
+    return above[::-1]
 
 
 def _first_valid(valid: np.ndarray, rows: range, beyond: np.ndarray) -> np.ndarray:

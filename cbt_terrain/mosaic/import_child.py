@@ -44,7 +44,7 @@ def paths_of(settings: ImportSettings) -> list[Path]:
     """Return the files that the import may open, and for a tile index a name of each kind that it may name."""
     paths = files_of(settings)
     if any(path.suffix.lower() in INDEX_SUFFIXES for path in paths):
-        paths += [Path(f"any{suffix}") for suffix, form in FORMATS.items() if form.in_mosaic]
+        paths += [Path(f"any{suffix}") for suffix, form in FORMATS.items() if form.may_be_indexed]
     return paths
 
 

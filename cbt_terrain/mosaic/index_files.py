@@ -2,7 +2,8 @@
 """Paths in a tile index (GTI): a GeoPackage or SQLite database, a shapefile, or XML that names one of these.
 
 GDAL would open whatever an index names, so it never gets one. Only the column of paths is read, and each must lead to a
-regular file of a known kind, as in a VRT. As with GDAL, relative paths begin at the folder of the index that is opened.
+regular file of a known kind with a small parser: which files an index names is not known when the process gives up its
+rights. As with GDAL, relative paths begin at the folder of the index that is opened.
 """
 
 import sqlite3
@@ -148,5 +149,6 @@ def _check(index: Path, source: Path) -> None:
     if not is_regular:
         raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
     form = FORMATS.get(source.suffix.lower())
-    if form is None or not form.driver:
-        raise TerrainError(what, expected=f"one of {', '.join(s for s, form in FORMATS.items() if form.driver)}")
+    if form is None or not form.may_be_indexed:
+        known = ", ".join(suffix for suffix, form in FORMATS.items() if form.may_be_indexed)
+        raise TerrainError(what, expected=f"one of {known}", fix="name such files, or their folder, as sources")

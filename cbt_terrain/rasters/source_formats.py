@@ -53,6 +53,11 @@ class SourceFormat:
     raw_dtype: str = ""
     is_archive: bool = False
 
+    @property
+    def may_be_indexed(self) -> bool:
+        """Return whether a tile index may name such files: GDAL has one small parser for them, and needs no package."""
+        return bool(self.driver) and not (self.is_large or self.library or self.others)
+
     def load(self) -> Callable:
         """Import and return the function that opens a file. Raises TerrainError without the format's library."""
         for name in self.library.split():

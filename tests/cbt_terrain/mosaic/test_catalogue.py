@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio.shutil
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
@@ -117,6 +118,20 @@ def test_dots_after_a_link_lead_from_its_target(tmp_path):
     found = paths_in(tmp_path / "link" / "index.gpkg")
     assert found == [tmp_path / "link" / ".." / "tiles" / file.name for file in files]
     assert [path.resolve() for path in found] == [path.resolve() for path in files]
+
+
+def test_an_index_may_name_files_of_small_formats(tmp_path):
+    """The import's sandboxed process has their drivers; large parsers are refused from their names."""
+    west, east = tiles(tmp_path / "tiles", 2)
+    rasterio.shutil.copy(west, tmp_path / "tiles" / "west.img", driver="HFA")
+    geopackage(tmp_path / "index.gpkg", ["tiles/west.img", f"tiles/{east.name}"])
+    report = import_source(ImportSettings(str(tmp_path / "index.gpkg")), tmp_path / "store")
+    assert report["raster"] == [40, 20] and report["filled"] == 0
+    for name in ("a.nc", "a.jp2", "a.laz"):
+        (tmp_path / name).write_bytes(b"a")
+        geopackage(tmp_path / f"{name}.gpkg", [name])
+        with pytest.raises(TerrainError, match="names the source .*; expected one of .tif, .*[.]img"):
+            paths_in(tmp_path / f"{name}.gpkg")
 
 
 @pytest.mark.parametrize("name", ["/vsicurl/http://a/b.tif", "missing.tif", "secret.txt", ".", "https://a/b.tif"])

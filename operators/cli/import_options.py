@@ -14,7 +14,6 @@ def add_import(verb: argparse.ArgumentParser) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
-    from ...cbt_terrain.rasters.raster import ENCODINGS
     from ...cbt_terrain.rasters.source_formats import FORMATS
 
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
@@ -34,6 +33,22 @@ def add_import(verb: argparse.ArgumentParser) -> None:
         about = f"height of the {end} sample, instead of a scale"
         verb.add_argument(f"--{end}", type=float, metavar="METRES", help=about)
     verb.add_argument("--height-offset", type=float, metavar="METRES", help="added to every height (0)")
+    _add_contents(verb)
+    verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
+    verb.add_argument("--project", **PROJECT)
+    _add_mosaic(verb)
+    quick = "of a large raster, load only every n-th sample; the same command without it loads all"
+    verb.add_argument("--quick", action="store_const", const=QUICK_SAMPLES, help=quick)
+    _add_raw_options(verb)
+    _add_parts(verb)
+    verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
+    verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
+
+
+def _add_contents(verb: argparse.ArgumentParser) -> None:
+    """Add the options that say which values of a file are heights, and which are missing."""
+    from ...cbt_terrain.rasters.raster import ENCODINGS
+
     verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
     verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")
     verb.add_argument("--band", type=int, metavar="N", help="band of a file with several, from 1 (1)")
@@ -44,15 +59,6 @@ def add_import(verb: argparse.ArgumentParser) -> None:
         help="of heights in an image's colours; plain for none (recognised in web map tiles z/x/y.png)",
     )
     verb.add_argument("--cell", type=float, metavar="METRES", help="side of the cells of gridded points (from density)")
-    verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
-    verb.add_argument("--project", **PROJECT)
-    _add_mosaic(verb)
-    quick = "of a large raster, load only every n-th sample; the same command without it loads all"
-    verb.add_argument("--quick", action="store_const", const=QUICK_SAMPLES, help=quick)
-    _add_raw_options(verb)
-    _add_parts(verb)
-    verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
-    verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
 
 
 def _add_parts(verb: argparse.ArgumentParser) -> None:
@@ -77,6 +83,7 @@ def add_info(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
     verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
     verb.add_argument("--json", dest="as_json", action="store_true", help="print one line of JSON")
+    _add_contents(verb)
     verb.add_argument("--project", **PROJECT)
     _add_mosaic(verb)
     _add_raw_options(verb)

@@ -23,19 +23,13 @@ def run_import(arguments) -> None:
     """
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.source_list import names_several
     from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
-    from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
 
     source = arguments.sources[0]
     if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
         raise UsageError(f"--size and --seed are of built-in lands; {source} is taken as it is")
     settings = _import_settings(arguments, source=source, more_sources=arguments.sources[1:])
-    several = names_several(settings)
-    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
-        is_foreign = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
-        if getattr(arguments, option) is not None and is_foreign:
-            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
+    _check_contents(arguments, settings)
     if bool(arguments.tiles) != (arguments.only in TILED_PARTS):
         raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
     if arguments.chunk and not arguments.job:
@@ -63,6 +57,18 @@ def run_import(arguments) -> None:
     printed = previews[0] if previews else {}  # only fields that are new or have changed are printed again
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
+
+
+def _check_contents(arguments, settings) -> None:
+    """Raise UsageError for an option of formats that the source does not have. Several files may have any but EXR's."""
+    from ...cbt_terrain.importing.source_list import may_name_several
+    from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
+
+    several, suffix = may_name_several(settings), Path(settings.source).suffix.lower()
+    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
+        is_foreign = suffix not in suffixes and not (several and option != CHANNEL)
+        if getattr(arguments, option) is not None and is_foreign:
+            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {settings.source} is taken as it is")
 
 
 def _write_import_job(arguments, settings) -> list[str]:
@@ -101,7 +107,10 @@ def _is_store(path: str) -> bool:
 
 
 def _described(arguments, is_store: bool) -> dict:
-    """Return the description of a store (is_store), an exported mesh, a height map or a mosaic of several."""
+    """Return the description of a store (is_store), an exported mesh, a height map or a mosaic of several.
+
+    Raises UsageError for an option that the height map's format does not have.
+    """
     paths = arguments.paths
     if is_store:
         from ...cbt_terrain.importing.import_report import describe
@@ -111,7 +120,9 @@ def _described(arguments, is_store: bool) -> dict:
         from ...cbt_terrain.mesh.archive import read_npz
 
         return read_npz(Path(paths[0]))["info"]
-    return describe_heights(_import_settings(arguments, source=paths[0], more_sources=paths[1:]))
+    settings = _import_settings(arguments, source=paths[0], more_sources=paths[1:])
+    _check_contents(arguments, settings)
+    return describe_heights(settings)
 
 
 def describe_heights(settings) -> dict:

@@ -57,6 +57,7 @@ def settings_of(obj) -> ImportSettings:
     mosaic = {}
     if may_name_several(files):  # an archive may hold several, too
         mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
+    has_encoding, has_cell = (several or has_option(settings.source_path, option) for option in (ENCODING, CELL))
     raw = {}
     if is_raw(settings.source_path):
         raw = {
@@ -72,10 +73,8 @@ def settings_of(obj) -> ImportSettings:
         holes=settings.holes,
         band=settings.band,
         channel=settings.channel,
-        encoding=""
-        if settings.encoding == "AUTO" or not has_option(settings.source_path, ENCODING)
-        else settings.encoding,
-        cell=settings.cell if settings.cell and has_option(settings.source_path, CELL) else None,
+        encoding=settings.encoding if settings.encoding != "AUTO" and has_encoding else "",
+        cell=settings.cell if settings.cell and has_cell else None,
         first_row_south=settings.first_row_south,
         project=settings.project.strip() if several or has_option(settings.source_path, BAND) else "",
         **raw,

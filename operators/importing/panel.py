@@ -131,7 +131,7 @@ def _draw_file(column, settings) -> None:
 
 def _draw_mosaic(column, settings) -> None:
     """Draw the options of several files that one file has, too."""
-    for name in ("band", "project"):
+    for name in ("band", "encoding", "cell", "project"):
         column.prop(settings, name)
     draw_switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")

@@ -185,6 +185,7 @@ def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
         ("a.hgt", "mapbox", 2.0, ("", None)),
         ("a.laz", "mapbox", 2.0, ("", 2.0)),
         ("a.laz", "AUTO", 0.0, ("", None)),
+        ("*.laz", "mapbox", 2.0, ("mapbox", 2.0)),
     ],
 )
 def test_encoding_and_cell_count_for_their_formats_alone(terrain, file, encoding, cell, wanted):

@@ -134,6 +134,9 @@ def test_a_folder_becomes_one_terrain(scene, tmp_path):
     assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "tiles") + "/") == {"FINISHED"}
     assert bpy.context.object.name == "tiles"
     assert imported_of(bpy.context.object.adaptive_terrain).raster == (60, 20)
+    layout = DrawnLayout()
+    SourcePanel.draw(SimpleNamespace(layout=layout, _columns=layout.column), bpy.context)
+    assert {"<band>", "<encoding>", "<cell>"} <= set(layout.texts)
 
 
 def test_an_archive_of_tiles_becomes_one_terrain(scene, tmp_path):

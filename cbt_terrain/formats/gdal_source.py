@@ -19,7 +19,6 @@ from ..rasters.band_notes import band_notes, content_hint, float_alpha
 from ..rasters.coded_heights import decode_if_coded
 from ..rasters.driver_gaps import band_facts
 from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
-from ..rasters.length_scale import length_warnings, mirror_warnings
 from ..rasters.raster import ImportSettings, Raster, blank, cause
 from ..rasters.rasterio_types import DatasetReader
 from ..rasters.rounding import SourceRounding, band_rounding
@@ -164,6 +163,7 @@ def raster_of(
         placed,
         georeference=georeference,
         is_sized=is_sized,
+        read_grid=grid if is_sized else None,
         has_unit=bool(facts.unit),
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
@@ -323,18 +323,14 @@ def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
 def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
     """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it.
 
-    It is also None if its place cannot be used and the settings give the extent; without that TerrainError is raised.
+    It lacks the warnings of length_scale.py. It is also None if its place cannot be used and the settings give the
+    extent; without that TerrainError is raised.
     """
     if grid.transform is None:
         return None
     try:
-        georeference = from_transform(grid.transform, width, height, crs=grid.name, **unit_of(grid.crs))
+        return from_transform(grid.transform, width, height, crs=grid.name, **unit_of(grid.crs))
     except TerrainError:
         if settings.extent is None:
             raise
         return None
-    return dataclasses.replace(
-        georeference,
-        warnings=(*georeference.warnings, *mirror_warnings(grid, width, height)),
-        size_warnings=(*georeference.size_warnings, *length_warnings(grid, width, height, georeference)),
-    )

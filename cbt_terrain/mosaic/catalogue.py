@@ -30,7 +30,7 @@ from ..formats.archives import (
     is_archive,
     is_inside,
 )
-from ..formats.sources import check_named, open_source
+from ..formats.sources import check_named, open_tile_source
 from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
 from ..rasters.coded_heights import tile_of
 from ..rasters.raster import ORDER, ImportSettings, Raster
@@ -168,7 +168,7 @@ def open_tile(path: Path, settings: ImportSettings) -> Raster:
     of_one_file = dataclasses.replace(
         settings, source=str(path), more_sources=(), priority=ORDER, step=None, blend=True, project=""
     )
-    raster = open_source(of_one_file)
+    raster = open_tile_source(of_one_file)
     # For sources that a VRT opens while it is read.
     setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
     return raster

@@ -211,6 +211,7 @@ class Raster:
         format: name of the file's format.
         georeference: size, position and orientation; None if the file does not define them.
         is_sized: whether the file defines its size.
+        read_grid: grid of the samples as they are read, after reprojection; None unless the file defines its size.
         has_unit: whether the file defines the unit of its values.
         block_rows: number of rows that are best read together.
         scale: a height is value * scale + offset metres, before the scale and offset of the settings.
@@ -250,6 +251,7 @@ class Raster:
     grid: FileGrid | None = None
     georeference: Georeference | None = None
     is_sized: bool = False
+    read_grid: FileGrid | None = None
     has_unit: bool = False
     block_rows: int = 1
     scale: float = 1.0

@@ -14,6 +14,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.formats import vrt_source
+from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import, source_list
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_list import files_of
@@ -22,6 +23,7 @@ from adaptive_terrain.cbt_terrain.mosaic.catalogue import build_catalogue, keep_
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.index_files import paths_in
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from adaptive_terrain.cbt_terrain.rasters import length_scale
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, settings_of, sheet
 from rasters import hills, write_raster
@@ -177,6 +179,19 @@ def test_files_without_any_system_form_a_mosaic(tmp_path):
     files = tiles(tmp_path, crs=None)
     grid = open_composite(settings_of(*files), None).grid
     assert (grid.crs, grid.width, grid.height) == ("", 60, 20)
+
+
+def test_lengths_of_the_systems_of_tiles_are_not_measured(tmp_path, monkeypatch):
+    """They took a quarter of the time of a header, and a mosaic warns about its own grid."""
+    files, measured = tiles(tmp_path, crs="EPSG:3857"), []
+    degrees = length_scale._degrees
+    monkeypatch.setattr(length_scale, "_degrees", lambda *given: measured.append(1) or degrees(*given))
+    assert len(build_catalogue(settings_of(tmp_path), None)) == 3 and not measured
+    raster = open_source(ImportSettings(str(files[0])))
+    raster.close()
+    assert measured and "Lengths in EPSG:3857 are not those" in raster.georeference.size_warnings[0]
+    warnings = run_mosaic_import(settings_of(tmp_path), tmp_path / "store")["warnings"]
+    assert sum("Lengths in EPSG:3857 are not those" in text for text in warnings) == 1
 
 
 def test_a_kept_catalogue_spares_reading_headers(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ JSON_NAME = "store.json"
 MAX_JSON_BYTES = 1 << 22
 DATA_PREFIX = "data-"
 WORK_NAME = "work.json"  # in a folder of arrays that is made by tile, and can be completed later (tiling/tile_work.py)
-UNFINISHED_NAME = "missing.npy"  # in such a folder until its arrays are complete
+UNFINISHED_NAME = "missing.npy"  # in such a folder until its arrays are published
 WORK_SECONDS = 7 * 86_400.0  # since anything was written in such a folder; then it is abandoned
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
 AHEAD = "ahead"  # the folder of tiles that were read ahead of an import (importing/read_ahead.py)
@@ -202,13 +202,18 @@ def scratch_name(folder: str) -> str:
 def remove_abandoned(path: Path, with_work: bool = False) -> None:
     """Remove the folders of arrays that neither a living process nor store.json uses.
 
-    with_work: also those that could be completed; otherwise they are kept for WORK_SECONDS.
+    The file UNFINISHED_NAME of the version that store.json names is removed, too. with_work: also remove the folders
+    that could be completed; otherwise they are kept for WORK_SECONDS.
     """
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
         return  # a damaged store does not name the folder that it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
         with suppress(OSError):
-            if is_array_folder(folder) and (with_work or not _can_be_continued(folder)):
+            if not is_array_folder(folder):
+                continue
+            if _is_current(path, folder):
+                owned_files.remove_file(folder / UNFINISHED_NAME)
+            if with_work or not _can_be_continued(folder):
                 token = folder.name.removeprefix(DATA_PREFIX)
                 is_needed = functools.partial(_is_current, path, folder)
                 partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)

@@ -80,7 +80,6 @@ def add_finer_tiles(
         return work.allocate(draft, name, shape, dtype)
 
     field = with_finer_tiles(plain, bits, known, read, allocate=allocate, on_progress=on_progress, records=records)
-    work.remove("missing")
     work.keep_records()
     records.close()
     return field

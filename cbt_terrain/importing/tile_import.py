@@ -313,8 +313,8 @@ def _completed(
 ) -> HeightField:
     """Join the measured tiles into the draft, and return the height field.
 
-    The work can be continued if finer tiles follow. source_max: largest error of the source's heights, metres. limits:
-    of all heights.
+    The work can be continued until the draft is published. source_max: largest error of the source's heights, metres.
+    limits: of all heights.
     """
     lattice, span = work.grid.lattice, JOINED_SHARE - MEASURED_SHARE
 
@@ -325,11 +325,10 @@ def _completed(
     joined = tile_steps.join(work, limits, launch.default_threads(), tell, source.coarse)
     valid = None
     if limits.missing and work.holes:
-        valid = draft.allocate("valid", (lattice.height, lattice.width), np.dtype(np.uint8))
+        valid = work.allocate(draft, "valid", (lattice.height, lattice.width), np.dtype(np.uint8))
         for row in range(0, lattice.height, CHECKED_ROWS):
             valid[row : row + CHECKED_ROWS] = work.open("missing")[row : row + CHECKED_ROWS] ^ 1
     if source.raster.finer is None:
-        work.remove("missing")
         work.keep_records()
     key = content_key(StoredHeights(work), lattice, source_max, valid)
     on_progress(0.99, MEASURING)

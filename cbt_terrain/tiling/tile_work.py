@@ -3,7 +3,7 @@
 
     work.json             the terrain, its digest and its tiles
     samples.npy, error.npy, ranges.npy    as in a store (store.py)
-    missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed at the end
+    missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed after publishing
     borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
     finer_*.npy           of finer tiles, if the source has some
     read-*.part, measured-*.part    results of a farm's tasks until they are joined (part_files.py)

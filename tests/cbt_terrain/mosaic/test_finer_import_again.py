@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import finer_heights, store_folder
+from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing import finer_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -78,6 +79,21 @@ def test_a_stopped_import_makes_only_what_is_missing(settings, whole, tmp_path, 
     run_mosaic_import(settings, tmp_path / "store")
     assert sum(counts.values()) == total - done
     assert len(boxes) == counts[finer_heights.FILLED]
+    assert_same(tmp_path / "store", whole[0])
+
+
+def test_a_complete_import_is_not_made_again(settings, whole, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stores, "check_version", stop)  # just before it is published
+        with pytest.raises(KeyboardInterrupt):
+            run_mosaic_import(settings, tmp_path / "store")
+    store_folder.remove_abandoned(tmp_path / "store")  # as each import begins
+    counts = count_records(monkeypatch)
+    run_mosaic_import(settings, tmp_path / "store")
+    assert sum(counts.values()) == 0
     assert_same(tmp_path / "store", whole[0])
 
 

@@ -10,6 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.lattice import lattice_for
 from adaptive_terrain.cbt_terrain.importing import tile_import
@@ -135,6 +136,61 @@ def test_a_killed_import_goes_on_where_it_was(tmp_path, tiled, monkeypatch, done
     assert (len(crew.read), len(crew.measured)) == (max(3 - done, 0), 25 - max(done - 3, 0))
     assert len(list(store.glob("data-*"))) == 1
     assert_same(store, tmp_path / "whole")
+
+
+KILLED_AFTER_ALL_TILES = """
+import os, sys
+from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
+event, name = sys.argv[3:]
+def kill(found, values):
+    if found == event and os.path.basename(str(values[0])).startswith(name) and values[1] not in (None, "r", "rb"):
+        os._exit(9)
+sys.addaudithook(kill)
+run_import(ImportSettings(sys.argv[1], no_data=0.0, holes=True), sys.argv[2])
+"""
+AFTER_ALL_TILES = {  # event of Python, and the beginning of the file's name
+    "the records are in one file": ("os.remove", "tiles-"),
+    "the arrays have checksums": ("open", "store.json"),
+    "the new version is complete": ("os.rename", "store.json"),
+}
+
+
+@pytest.mark.parametrize("moment", AFTER_ALL_TILES)
+def test_a_kill_after_the_last_tile_loses_no_tile(tmp_path, tiled, moment):  # noqa: F811
+    heights = hills(160, 140)
+    heights[30:60, 50:90] = 0.0
+    np.save(tmp_path / "a.npy", heights)
+    settings, store = ImportSettings(str(tmp_path / "a.npy"), no_data=0.0, holes=True), tmp_path / "store"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-c", KILLED_AFTER_ALL_TILES, settings.source, str(store), *AFTER_ALL_TILES[moment]]
+    assert subprocess.run(command, env=environment).returncode == 9
+    assert len(list(store.glob("data-*/tiles.jsonl"))) == 1 and not (store / "store.json").exists()
+    store_folder.remove_abandoned(store)  # as each import begins
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    tiled(5)
+    crew = CountingCrew()
+    run_import(settings, store, crew=crew)
+    assert (crew.read, crew.measured) == ([], [])
+    assert not list(store.glob("data-*/missing.npy")) and len(list(store.glob("data-*"))) == 1
+    assert_same(store, tmp_path / "whole")
+
+
+def test_marks_beside_a_published_store_are_removed(tmp_path, tiled, monkeypatch):  # noqa: F811
+    np.save(tmp_path / "a.npy", hills(100, 90))
+    tiled(5)
+    with monkeypatch.context() as patch:
+        patch.setattr(stores, "remove_abandoned", lambda *_, **__: None)  # as if it was killed before
+        run_import(ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store")
+    [marks] = (tmp_path / "store").glob("data-*/missing.npy")
+    store_folder.remove_abandoned(tmp_path / "store")  # as each import begins
+    assert not marks.exists()
+    tiled(None)
+    run_import(ImportSettings(str(tmp_path / "a.npy")), tmp_path / "whole")
+    assert_same(tmp_path / "store", tmp_path / "whole")
 
 
 def test_another_import_removes_what_was_left(tmp_path, tiled):  # noqa: F811

@@ -8,16 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.lattice import Lattice
 from ..field.store import Draft
 from ..run import partial_files
+from ..tiling.moved_tiles import copy_moved, tiles_moved
 from ..tiling.tile_grid import TILE_BITS, TileGrid
 from ..tiling.tile_work import TileWork, work_in
 from . import refining
 from .drafts import open_draft
 from .height_reader import scaling_of
-from .tile_tasks import TileSource
+from .tile_tasks import MOSAIC, TileSource
 
 
 @contextmanager
@@ -43,7 +45,20 @@ def open_work(
 def work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
     """Return the description of an import's work before anything is done. folder: of its arrays."""
     bits = TILE_BITS if source.coarse is None else refining.BITS
-    return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest)
+    corner = _corner_of(source, lattice)
+    return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest, corner)
+
+
+def _corner_of(source: TileSource, lattice: Lattice) -> tuple[float, float] | None:
+    """Return the samples from the origin of a mosaic's coordinate system to its south-western sample; None for others.
+
+    A quick import around loaded tiles has None: its samples depend on the whole coarse land.
+    """
+    place = source.place
+    if source.raster.format != MOSAIC or source.coarse is not None or place.across is None or place.up is None:
+        return None
+    x, y = place.middle[0] / place.across[0], place.middle[1] / place.up[1]
+    return x - 0.5 * lattice.cells_x, y - 0.5 * lattice.cells_y
 
 
 def _continued(wanted: TileWork) -> TileWork | None:
@@ -103,17 +118,23 @@ def _steps_of(source: TileSource) -> codes.Steps | None:
 
 
 def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return a new work in a draft's folder, with the arrays of the store at its path if that was made alike.
+    """Return a new work in a draft's folder, with results of the store at its path if that was made alike.
 
-    It then has the same tiles, stored steps of heights and use of holes. digest: of the settings and sources.
+    It then has the same stored steps of heights and use of holes, and the same tiles or, as a mosaic with another
+    extent, some of them. digest: of the settings and sources.
     """
     work = work_of(draft.folder, source, lattice, digest)
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
-    if before is not None and (before.grid, before.steps, before.holes) == (work.grid, work.steps, work.holes):
+    moved = None if before is None else tiles_moved(before, work)
+    has_same_tiles = before is not None and moved == (0, 0) and before.grid == work.grid
+    if before is not None and has_same_tiles:
         with suppress(OSError, ValueError):  # then everything is made anew
             work.copy(before)
     work.attach(draft)
+    if before is not None and moved is not None and not has_same_tiles:
+        with suppress(OSError, TerrainError):
+            copy_moved(before, work, moved)
     work.make_sparse("missing")
     work.describe()  # from now on it can be continued
     return work

@@ -11,7 +11,7 @@ final in the tile. Diamonds of cells as large as a tile and larger depend on man
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -67,6 +67,14 @@ class TileGrid:
         return self.lattice.levels <= self.bits
 
     @property
+    def inner_groups(self) -> int:
+        """Return the number of a tile's groups, the finest ones, with vertices far from its border.
+
+        All vertices of the coarsest group of a tile that is one square are near its border (`near_border`).
+        """
+        return (self.levels + 1) // 2 - (self.levels == self.bits)
+
+    @property
     def columns(self) -> int:
         """Return the number of tiles from west to east."""
         return -(-self.lattice.cells_x >> self.bits)
@@ -108,6 +116,10 @@ class TileGrid:
         )
         size = box.x1 - box.x0, box.y1 - box.y0
         return Lattice(columns, rows, self.levels, lattice.step_x, lattice.step_y, *size)
+
+    def shape_of(self, box: TileBox) -> tuple[Lattice, bool]:
+        """Return the shape of a tile's results: its lattice with steps of 1 m, and `holds_roots`."""
+        return replace(self.local(box), step_x=1.0, step_y=1.0), self.holds_roots
 
     @cached_property
     def near_border(self) -> LatticeVertices:

@@ -163,8 +163,12 @@ def measured(
     raw = work.raw("samples", window)
     valid = work.raw("missing", window) ^ 1 if work.holes and limits.missing else None
     is_near = coarse is not None and coarse.is_near_loaded(grid, number, margin_of(limits.low, limits.high))
-    coarse_inputs = () if coarse is None else (coarse.digest, is_near)
-    errors_digest = _digest((window, work.steps, *coarse_inputs), raw, *([] if valid is None else [valid]))
+    coarse_inputs = () if coarse is None else (coarse.digest, is_near, box)
+    around = tuple(end - first for end, first in zip(window, (box.x0, box.y0) * 2, strict=True))
+    # only errors at holes depend on steps
+    hole_steps = () if valid is None else (grid.lattice.step_x, grid.lattice.step_y)
+    places = around, grid.shape_of(box), hole_steps  # not the tile's own, which another extent changes
+    errors_digest = _digest((places, work.steps, *coarse_inputs), raw, *([] if valid is None else [valid]))
     heights: dict[tuple[int, int], float] = {}
 
     def height(x: int, y: int) -> float:
@@ -179,8 +183,7 @@ def measured(
     }
     above_digest = _digest((errors_digest, sorted(heights.items())))
     ranges_digest = _digest((errors_digest, limits.scale))
-    # stored codes with larger exponents than are allowed were rounded too much
-    is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
+    is_rounded = state["exponents"] is not None and _is_rounded(grid, state["exponents"], exponents)
     is_measured = state["errors"] == errors_digest and not is_rounded
     if is_measured and state["ranges"] == ranges_digest and state["above"][0] == above_digest:
         return None
@@ -271,12 +274,15 @@ def join(
         groups = len(record["exponents"]) - 1
         wanted = [*exponents[:groups], exponents[-1]]  # the last is that of the cells
         # Codes that were rounded for a larger error than there is now cannot be refined.
-        if any(map(gt, record["exponents"], wanted)):
+        if _is_rounded(grid, record["exponents"], wanted):
             measure(work, number, limits, threads, record, wanted, coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
             work.note(MEASURED, number)  # it is not measured while its codes are replaced
-            tables = borders.tables_between(record["exponents"], wanted)
+            inner = grid.inner_groups  # `join_borders` writes the others
+            tables = borders.tables_between(
+                [*record["exponents"][:inner], *wanted[inner:-1], record["exponents"][-1]], wanted
+            )
             translate(grid, grid.box(number), work.open("error"), tables)
             values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
             work.note(MEASURED, number, **values | {"exponents": wanted})
@@ -300,6 +306,16 @@ def join(
         work.remove("kinds")
     climbs = [record["climbs"] for record in records.values()]
     return JoinedErrors(exponents, (max(x for x, _ in climbs), max(y for _, y in climbs)))
+
+
+def _is_rounded(grid: TileGrid, exponents: Sequence[int], wanted: Sequence[int]) -> bool:
+    """Return whether codes of a tile were rounded for larger exponents than wanted ones, so that they are not exact.
+
+    Groups whose codes are all written when borders are joined do not count. wanted: () for any.
+    """
+    inner = grid.inner_groups
+    stored = [*exponents[:inner], exponents[-1]]
+    return bool(wanted) and any(map(gt, stored, [*wanted[:inner], wanted[-1]]))
 
 
 def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeError]) -> list[float]:

@@ -59,6 +59,8 @@ class TileWork:
         digest: hash of all settings and sources.
         steps: first value, scale and offset of stored 16-bit samples; None for float32.
         holes: whether missing samples are cut out.
+        corner: samples along x and y from the origin of the coordinate system to the south-western sample of a mosaic;
+            None for another raster.
     """
 
     folder: Path
@@ -66,6 +68,7 @@ class TileWork:
     steps: codes.Steps | None
     holes: bool
     digest: str
+    corner: tuple[float, float] | None = None
 
     def arrays(self) -> dict[str, tuple[tuple, DTypeLike]]:
         """Return shapes and types of the arrays by name."""
@@ -103,6 +106,7 @@ class TileWork:
             "holes": self.holes,
             "steps": self.steps and [self.steps.first, self.steps.scale, self.steps.offset],
             "lattice": [lattice.width, lattice.height, lattice.step_x, lattice.step_y],
+            "corner": self.corner,
         }
         self._write(store_folder.WORK_NAME, json.dumps(content | {"sum": _sum_of(content)}))
 
@@ -123,16 +127,24 @@ class TileWork:
         """
         is_whole = False
         try:
-            text = read_regular(before.folder / RECORDS_NAME, MAX_RECORDS, links=False)
-            first, _, rest = text.partition(b"\n")
-            is_whole = first == _sum_line(rest) and all(self._copy_array(before, name) for name in STORED)
+            is_whole = before.has_whole_records() and all(self._copy_array(before, name) for name in STORED)
             if is_whole:
                 records = [record for record in before.records(READ).values() if not record["missing"]]
-                self._write(RECORDS_NAME, _lines([*records, *before.records(MEASURED).values()]))
+                self.write_records([*records, *before.records(MEASURED).values()])
         finally:
             for name in () if is_whole else STORED:
                 with suppress(FileNotFoundError):
                     self.remove(name)
+
+    def has_whole_records(self) -> bool:
+        """Return whether the checksum of a store's records holds. Raises OSError."""
+        text = read_regular(self.folder / RECORDS_NAME, MAX_RECORDS, links=False)
+        first, _, rest = text.partition(b"\n")
+        return first == _sum_line(rest)
+
+    def write_records(self, records: Sequence[dict]) -> None:
+        """Write the first records of a new work."""
+        self._write(RECORDS_NAME, _lines(records))
 
     def _copy_array(self, before: "TileWork", name: str) -> bool:
         """Copy the file of an array, and return whether its checksums hold."""
@@ -289,7 +301,7 @@ def _sum_line(lines: bytes) -> bytes:
     return json.dumps({"sum": hashlib.blake2b(lines, digest_size=16).hexdigest()}).encode()
 
 
-def _lines(records: list[dict]) -> str:
+def _lines(records: Sequence[dict]) -> str:
     """Return records as text, one JSON line each."""
     return "".join(map(line_of, records))
 
@@ -311,7 +323,10 @@ def work_in(folder: Path) -> TileWork | None:
         steps = codes.Steps(*content["steps"]) if content["steps"] else None
         if (type(bits), type(holes), type(digest)) != (int, bool, str) or not 0 < bits <= TILE_BITS:
             return None
-        work = TileWork(folder, TileGrid(lattice, bits), steps, holes, digest)
+        corner = None if content.get("corner") is None else tuple(map(float, content["corner"]))
+        if corner is not None and len(corner) != 2:
+            return None
+        work = TileWork(folder, TileGrid(lattice, bits), steps, holes, digest, corner)
         is_whole = all(work.has_array(name) for name in STORED)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, ArithmeticError, TerrainError):
         return None

@@ -8,6 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
+from adaptive_terrain.cbt_terrain.tiling.tile_records import READ
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
 ARRAYS = "samples", "error", "ranges", "valid"
@@ -54,3 +55,29 @@ def write_tiles(folder, columns=4, rows=3, side=40, gap=(1, 1)):
                 whole.write(folder / f"t{row}{column}.tif", **part)
     if gap:
         sheet(UTM32, EAST + 250.0, NORTH - 130.0, 5.0, 5.0, 50, 40, shift=3.0).write(folder / "u.tif")
+
+
+def size_of_records(work):
+    """Return the bytes of all records of a work."""
+    return sum(file.stat().st_size for file in work.folder.glob("tiles*.jsonl"))
+
+
+class CountingCrew(tile_import.Crew):
+    """Counts the tiles that are read and measured; raises KeyboardInterrupt after some tasks."""
+
+    def __init__(self, tasks=10**9):
+        self.left, self.read, self.measured = tasks, [], []
+
+    def run(self, work, source, tasks, on_progress):
+        for task in tasks:
+            if self.left == 0:
+                raise KeyboardInterrupt
+            before = size_of_records(work)
+            if not tile_import.perform(work, source, task, 1):
+                return False
+            self.left -= 1
+            if task.step == READ:
+                self.read.append(task.number)
+            elif size_of_records(work) != before:
+                self.measured.append(task.number)
+        return True

@@ -23,35 +23,9 @@ from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
 from adaptive_terrain.cbt_terrain.tiling.tile_records import MEASURED, READ, line_of, record_of
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
 from rasters import hills
-from tiled_stores import assert_same, content, tiled, write_tiles  # noqa: F401
+from tiled_stores import CountingCrew, assert_same, content, tiled, write_tiles  # noqa: F401
 
 MODULES = {"file": "cbt_terrain.importing.tile_crew", "mosaic": "cbt_terrain.mosaic.import_child"}
-
-
-def size_of_records(work):
-    """Return the bytes of all records of a work."""
-    return sum(file.stat().st_size for file in work.folder.glob("tiles*.jsonl"))
-
-
-class CountingCrew(tile_import.Crew):
-    """Counts the tiles that are read and measured; raises KeyboardInterrupt after some tasks."""
-
-    def __init__(self, tasks=10**9):
-        self.left, self.read, self.measured = tasks, [], []
-
-    def run(self, work, source, tasks, on_progress):
-        for task in tasks:
-            if self.left == 0:
-                raise KeyboardInterrupt
-            before = size_of_records(work)
-            if not tile_import.perform(work, source, task, 1):
-                return False
-            self.left -= 1
-            if task.step == READ:
-                self.read.append(task.number)
-            elif size_of_records(work) != before:
-                self.measured.append(task.number)
-        return True
 
 
 @pytest.mark.thorough

@@ -167,7 +167,7 @@ def measured(
     around = tuple(end - first for end, first in zip(window, (box.x0, box.y0) * 2, strict=True))
     # only errors at holes depend on steps
     hole_steps = () if valid is None else (grid.lattice.step_x, grid.lattice.step_y)
-    places = around, grid.shape_of(box), hole_steps  # not the tile's own, which another extent changes
+    places = around, grid.shape_of(box), hole_steps  # relative to the tile, whose position another extent changes
     errors_digest = _digest((places, work.steps, *coarse_inputs), raw, *([] if valid is None else [valid]))
     heights: dict[tuple[int, int], float] = {}
 
@@ -183,7 +183,8 @@ def measured(
     }
     above_digest = _digest((errors_digest, sorted(heights.items())))
     ranges_digest = _digest((errors_digest, limits.scale))
-    is_rounded = state["exponents"] is not None and _is_rounded(grid, state["exponents"], exponents)
+    # stored codes with larger exponents than are allowed were rounded too much
+    is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == errors_digest and not is_rounded
     if is_measured and state["ranges"] == ranges_digest and state["above"][0] == above_digest:
         return None
@@ -274,15 +275,12 @@ def join(
         groups = len(record["exponents"]) - 1
         wanted = [*exponents[:groups], exponents[-1]]  # the last is that of the cells
         # Codes that were rounded for a larger error than there is now cannot be refined.
-        if _is_rounded(grid, record["exponents"], wanted):
+        if any(map(gt, record["exponents"], wanted)):
             measure(work, number, limits, threads, record, wanted, coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
             work.note(MEASURED, number)  # it is not measured while its codes are replaced
-            inner = grid.inner_groups  # `join_borders` writes the others
-            tables = borders.tables_between(
-                [*record["exponents"][:inner], *wanted[inner:-1], record["exponents"][-1]], wanted
-            )
+            tables = borders.tables_between(record["exponents"], wanted)
             translate(grid, grid.box(number), work.open("error"), tables)
             values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
             work.note(MEASURED, number, **values | {"exponents": wanted})
@@ -306,16 +304,6 @@ def join(
         work.remove("kinds")
     climbs = [record["climbs"] for record in records.values()]
     return JoinedErrors(exponents, (max(x for x, _ in climbs), max(y for _, y in climbs)))
-
-
-def _is_rounded(grid: TileGrid, exponents: Sequence[int], wanted: Sequence[int]) -> bool:
-    """Return whether codes of a tile were rounded for larger exponents than wanted ones, so that they are not exact.
-
-    Groups whose codes are all written when borders are joined do not count. wanted: () for any.
-    """
-    inner = grid.inner_groups
-    stored = [*exponents[:inner], exponents[-1]]
-    return bool(wanted) and any(map(gt, stored, [*wanted[:inner], wanted[-1]]))
 
 
 def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeError]) -> list[float]:

@@ -19,7 +19,7 @@ from ..tiling.tile_work import TileWork, work_in
 from . import refining
 from .drafts import open_draft
 from .height_reader import scaling_of
-from .tile_tasks import MOSAIC, TileSource
+from .tile_tasks import MOSAIC, TileSource, unit_count
 
 
 @contextmanager
@@ -130,7 +130,7 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
     has_same_tiles = before is not None and moved == (0, 0) and before.grid == work.grid
     if before is not None and has_same_tiles:
         with suppress(OSError, ValueError):  # then everything is made anew
-            work.copy(before)
+            work.copy(before, unit_count(work.grid, source))
     work.attach(draft)
     if before is not None and moved is not None and not has_same_tiles:
         with suppress(OSError, TerrainError):

@@ -120,16 +120,18 @@ class TileWork:
         self.make_sparse("missing")
         self.describe()
 
-    def copy(self, before: "TileWork") -> None:
+    def copy(self, before: "TileWork", units: int) -> None:
         """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.
 
-        Records of units with gaps are left out, because a store does not mark filled samples. Raises OSError.
+        Records of units with gaps are left out, because a store does not mark filled samples, and so are those from
+        number `units` on, of another kind of source with more units. Raises OSError.
         """
         is_whole = False
         try:
             is_whole = before.has_whole_records() and all(self._copy_array(before, name) for name in STORED)
             if is_whole:
-                records = [record for record in before.records(READ).values() if not record["missing"]]
+                read = before.records(READ).values()
+                records = [record for record in read if not record["missing"] and record["number"] < units]
                 self.write_records([*records, *before.records(MEASURED).values()])
         finally:
             for name in () if is_whole else STORED:

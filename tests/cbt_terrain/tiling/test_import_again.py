@@ -318,6 +318,20 @@ def test_a_file_in_a_gap_and_a_lower_peak(tmp_path, tiled):  # noqa: F811
     assert len(crew.read) <= 22 and len(crew.measured) == 80, "the peak had coarser codes everywhere"
 
 
+def test_one_file_in_the_place_of_a_mosaic_has_its_limits(tmp_path, tiled):  # noqa: F811
+    """A file is read in fewer units than a mosaic, so the records of the others are left out."""
+    write_tiles(tmp_path / "tiles", gap=None)
+    low = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 160, 120)
+    low.heights *= 0.1
+    settings = ImportSettings(str(low.write(tmp_path / "low.tif")))
+    tiled(5)
+    run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store")
+    run_import(settings, tmp_path / "store")
+    tiled(None)
+    run_import(settings, tmp_path / "whole")
+    assert_same(tmp_path / "store", tmp_path / "whole")
+
+
 def test_a_flat_file_replaces_a_steep_one(tmp_path, tiled):  # noqa: F811
     """The bound of interpolated positions is that of the new file's heights alone."""
     west, north = map(float, moved(UTM32, DEGREES, EAST + 400, NORTH - 20))

@@ -97,8 +97,8 @@ def run_mosaic_import(
         is_new = part is None and not settings.quick
         if is_new and finished_import(path, settings, raster) is None:
             details = describe_mosaic(composite, settings)
-            on_progress(SCANNED, READING, details)
             raster.warnings += details["warnings"]
+            on_progress(SCANNED, READING, details | {"warnings": raster.warnings})
             raster.details |= {name: details[name] for name in IMPORT_ENTRIES if name in details}
         return raster
 

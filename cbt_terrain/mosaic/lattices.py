@@ -50,6 +50,20 @@ class TileLattice:
         a, b, d, e = self.steps
         return self.origin[0] + a * u + b * v, self.origin[1] + d * u + e * v
 
+    def covers(self, number: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return which positions are in the cells of a tile, also a turn of 360 degrees away.
+
+        number: of the tile in `tiles`. x, y: positions in the lattice's system; those that are not finite are outside.
+        """
+        first_u, first_v, last_u, last_v = self.rectangles[number]
+        period = period_of(self.crs)
+        with np.errstate(invalid="ignore"):
+            if period:
+                middle = self.positions((first_u + last_u) / 2, (first_v + last_v) / 2)[0]
+                x = x - period * np.round((x - middle) / period)
+            u, v = self.indices(x, y)
+            return (u >= first_u - 0.5) & (u < last_u + 0.5) & (v >= first_v - 0.5) & (v < last_v + 0.5)
+
 
 def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and rows of positions, by the inverse of the steps.

@@ -18,13 +18,13 @@ from ..rasters.raster import FinerSource, ImportSettings, Raster
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .finer_plan import plan_finer
+from .hidden_files import hidden_warnings
 from .nearest import nearest_samples
 from .systems import crs_of
 from .target_grid import TargetGrid, choose_grid, footprints
 
 BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
 MAX_WARNINGS = 3  # of files
-STEP_TOLERANCE = 0.01  # steps that differ by less count as equal, as those of degrees in neighbouring zones
 BLENDING = 1  # increased when the same insets blend to other heights
 
 
@@ -99,7 +99,6 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         roundings=composite.all_roundings(),
         warnings=[
             *hidden_warnings(composite),
-            *replaced_warnings(composite),
             *file_warnings(composite.tiles),
             *mirror_warnings(file_grid, grid.width, grid.height),
         ],
@@ -160,42 +159,6 @@ def _surface_entry(composite: Composite) -> dict:
     width = blend_metres(composite)
     blended = f", finer files blended to coarser ones over {width:.4g} m at most" if width else ""
     return {"bounds_against": against + blended}
-
-
-def hidden_warnings(composite: Composite) -> list[str]:
-    """Return a warning if coarser files of higher priority cover finer ones whole; [] otherwise."""
-    boxes, steps, hidden = composite.boxes, composite.steps, np.zeros(len(composite.tiles), bool)
-    for rank in np.flatnonzero(steps > steps.min() * (1 + STEP_TOLERANCE)):
-        is_finer = steps[:rank] * (1 + STEP_TOLERANCE) < steps[rank]
-        low, high = boxes[:rank, :2] >= boxes[rank, :2], boxes[:rank, 2:] <= boxes[rank, 2:]
-        hidden[:rank] |= is_finer & low.all(axis=1) & high.all(axis=1)
-    if not hidden.any():
-        return []
-    name = shown(Path(composite.tiles[int(np.argmax(hidden))].path).name)
-    which = f"{name} lies" if hidden.sum() == 1 else f"{hidden.sum():,} files, such as {name}, lie"
-    return [
-        f"{which} below coarser files, so only gaps in those show it. Name the coarser files first, or set Overlaps "
-        "to Finest File (--priority resolution)."
-    ]
-
-
-def replaced_warnings(composite: Composite) -> list[str]:
-    """Return a warning if files replace others, because their samples have the same positions; [] otherwise."""
-    upper: dict[tuple, Path] = {}  # the file of the highest priority at each place
-    replaced = []
-    for tile in reversed(composite.tiles):
-        path, place = Path(tile.path), (tile.crs, tile.transform, tile.width, tile.height)
-        if upper.setdefault(place, path) != path:
-            replaced.append((path, upper[place]))
-    if not replaced:
-        return []
-    path, other = replaced[-1]
-    more = f", and {len(replaced) - 1:,} more files are replaced so" if len(replaced) > 1 else ""
-    return [
-        f"{shown(other.name)} has all its samples at the places of those of {shown(path.name)}, and replaces these "
-        f"except where it has no data{more}. If it holds no heights (a mask, a count of scenes), unpack or name only "
-        "files of heights."
-    ]
 
 
 def file_warnings(tiles: Sequence[SourceTile]) -> list[str]:

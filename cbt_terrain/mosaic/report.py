@@ -21,7 +21,7 @@ from .composite import Composite
 from .edges import EdgeReport, find_edges
 from .mosaic_source import blend_metres, georeference_of
 from .seams import SeamReport, find_seams
-from .systems import crs_of, period_of, projected
+from .systems import crs_of, projected
 
 COVERAGE_POINTS = 256  # along each axis
 FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the one whose reading and building is timed
@@ -76,19 +76,12 @@ def coverage(composite: Composite) -> tuple[float, float]:
     counts = np.zeros(x.shape, np.int32)
     for lattice in composite.lattices:
         positions = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
-        for rank, (first_u, first_v, last_u, last_v) in zip(lattice.tiles, lattice.rectangles, strict=True):
+        for number, rank in enumerate(lattice.tiles):
             box = composite.near[rank]
             across = slice(*np.searchsorted(columns, [box[0], box[2]]))
             down = slice(*np.searchsorted(rows, [box[1], box[3]]))
             part_x, part_y = (values.reshape(x.shape)[down, across] for values in positions)
-            period = period_of(lattice.crs)
-            if period:
-                middle = lattice.positions((first_u + last_u) / 2, (first_v + last_v) / 2)[0]
-                part_x = part_x - period * np.round((part_x - middle) / period)
-            with np.errstate(invalid="ignore"):
-                u, v = lattice.indices(part_x, part_y)
-                inside = (u >= first_u - 0.5) & (u < last_u + 0.5) & (v >= first_v - 0.5) & (v < last_v + 0.5)
-            counts[down, across] += inside
+            counts[down, across] += lattice.covers(number, part_x, part_y)
     return float(np.mean(counts > 1)), float(np.mean(counts == 0))
 
 

@@ -54,7 +54,8 @@ def run_import(arguments) -> None:
     if part is not None:
         print_fields(report)
         return
-    printed = previews[0] if previews else {}  # only fields that are new or have changed are printed again
+    printed = previews[0] if previews else {}  # only fields and warnings that are new or have changed are printed again
+    report["warnings"] = [text for text in report["warnings"] if text not in printed.get("warnings", ())]
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 

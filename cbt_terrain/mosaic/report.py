@@ -25,6 +25,7 @@ from .systems import crs_of, projected
 
 COVERAGE_POINTS = 256  # along each axis
 FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the one whose reading and building is timed
+MEASURED_POINTS = 64  # along each axis; a window's middle is one of them
 MAX_KINDS = 12
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
@@ -176,14 +177,57 @@ def _expected_bytes(composite: Composite) -> int:
 
 
 def _expected_seconds(composite: Composite) -> float:
-    """Return the expected time of an import: that of a part in the middle, read and built, times the samples."""
+    """Return the expected time of an import: that of measured windows, times the samples that each stands for."""
+    # With finer tiles, the plan has the samples of a raster without them that takes as long.
+    samples = composite.grid.width * composite.grid.height if composite.finer is None else composite.finer[0].work
+    seconds = sum(part * _seconds_at(composite, *middle) for part, middle in measured_parts(composite))
+    return float(f"{seconds * samples:.2g}")
+
+
+def _seconds_at(composite: Composite, column: float, row: float) -> float:
+    """Return the time that a sample takes to be read and built, measured in a window around a column and row."""
     grid = composite.grid
     for side in (FIRST_SIDE, MEASURED_SIDE):  # the first window opens files, loads kernels and starts threads
         width, height = min(grid.width, side), min(grid.height, side)
+        left = int(np.clip(column - width / 2, 0, grid.width - width))
+        top = int(np.clip(row - height / 2, 0, grid.height - height))
         started = time.perf_counter()
-        heights, _ = composite.read((grid.height - height) // 2, height, (grid.width - width) // 2, width)
+        heights, _ = composite.read(top, height, left, width)
         from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
-    # With finer tiles, the plan has the samples of a raster without them that takes as long.
-    samples = grid.width * grid.height if composite.finer is None else composite.finer[0].work
-    seconds = (time.perf_counter() - started) * samples / (width * height)
-    return float(f"{seconds:.2g}")
+    return (time.perf_counter() - started) / (width * height)
+
+
+def measured_parts(composite: Composite) -> list[tuple[float, tuple[float, float]]]:
+    """Return the fractions of the extent that take different times a sample, and a column and row in each.
+
+    They are the extent without finer files on coarser ones, and that of these files, where a sample takes several times
+    as long to be blended. Without finer files, the extent is one part.
+    """
+    grid = composite.grid
+    if composite.insets is None:
+        return [(1.0, (grid.width / 2, grid.height / 2))]
+    boxes = composite.boxes - np.array([grid.column, grid.row] * 2)
+    columns = np.linspace(0, grid.width - 1, MEASURED_POINTS)
+    rows = np.linspace(0, grid.height - 1, MEASURED_POINTS)
+    finer = boxes[composite.levels > 0]
+    distances, is_covered = _box_distances(finer, columns, rows), _box_distances(boxes, columns, rows) == 0.0
+    part = float(np.mean(distances[is_covered] == 0.0))
+    farthest = np.unravel_index(np.argmax(np.where(is_covered, distances, -1.0)), distances.shape)
+    largest = finer[np.argmax((finer[:, 2:] - finer[:, :2]).prod(axis=1))]
+    middle = float(largest[[0, 2]].mean()), float(largest[[1, 3]].mean())
+    parts = [(1.0 - part, (float(columns[farthest[1]]), float(rows[farthest[0]]))), (part, middle)]
+    return [found for found in parts if found[0] > 0.0]
+
+
+def _box_distances(boxes: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the distance of points of a grid to the nearest box, along the axis on which it is larger.
+
+    boxes: float64 [n, 4], first column and row and last ones. columns, rows: those of the points; every row is combined
+    with every column.
+    """
+    nearest = np.full((len(rows), len(columns)), np.inf)
+    for left, top, right, bottom in boxes:
+        across = np.maximum(np.maximum(left - columns, columns - right), 0.0)
+        down = np.maximum(np.maximum(top - rows, rows - bottom), 0.0)
+        np.minimum(nearest, np.maximum(across, down[:, None]), out=nearest)
+    return nearest

@@ -6,6 +6,8 @@ import json
 import numpy as np
 import pytest
 import rasterio
+from adaptive_terrain.cbt_terrain.mosaic import report
+from adaptive_terrain.cbt_terrain.mosaic.composite import Composite
 from adaptive_terrain.cbt_terrain.mosaic.edges import find_edges
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import (
@@ -104,6 +106,27 @@ def test_the_time_is_measured_on_one_large_window(tmp_path, monkeypatch):
     assert _expected_seconds(composite) > 0.0
     assert windows[-1] == (43, 513, 93, 513) and composite.grid.width == 700 and composite.grid.height == 600
     assert sum(rows * columns for _, rows, _, columns in windows[:-1]) < 0.1 * 513**2
+
+
+@pytest.mark.parametrize(("column", "row"), [(140, 140), (20, 230)])
+def test_the_time_of_a_blended_inset_counts_by_its_area(tmp_path, monkeypatch, column, row):
+    """A blended sample takes ten times as long; the inset of 6 % lies in the middle of the extent, or elsewhere."""
+    country = sheet(UTM32, EAST, NORTH, 25.0, 25.0, 320, 320).write(tmp_path / "country.tif")
+    city = sheet(UTM32, EAST + 25 * column, NORTH - 25 * row, 5.0, 5.0, 400, 400).write(tmp_path / "city.tif")
+    composite, clock, read = opened(country, city), [0.0], Composite.read
+
+    def timed_read(self, top, rows, left, columns):
+        """Read, and let the clock say 1 us a sample, or 10 us in the window of an inset."""
+        city_columns = 5 * column < left + columns / 2 < 5 * column + 400
+        is_blended = city_columns and 5 * row < top + rows / 2 < 5 * row + 400
+        clock[0] += rows * columns * (1e-5 if is_blended else 1e-6)
+        return read(self, top, rows, left, columns)
+
+    monkeypatch.setattr(Composite, "read", timed_read)
+    monkeypatch.setattr(report.time, "perf_counter", lambda: clock[0])
+    number = composite.grid.width * composite.grid.height
+    inset = (400 / 1596) ** 2
+    assert _expected_seconds(composite) == pytest.approx(number * 1e-6 * (1.0 + 9.0 * inset), rel=0.1)
 
 
 def test_info_describes_several_files_as_one_terrain(pair, tmp_path, capsys):

@@ -12,6 +12,7 @@ from ..field.lands import LANDS
 from ..formats.archives import is_archive, unpacked
 from ..formats.sources import check_file, open_source
 from ..rasters.raster import ImportSettings, Raster
+from ..rasters.source_formats import all_drivers
 from ..run import child
 from ..sandbox.guard import guard
 from ..sandbox.store_job import ask, serve
@@ -97,11 +98,11 @@ def _fields(settings: ImportSettings, raster: Raster) -> dict:
 
 
 def _gdal_versions() -> dict:
-    """Return GDAL's version, its drivers and the rights that this process has dropped."""
+    """Return GDAL's version, its drivers that read height maps, and the rights that this process has dropped."""
     import rasterio
     from rasterio import _env
 
-    rights = guard([Path("any.vrt")], None)  # a VRT keeps the drivers of all files that it may name
     with rasterio.Env() as env:
-        drivers = sorted(env.drivers())
+        drivers = sorted(all_drivers() & env.drivers().keys())
+    rights = guard([Path("any.vrt")], None)
     return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": rights}

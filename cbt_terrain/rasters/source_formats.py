@@ -132,6 +132,12 @@ def suffixes_with(option: str) -> tuple[str, ...]:
     return tuple(suffix for suffix, form in FORMATS.items() if option in form.options)
 
 
+def all_drivers() -> set[str]:
+    """Return the GDAL drivers of all formats of height maps. A process that reads one keeps `drivers_of` alone."""
+    forms = {form for listed in FORMATS.values() for form in (listed, *listed.others)}
+    return {form.driver for form in forms} - {""}
+
+
 def drivers_of(form: SourceFormat) -> set[str]:
     """Return the GDAL drivers that a file of a format needs: its own, or those of all files that a VRT may name."""
     if form.driver == "VRT":

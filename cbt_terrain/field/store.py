@@ -108,7 +108,8 @@ def read_json(path: Path, file: Path | None = None) -> dict:
         content = json.loads(text.decode("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         what = f"There is no terrain store at {path}"
-        raise TerrainError(what, expected="a folder that `import` has written") from None
+        fix = "choose its folder (--store, or Store in Blender), or import again"
+        raise TerrainError(what, expected="a folder that `import` has written", fix=fix) from None
     except (OSError, ValueError, RecursionError) as reason:
         raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
     is_finer = isinstance(content, dict) and "finer" in content

@@ -27,6 +27,11 @@ def test_a_text_from_outside_cannot_command_the_terminal(capsys):
         (["bake", "--store", "x", "--max-error", "1", "--displacement", "2", "--out", "a.npz"], 2, "--detail"),
         (["bake", "--store", "x", "--max-error", "1", "--detail", "0,2", "--out", "a.npz"], 2, "--detail"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.npz"], 1, "no terrain store at x"),
+        (
+            ["map", "--store", "x", "--out", "a.tif"],
+            1,
+            "choose its folder (--store, or Store in Blender), or import again",
+        ),
         (["export", "--frames", "1", "--format", "npz", "--out", "x"], 2, "--scene --store is required"),
         (["export", "--store", "x", "--frames", "1", "--format", "npz", "--out", "x"], 2, "needs --path"),
         (["export", "--store", "x", "--scatter", "--frames", "1", "--format", "npz", "--out", "x"], 2, "to --scene"),

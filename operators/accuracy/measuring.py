@@ -26,6 +26,7 @@ class MeasuringOperator(JobOperator):
     """
 
     kind = jobs.MEASURE
+    shows_error_on_panel = False
     poll_s = jobs.CALL_S  # its thread may ask for calls on the main one between timed runs
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:

@@ -182,7 +182,7 @@ def test_a_missing_store_is_told_and_no_path_changes(scene, add_terrain, tmp_pat
     terrain.adaptive_terrain.store = "/nowhere/store"
     with pytest.raises(RuntimeError, match="no terrain store at /nowhere/store"):
         bpy.ops.adaptive_terrain.pack_store()
-    assert terrain.adaptive_terrain.store == "/nowhere/store"
+    assert terrain.adaptive_terrain.store == "/nowhere/store" and session.record_of(terrain).status.error == ""
 
 
 def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):

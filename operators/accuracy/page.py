@@ -147,7 +147,7 @@ def main_figures(row: Row) -> list[tuple[str, str]]:
     return [
         (f"{row.triangles:,}", "triangles"),
         (f"{row.whole_ms:.3g} ms", "a frame, from the camera to the finished mesh"),
-        (bound_text(row.bound, unit), f"the bound, for {setting_label(row.setting)} asked"),
+        (bound_text(row.bound, unit), f"the bound, for {setting_label(row.setting)} requested"),
         (f"{row.error:.3g} {unit}", "the largest error that was measured"),
         (f"{row.surface_mb:.3g} MB", "the mesh in memory"),
     ]
@@ -266,8 +266,8 @@ def cost_sentences(subject: AccuracySubject) -> list[str]:
         (coarse, coarse_ms), (triangles, ms), (fine, fine_ms) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         text.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
-            f"{difference_text(fine_ms - ms, ms)} of CPU and {fine - triangles:,.0f} triangles; doubling it "
-            f"to {error * 2:g} {unit} saves {difference_text(ms - coarse_ms, ms)} of CPU and "
+            f"{difference_text(fine_ms - ms, ms)} and {fine - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {difference_text(ms - coarse_ms, ms)} and "
             f"{triangles - coarse:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
@@ -281,7 +281,7 @@ def difference_text(difference_ms: float, whole_ms: float) -> str:
     difference_ms: below 0 if the finer error was measured to be faster, which is noise, too. whole_ms: the measured
     time, of which NOISE is the noise.
     """
-    return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
+    return f"{difference_ms:.3g} ms of CPU" if difference_ms > NOISE * whole_ms else "no measurable time"
 
 
 def overview_table(rows: list[Row], current: Setting | None) -> Table:
@@ -294,7 +294,7 @@ def overview_table(rows: list[Row], current: Setting | None) -> Table:
         for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
             front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
             fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
-    head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
+    head = ["setting", "bound", "measured", "measured / requested", "triangles", "ms", "mesh, MB", "buffers, MB"]
     lines = []
     for row in rows:
         unit, name = row.setting.unit, setting_label(row.setting) + (" (current)" if row.setting == current else "")

@@ -67,7 +67,7 @@ def plot_curves(rows: "list[Row]", cost: str, current: "Row | None") -> list[Cur
     other_name = other[0].setting.interpolation if other else ""
     front = pareto_rows(rows, cost)
     found = [
-        Curve("asked", SOFT, points(plain, lambda row: row.setting.error), dash="2 4"),
+        Curve("requested", SOFT, points(plain, lambda row: row.setting.error), dash="2 4"),
         Curve("bound", TEAL, points(plain, bound)),
         Curve("measured", RED, points(plain, measured), spans=time_spreads(plain, cost)),
         Curve(f"{other_name}, measured", PURPLE, points(other, measured)),

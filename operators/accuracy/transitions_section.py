@@ -9,7 +9,7 @@ from ..text.page_blocks import Heading, Plot, Table, Text
 from ..text.svg import BLUE, RED
 
 HEAD = [
-    "asked",
+    "requested",
     "pops: max, without",
     "smooth",
     "p99.9, without",
@@ -83,4 +83,4 @@ def _draw_jumps(pairs: list[tuple[Row, Row]]) -> str:
         for part, label, dash in (("max", "largest", ""), ("p999", "99.9 %", "7 4")):
             points = [(pair[i].setting.error, getattr(pair[i].popping_px, part)) for pair in pairs]
             curves.append(Curve(f"{name}, {label}", colour, points, dash))
-    return draw(curves, "error asked, px", "jump, px")
+    return draw(curves, "requested error, px", "jump, px")

@@ -2,7 +2,7 @@
 """Definitions of the words on the page of `accuracy`."""
 
 WORDS = [
-    ("asked", "The error that the mesh was refined for."),
+    ("requested", "The error that the mesh was refined for."),
     (
         "bound",
         "The promise of the refinement: no visible point of the terrain (pixels), no point at all (metres) has a "

@@ -48,7 +48,9 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
         names = [*names, *FOUND]
     write_csv(names, lines, out)
     where = f"in {placing.crs}" if placing.crs else "in metres from the terrain's middle"
-    line = f"{len(lines):,} places, x and y {shown(where)}; {int((~inside).sum()):,} have no ground"
+    missing = int((~inside).sum())
+    line = f"{len(lines):,} place{'s' * (len(lines) != 1)}, x and y {shown(where)}; "
+    line += f"{missing:,} {'has' if missing == 1 else 'have'} no ground"
     print_line(line, file=sys.stderr if out is None else sys.stdout)
 
 

@@ -45,7 +45,7 @@ def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, fro
     assert accuracy_plots.setting_label(smooth.setting).endswith(", bicubic")
     plain = curves["measured"].points
     assert [y for _, y in plain] == [row.error for row in rows if row.setting.is_plain]
-    assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]
+    assert [x for x, _ in curves["requested"].points] == [x for x, _ in plain]
 
 
 def test_each_interpolation_has_a_pareto_front_of_its_own():
@@ -162,6 +162,13 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
     subject.rows = [dataclasses.replace(rows[0], spread_ms=(10.0, 20.0)), *rows[1:]]
     assert [curve.unit for curve in accuracy_page.cost_curves(subject)] == ["px"]
     assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.error_plots(subject, "px", None)) == 2
+
+
+def test_a_difference_within_the_noise_is_a_plain_sentence():
+    assert (
+        accuracy_page.difference_text(0.001, 10.0) == accuracy_page.difference_text(-1.0, 10.0) == "no measurable time"
+    )
+    assert accuracy_page.difference_text(5.0, 10.0) == "5 ms of CPU"
 
 
 def test_there_is_no_curve_if_the_limit_stopped_all_rows():

@@ -42,7 +42,7 @@ def test_coordinates_are_those_of_the_raster(name, query, tmp_path):
         cells = [(row, column) for row in (0, 9, 21) for column in (0, 17, 30)]
         points = [file.xy(row, column) for row, column in cells]
     code, rows, printed = query(["name,x,y", *(f"p{n},{x!r},{y!r}" for n, (x, y) in enumerate(points)), "far,0,0"])
-    assert code == 0 and f"10 places, x and y in {PLACED[name]['crs']}; 1 have no ground" in printed.err
+    assert code == 0 and f"10 places, x and y in {PLACED[name]['crs']}; 1 has no ground" in printed.err
     assert [row["name"] for row in rows] == [*(f"p{n}" for n in range(9)), "far"]
     found = [float(row["height_m"]) for row in rows[:-1]]
     assert np.abs(np.array(found) - [heights[cell] for cell in cells]).max() < 1e-3
@@ -53,7 +53,7 @@ def test_slopes_and_normals_of_a_plane(query, tmp_path):
     plane = np.tile(np.arange(12, dtype=np.float32) * np.float32(10 / math.sqrt(3)), (9, 1))
     imported(tmp_path, write_raster(tmp_path / "a.tif", plane), extent=(110.0, 80.0))
     code, (row,), printed = query(["\ufeff x , y", "", "3.5,-1e1"])
-    assert code == 0 and "in metres from the terrain's middle; 0 have no ground" in printed.err
+    assert code == 0 and "1 place, x and y in metres from the terrain's middle; 0 have no ground" in printed.err
     assert float(row["slope_deg"]) == pytest.approx(30, abs=1e-5)
     assert float(row["normal_x"]) == pytest.approx(-0.5, abs=1e-6) and float(row["normal_y"]) == 0
 

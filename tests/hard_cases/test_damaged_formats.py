@@ -5,11 +5,21 @@ import os
 
 import numpy as np
 import pytest
+import rasterio
 from height_files import WRITERS, heights
 from hostile_files import damaged
 from sandboxed_reads import read_in_sandbox
 
+# Options that imports set for the rest of their process.
+OF_IMPORTS = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 MANY = max(6, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 100)
+
+
+def test_files_are_written_after_an_import_in_this_process(tmp_path):
+    """The test below failed after one of a mosaic, because GDAL found no header beside a .flt file."""
+    with rasterio.Env(**OF_IMPORTS):
+        for name, (write, place, _) in WRITERS.items():
+            assert write(tmp_path / name, heights(), *place).stat().st_size > 0
 
 
 @pytest.mark.parametrize("files", [2, pytest.param(MANY, marks=pytest.mark.thorough)])

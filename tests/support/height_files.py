@@ -225,7 +225,8 @@ def through_gdal(driver, place, **options):
         kind = np.int16 if driver == "JP2OpenJPEG" else np.float32
         plain = np.where(np.isnan(values), -9999, values).astype(kind)
         original = write_raster(path.parent / "original.tif", plain, crs=crs, transform=corner, nodata=-9999)
-        with rasterio.Env(GDAL_PAM_ENABLED="YES"):  # an import in this process has switched it off
+        # An import in this process may have switched off .aux.xml files and, for a mosaic, the listing of folders.
+        with rasterio.Env(GDAL_PAM_ENABLED="YES", GDAL_DISABLE_READDIR_ON_OPEN="FALSE"):
             rasterio.shutil.copy(original, path, driver=driver, **options)
         return path
 

@@ -151,7 +151,8 @@ def test_an_import_prints_the_report_before_it_works(pair, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     names = [line.partition(":")[0] for line in lines]
     assert names.index("seam_median_m") < names.index("expected_disk_mb") < names.index("lowest_m")
-    assert names.count("files") == 1 and lines[-1].startswith(store)
+    assert names.count("files") == 1 and lines[-1].startswith(store) and "ready after" in lines[-1]
+    assert "seconds" not in names  # a second time, of the work without its start
     assert command_line.main(["info", store]) == 0
     assert "seam_max_m: " in capsys.readouterr().out
 

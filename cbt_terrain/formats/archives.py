@@ -266,7 +266,9 @@ def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes
 
 
 def _damaged(path: Path, reason: Exception) -> TerrainError:
-    """Return the error about an archive that cannot be unpacked."""
+    """Return the error about an archive that is missing or cannot be unpacked."""
+    if isinstance(reason, FileNotFoundError):
+        return TerrainError(f"{shown(path)} does not exist", expected="the file of a height map")
     what = f"{shown(path)} cannot be unpacked ({shown(reason).rstrip('.') or type(reason).__name__})"
     return TerrainError(what, expected="a whole archive, and room for its content", fix="get it again")
 

@@ -145,6 +145,13 @@ def test_an_unusable_archive_is_one_error_and_leaves_nothing(tmp_path, name):
     assert not (tmp_path / "store").exists()
 
 
+def test_a_missing_archive_among_several_sources_does_not_exist(tmp_path):
+    named = str(tmp_path / "no.zip")
+    for settings in (ImportSettings(named, more_sources=("a.tif",)), ImportSettings("a.tif", more_sources=(named,))):
+        with pytest.raises(TerrainError, match="no.zip does not exist; expected the file of a height map"):
+            import_source(settings, tmp_path / "store")
+
+
 @pytest.mark.parametrize("more", [(), ("https://tiles.org/12/7/9.png",)])
 def test_a_web_address_is_refused_with_the_way_out(tmp_path, more):
     for name in ("https://tiles.org/12/7/8.png", "http://tiles.org/a.zip")[: 1 if more else 2]:

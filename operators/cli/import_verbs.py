@@ -55,8 +55,8 @@ def run_import(arguments) -> None:
         print_fields(report)
         return
     printed = previews[0] if previews else {}  # only fields and warnings that are new or have changed are printed again
-    report["warnings"] = [text for text in report["warnings"] if text not in printed.get("warnings", ())]
-    report.pop("seconds")  # without the start and the headers, which are in the time of the last line
+    report["warnings"] = [text for text in report.get("warnings", []) if text not in printed.get("warnings", ())]
+    report.pop("seconds", None)  # without the start and the headers, which are in the time of the last line
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 

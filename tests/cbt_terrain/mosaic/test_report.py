@@ -110,7 +110,7 @@ def test_the_time_is_measured_on_one_large_window(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("column", "row"), [(140, 140), (20, 230)])
 def test_the_time_of_a_blended_inset_counts_by_its_area(tmp_path, monkeypatch, column, row):
-    """A blended sample takes ten times as long; the inset of 6 % lies in the middle of the extent, or elsewhere."""
+    """A blended sample takes ten times as long; the inset of 6 % lies in the middle, or near a corner."""
     country = sheet(UTM32, EAST, NORTH, 25.0, 25.0, 320, 320).write(tmp_path / "country.tif")
     city = sheet(UTM32, EAST + 25 * column, NORTH - 25 * row, 5.0, 5.0, 400, 400).write(tmp_path / "city.tif")
     composite, clock, read = opened(country, city), [0.0], Composite.read

@@ -21,6 +21,7 @@ from ..rasters.driver_gaps import band_facts
 from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
 from ..rasters.raster import ImportSettings, Raster, blank, cause
 from ..rasters.rasterio_types import DatasetReader
+from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
 from ..rasters.sidecars import allow_aux_file, named_crs
 from ..rasters.source_formats import SourceFormat
@@ -30,6 +31,8 @@ from .format_choice import format_of
 from .gdal_files import OpenedVrt, open_file, open_vrt, start_gdal
 from .vrt_rounding import mosaic_roundings
 from .vrt_units import mosaic_notes
+
+BLOCK_ROWS = 128  # of a resampled raster, that are read together
 
 
 def keep_only_drivers(wanted: set[str]) -> list[str]:
@@ -141,26 +144,27 @@ def raster_of(
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
     raster = _stored_raster(path, dataset, settings, driver, grid)
-    view, projected_from = None, ""
+    plan, projected_from, placed_size = None, "", (dataset.width, dataset.height)
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
         from ..rasters.reproject import reproject
 
         projected_from = grid.name if settings.project else "a sheared grid"
-        view, grid = reproject(path, dataset, grid, stored, settings)
+        plan = reproject(path, dataset, grid, settings)
+        grid, placed_size = (
+            FileGrid(plan.target.crs if settings.project else grid.crs, plan.target.transform),
+            plan.size,
+        )
         if not settings.project:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
-        if float_alpha(dataset, band):
-            notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
-    placed = raster if view is None else _resampled(path, raster, view, band)
-    georeference = _georeference(grid, placed.width, placed.height, settings)
+    georeference = _georeference(grid, *placed_size, settings)
     is_sized = georeference is not None
     if georeference is None and driver == "GTiff":  # the orientation gives directions, but no size
         georeference = orientation_georeference(orientation_of(path))
     if georeference is None and mosaic is not None:
         notes += orientation_notes(mosaic.sources)
-    return dataclasses.replace(
-        placed,
+    placed = dataclasses.replace(
+        raster,
         georeference=georeference,
         is_sized=is_sized,
         read_grid=grid if is_sized else None,
@@ -171,9 +175,9 @@ def raster_of(
         roundings=roundings,
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
-        # without a view, the dataset is closed twice, which does no harm
-        close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
+        close=lambda: _close(dataset, *(vrt.texts if vrt is not None else ())),
     )
+    return placed if plan is None else _resampled(placed, plan)
 
 
 def _check_band(path: Path, dataset: DatasetReader, band: int) -> None:
@@ -204,28 +208,36 @@ def _stored_raster(path: Path, dataset: DatasetReader, settings: ImportSettings,
 
 
 def _close(*files: DatasetReader) -> None:
-    """Close files in this order: a view before the dataset that it reads."""
+    """Close files in this order: a VRT before the texts that it reads."""
     for file in files:
         file.close()
 
 
-def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> Raster:
-    """Return the raster of a resampled view of the dataset of `original`; missing samples of the view are NaN.
+def _resampled(original: Raster, plan: Resampling) -> Raster:
+    """Return a raster on another grid. original: the file's own raster, with the georeference of that grid."""
+    assert original.window is not None, "GDAL reads windows"
+    file = ResampledFile(plan, original.window)
 
-    band: its number. original: the raster before.
-    """
-    window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
-    return dataclasses.replace(
+    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
+        """Read a window, and keep the largest error of positions."""
+        file.moved = 0.0
+        values = file.window(first, count, column, columns)
+        raster.moved = max(raster.moved, file.moved)
+        return values
+
+    width, height = plan.size
+    raster = dataclasses.replace(
         original,
-        width=view.width,
-        height=view.height,
-        read=lambda first, count: window(first, count, 0, view.width),
+        width=width,
+        height=height,
+        read=lambda first, count: window(first, count, 0, width),
         window=window,
         overview=lambda _max_factor: None,
         grid=None,
-        block_rows=view.block_shapes[band - 1][0],
+        block_rows=BLOCK_ROWS,
         original=original,
     )
+    return raster
 
 
 def _window_reader(

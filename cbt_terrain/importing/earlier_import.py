@@ -18,6 +18,7 @@ from ..rasters.sidecars import sidecars
 from .source_list import absolute_source, file_stat, files_of, may_name_several, names_several
 
 METHOD = 2  # increased when the same source gives a different store
+RESAMPLING = 1  # increased when the same reprojected file gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
 ADDED_SETTINGS = (
     *("more_sources", "priority", "step", "blend"),
@@ -105,6 +106,7 @@ def source_digest(
             name, size, changed_ns = file_stat(file)
             parts.append((paths.get(name, name), size, changed_ns))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    parts += [RESAMPLING] if settings.project else []
     if not may_name_several(settings):
         settings.check_file()
     if settings.source not in LANDS:

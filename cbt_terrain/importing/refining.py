@@ -75,13 +75,14 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         if raster.window is None:  # whole rows are read
             left, num_columns = 0, raster.width
         bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // num_columns)  # rows that are read together
-        parts = []
+        parts, raster.moved = [], 0.0
         for band in np.split(wanted_rows, np.flatnonzero(np.diff(bands)) + 1):
             top, num_rows = int(band[0]), int(band[-1] - band[0]) + 1
             read = (
                 raster.read(top, num_rows) if raster.window is None else raster.window(top, num_rows, left, num_columns)
             )
             parts.append(read[np.ix_(band - top, wanted_columns - left)])
+        fine.moved = max(fine.moved, raster.moved)  # of a reprojected raster
         return np.concatenate(parts)
 
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)

@@ -49,8 +49,7 @@ def positions(count: int, stride: int) -> np.ndarray:
 def thinned(raster: Raster, settings: ImportSettings) -> Raster:
     """Return a raster of at most `settings.quick` samples of another, or that raster if it needs no quick import.
 
-    It reads the other one, or an overview of its file, and closes both. Heights of a reprojected raster are within its
-    stated error of those of the complete import, because GDAL's depend on the rows that are read together.
+    It reads the other one, or an overview of its file, and closes both.
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     if stride == 1:
@@ -68,7 +67,9 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         """Return `count` rows from row `first` on of the coarse raster."""
         if raster.pick is None:
             wanted = wanted_rows[first : first + count]
-            return np.concatenate([source.read(int(row), 1)[:, wanted_columns] for row in wanted])
+            values = np.concatenate([source.read(int(row), 1)[:, wanted_columns] for row in wanted])
+            coarse.moved = max(coarse.moved, source.moved)  # of a reprojected raster
+            return values
         values = raster.pick(rows[first : first + count], columns)
         coarse.shifted = raster.shifted  # the error of datums, which `pick` has set
         return values

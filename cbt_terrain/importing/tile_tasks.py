@@ -202,12 +202,9 @@ def _is_by_tile(source: TileSource) -> bool:
 
 
 def _unit_rows(grid: TileGrid, raster: Raster) -> int:
-    """Return the rows of a unit, a multiple of those that are read together.
-
-    A resampled raster is one unit: its values depend on the rows that are read together.
-    """
+    """Return the rows of a unit, a multiple of those that are read together."""
     at_once = raster.rows_at_once
-    return raster.height if raster.original is not None else -(-grid.side // at_once) * at_once
+    return -(-grid.side // at_once) * at_once
 
 
 def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:

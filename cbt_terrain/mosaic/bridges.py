@@ -7,8 +7,7 @@ such tiles is linear between two borders one cell apart, so tiles without a shar
 
 import numpy as np
 
-from .positions import BLOCK, SNAPPED, BlockNodes
-from .windows import UNCOVERED, GridPiece, LatticeWindow
+from ..rasters.grid_pieces import BLOCK, SNAPPED, UNCOVERED, BlockNodes, GridPiece, LatticeWindow
 
 # Sum of weights from which on a sample has a height: the outer cells of a single tile are half a cell wide.
 MIN_WEIGHT = 0.5 - 1e-9

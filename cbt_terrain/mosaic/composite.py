@@ -17,6 +17,18 @@ from ..errors import TerrainError
 from ..formats.archives import UnpackedFiles
 from ..formats.gdal_source import open_overview
 from ..importing.source_list import file_stat
+from ..rasters.grid_pieces import (
+    BLOCK,
+    NO_DATA,
+    SNAPPED,
+    UNCOVERED,
+    BlockNodes,
+    GridPiece,
+    LatticeWindow,
+    PieceValues,
+    empty_values,
+    pieces_of,
+)
 from ..rasters.raster import NEWEST, RESOLUTION, ImportSettings, Raster
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
@@ -24,21 +36,11 @@ from .datums import find_shifts
 from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
-from .positions import BLOCK, SNAPPED, BlockNodes, is_congruent, nodes_of
+from .positions import is_congruent, nodes_of
 from .resampling import FoundLattice, resample_levels
 from .seam_records import SeamRecords
 from .target_grid import Footprints, TargetGrid
-from .windows import (
-    NO_DATA,
-    UNCOVERED,
-    GridPiece,
-    LatticeWindow,
-    PieceValues,
-    at_corners,
-    empty_values,
-    pieces_of,
-    source_box,
-)
+from .windows import at_corners, source_box
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each

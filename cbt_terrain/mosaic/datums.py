@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import TerrainError, shown
+from ..rasters.grid_pieces import interpolation_error
 from ..run.child import GRID_FOLDERS
 from .catalogue import SourceTile
-from .positions import interpolation_error
 from .systems import ELLIPSOID, crs_of, projected
 
 GEOGRAPHIC, GEOGRAPHIC_3D = "EPSG:4326", "EPSG:4979"  # the second with heights above the ellipsoid of WGS 84

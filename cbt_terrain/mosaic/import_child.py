@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..formats.archives import UnpackedFiles, height_maps, unpacking
 from ..formats.sources import check_file
@@ -127,7 +126,7 @@ def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict
 
 def guard_mosaic(settings: ImportSettings, path: Path) -> None:
     """Drop this process's rights before the files of a mosaic are opened. path: the store's folder."""
-    guard_import(settings, path, paths_of(settings), more_kernels=(resample,))
+    guard_import(settings, path, paths_of(settings))
 
 
 def idle_main(line: bytes) -> None:

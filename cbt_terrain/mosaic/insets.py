@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..rasters.grid_pieces import BLOCK, GridPiece, PieceValues
 from .lattices import TileLattice
-from .positions import BLOCK
 from .seam_records import SeamRecords
 from .target_grid import TargetGrid
-from .windows import GridPiece, PieceValues
 
 RING = 32  # samples of the coarser tiles between the border of an inset and its own heights
 MIN_RATIO = 1.9  # of the steps of two levels

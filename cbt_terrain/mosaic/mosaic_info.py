@@ -6,7 +6,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..formats.archives import UnpackedFiles
 from ..importing.source_info import describe_alone
@@ -42,7 +41,7 @@ def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
         return describe_alone(settings)
     check_settings(settings)
     folder = scratch if has_archives(settings) else None
-    guard_import(settings, folder, paths_of(settings), more_kernels=(resample,))
+    guard_import(settings, folder, paths_of(settings))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:
         return _report(settings, on_progress, files)

@@ -5,38 +5,15 @@ PROJ computes them at nodes of the grid, and between nodes they are interpolated
 places, and each block is computed as a whole, so a position does not depend on the window that is read.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
+from ..rasters.grid_pieces import BLOCK, MARGIN, SNAPPED, SPACINGS, BlockNodes, interpolation_error
 from .lattices import TileLattice
 from .systems import period_of, projected
 from .target_grid import TargetGrid
 
-BLOCK = 1024  # samples of a side
-SPACINGS = (32, 16, 8, 4, 2)  # samples between nodes, the first whose error is small enough, else 1
 # Largest error of an interpolated position, source samples, for which wider nodes are used.
 MAX_ERROR = 0.01
-# Bilinear interpolation is off by at most the sum of the errors in the middles of a cell's sides, plus the change of
-# curvature inside it.
-MARGIN = 1.25
-SNAPPED = 1e-6  # see SNAP in kernels/mosaic/resample.py
-
-
-class BlockNodes(NamedTuple):
-    """Nodes of one block of the grid.
-
-    Attributes:
-        u, v: float64 [nodes, nodes], columns and rows of the lattice; not finite where there are none.
-        spacing: samples between nodes.
-        error_u, error_v: largest errors of interpolated columns and rows, source samples.
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    spacing: int
-    error_u: float
-    error_v: float
 
 
 def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
@@ -93,19 +70,3 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
         x = x - circle * np.round((block_middle - tiles_middle) / circle)
     u, v = lattice.indices(x, y)
     return u.reshape(columns.shape), v.reshape(columns.shape)
-
-
-def interpolation_error(exact: np.ndarray) -> float:
-    """Return the largest error of values that are interpolated between every second row and column.
-
-    exact: [2 n + 1, 2 m + 1], of which the even rows and columns are nodes. The error is measured at the odd ones, and
-    summed over both axes. Values that are not finite do not count.
-    """
-    total = 0.0
-    with np.errstate(invalid="ignore"):
-        for values in (exact, exact.T):
-            nodes = values[::2]
-            deviations = np.abs(values[1::2, ::2] - (nodes[:-1, ::2] + nodes[1:, ::2]) / 2)
-            deviations = deviations[np.isfinite(deviations)]
-            total += float(deviations.max()) if deviations.size else 0.0
-    return total

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import TerrainError, shown
+from ..rasters.file_grid import find_positions
 
 # Names of vertical datums by EPSG code; others have the name of their system.
 DATUMS = {5773: "EGM96", 5171: "EGM84", 5798: "EGM84", 3855: "EGM2008", 5703: "NAVD88", 6360: "NAVD88", 8228: "NAVD88"}
@@ -72,18 +73,15 @@ def projected(source: str, target: str, x: np.ndarray, y: np.ndarray) -> tuple[n
     of a call, so results depend on the whole set. Raises TerrainError for systems without a common one. target: name of
     the other system.
     """
-    from rasterio.warp import transform
-
     if source == target:
         return x, y
     try:
-        transformed = transform(crs_of(source), crs_of(target), x, y)
+        return find_positions(crs_of(source), crs_of(target), x, y)
     except Exception as reason:  # PROJ raises many kinds
         raise TerrainError(
             f"{shown(source, 80)} and {shown(target, 80)} have no common coordinate system ({shown(reason)})",
             fix="give another target (--project), or import the files apart",
         ) from reason
-    return np.array(transformed[0]), np.array(transformed[1])
 
 
 def period_of(crs: str) -> float:

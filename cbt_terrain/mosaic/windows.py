@@ -1,93 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of a mosaic's grid that are resampled together, and the source samples for them."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
-
 import numpy as np
 
+from ..rasters.grid_pieces import BLOCK, EDGE, BlockNodes, GridPiece
 from .lattices import TileLattice
-from .positions import BLOCK, BlockNodes
-
-UNCOVERED, NO_DATA = -1, -2  # ranks, as in kernels/mosaic/resample.py
-EDGE = 3  # source samples around those that a piece is interpolated from
-
-
-class GridPiece(NamedTuple):
-    """A part of one block of the grid: its first column and row, as numbers of the grid, and its size."""
-
-    column: int
-    row: int
-    columns: int
-    rows: int
-
-    @property
-    def block(self) -> tuple[int, int]:
-        """Return the numbers of the block."""
-        return self.column // BLOCK, self.row // BLOCK
-
-    def halves(self) -> tuple["GridPiece", "GridPiece"]:
-        """Return the two halves of the piece, divided along its longer side."""
-        if self.columns >= self.rows:
-            left = self.columns // 2
-            return self._replace(columns=left), self._replace(column=self.column + left, columns=self.columns - left)
-        top = self.rows // 2
-        return self._replace(rows=top), self._replace(row=self.row + top, rows=self.rows - top)
-
-
-class LatticeWindow(NamedTuple):
-    """Samples of a lattice around those that a piece needs.
-
-    Attributes:
-        values: float64 [rows, columns], NaN where missing.
-        ranks: int32 [rows, columns], rank of each sample's tile; UNCOVERED, or NO_DATA in a tile.
-        left, top: column and row of the lattice of the first sample.
-        rectangles: int64 [n, 4], those of the tiles near the piece.
-        tile_ranks: ranks of these tiles.
-    """
-
-    values: np.ndarray
-    ranks: np.ndarray
-    left: int
-    top: int
-    rectangles: np.ndarray
-    tile_ranks: np.ndarray
-
-
-class PieceValues(NamedTuple):
-    """Resampled values of a piece.
-
-    Attributes:
-        values: float64 [rows, columns], NaN where missing.
-        ranks: int32 [rows, columns], rank of each value's tile; UNCOVERED, or NO_DATA in a tile.
-        moved: float64 [rows, columns], largest difference that the error of the position makes.
-    """
-
-    values: np.ndarray
-    ranks: np.ndarray
-    moved: np.ndarray
-
-    def copy(self) -> "PieceValues":
-        """Return a copy of the arrays."""
-        return PieceValues(self.values.copy(), self.ranks.copy(), self.moved.copy())
-
-
-def empty_values(piece: GridPiece) -> PieceValues:
-    """Return the values of a piece before any tile is read: NaN, and the rank UNCOVERED."""
-    shape = piece.rows, piece.columns
-    return PieceValues(np.full(shape, np.nan), np.full(shape, UNCOVERED, np.int32), np.zeros(shape))
-
-
-def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPiece]:
-    """Divide a window of the grid into pieces, each inside one block of BLOCK x BLOCK samples, and yield them.
-
-    row, column: first sample of the window. rows, columns: its size.
-    """
-    for y in range(row // BLOCK, (row + rows - 1) // BLOCK + 1):
-        y0, y1 = max(row, y * BLOCK), min(row + rows, (y + 1) * BLOCK)
-        for x in range(column // BLOCK, (column + columns - 1) // BLOCK + 1):
-            x0, x1 = max(column, x * BLOCK), min(column + columns, (x + 1) * BLOCK)
-            yield GridPiece(x0, y0, x1 - x0, y1 - y0)
 
 
 def source_box(

@@ -16,6 +16,7 @@ from .units import plane_metres
 
 # Largest distance, cells, of ground control points from the straight grid that replaces them.
 MAX_GCP_CELLS = 0.05
+REPORTED = 20  # positions that GDAL reports as errors for each pair of systems, before it returns infinity
 
 
 class FileGrid(NamedTuple):
@@ -112,6 +113,24 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     latitude = unit["degrees"] * float(grid.positions(width / 2, height / 2)[1])
     along_x, along_y = degree_lengths(latitude, unit["ellipsoid"])
     return is_sheared(grid.placed, along_x, along_y)
+
+
+def find_positions(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions in another coordinate system, float64 [n] each, not finite where there are none.
+
+    Raises rasterio's errors for systems without a common one. target: the other system.
+    """
+    from rasterio.errors import CRSError
+    from rasterio.warp import transform
+
+    for _ in range(REPORTED):
+        try:
+            return tuple(map(np.array, transform(source, target, x, y)))
+        except CRSError:
+            raise
+        except Exception:  # at least one of the positions that GDAL reports
+            continue
+    return tuple(map(np.array, transform(source, target, x, y)))
 
 
 def base_crs(crs: CRS) -> CRS | None:

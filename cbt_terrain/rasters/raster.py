@@ -203,7 +203,7 @@ class Raster:
         height: rows.
         read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
         window: window(first, count, column, columns) returns a part of these rows; None for a raster that is read by
-            whole rows only. Those of a reprojected raster differ by its stated error, because GDAL depends on windows.
+            whole rows only.
         pick: pick(rows, columns) returns the samples of these rows in these columns, [rows, columns] with NaN where
             missing; None for a raster that is read by rows.
         grid: coordinate system and geotransform of the samples, if the file places them.

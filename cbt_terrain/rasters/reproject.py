@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reprojection of a raster to another coordinate system, resampled while it is read.
+"""The grid of a raster in another coordinate system, on which it is resampled while it is read (resampled_file.py).
 
 Resampling is bilinear like the reference surface, so new samples are on the raster's surface. Each is a mean of stored
 values with weights from 0 to 1, so rounding errors do not grow. Cubic weights are partly negative: they overshoot at
@@ -15,11 +15,10 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..view.linear import length, lengths
 from .file_grid import FileGrid
-from .raster import ImportSettings, stands_for_missing
+from .raster import ImportSettings
 from .rasterio_types import CRS, DatasetReader
+from .resampled_file import Resampling
 
-# Largest error, samples, of positions that GDAL interpolates: 3 cm in a raster of 30 m.
-TOLERANCE = 0.001
 BORDER_SAMPLES = 1024  # points of each side that define the new raster's extent
 MAX_GROWTH = 4.0  # largest ratio of new to old samples
 EXTRA_SAMPLES = 1e4  # allowed beyond that ratio, for small rasters
@@ -29,23 +28,12 @@ _MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","
 _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
 
-def reproject(
-    path: Path, dataset: DatasetReader, grid: FileGrid, stored: np.dtype, settings: ImportSettings
-) -> tuple[DatasetReader, FileGrid]:
-    """Return a resampled view of a rasterio dataset, and its grid.
+def reproject(path: Path, dataset: DatasetReader, grid: FileGrid, settings: ImportSettings) -> Resampling:
+    """Return a grid with the north up, about as dense along each axis as a rasterio dataset. Raises TerrainError.
 
-    The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset, which
-    it reads and which has to stay open. Raises TerrainError.
-
-    Args:
-        grid: grid of the dataset.
-        stored: type of its values.
-        settings: `project` names the new coordinate system; if empty, the system stays.
+    grid: grid of the dataset. settings: `project` names the new coordinate system; if empty, the system stays.
     """
     from rasterio.crs import CRS
-    from rasterio.enums import Resampling
-    from rasterio.transform import Affine
-    from rasterio.vrt import WarpedVRT
 
     if grid.problem:
         raise TerrainError(
@@ -60,28 +48,8 @@ def reproject(
     source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
     crs = _target_system(path, dataset, source, settings.project) if settings.project else source.crs
     transform, width, height = _target_grid(path, dataset, source, crs)
-    options = {}
-    if settings.no_data is not None:
-        value = settings.no_data
-        options["src_nodata"] = value if stands_for_missing(value, stored) else None
-    view = WarpedVRT(
-        dataset,
-        src_crs=source.crs,
-        src_transform=Affine(*source.placed),
-        crs=crs,
-        transform=Affine(*transform),
-        width=width,
-        height=height,
-        resampling=Resampling.bilinear,
-        tolerance=TOLERANCE,
-        nodata=math.nan,
-        dtype="float64",
-        working_dtype="float64",
-        XSCALE=1,  # plain interpolation, the same whatever part of the raster is read at once
-        YSCALE=1,
-        **options,
-    )
-    return view, FileGrid(crs if settings.project else grid.crs, transform)
+    size = dataset.width, dataset.height
+    return Resampling(source, FileGrid(crs, transform), size, (width, height))
 
 
 def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:

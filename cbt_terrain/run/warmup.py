@@ -39,11 +39,12 @@ FRAME = "field", "tree", "refine", "budget", "mesh"
 OVERLAY = ("accuracy",)
 OTHERS = "effects", "land", "leb", "detail", "morph", "query", "scatter", "bicubic", "fitting"
 RARE = {f"{HOUSE}refine.horizon_map", f"{HOUSE}refine.split_merge", f"{HOUSE}tree.edits"}  # in rooms of a frame
-# Modules that Set Up Scene, Add Water, Add Scatter and Drop to Ground need. After an installation the children compile
-# them last, so that these buttons seldom wait. They are loaded when a scene first uses them.
+# Modules that Import, Set Up Scene, Add Water, Add Scatter and Drop to Ground need. After an installation the children
+# compile them last, so that these buttons seldom wait. They are loaded when a scene first uses them.
 FIRST_CLICKS = (
     *(f"{HOUSE}effects.{name}" for name in ("catchment", "flow", "footprint", "jet", "pyramid", "routing", "splat")),
     f"{HOUSE}land.water",
+    f"{HOUSE}mosaic.resample",
     *(f"{HOUSE}scatter.{name}" for name in ("points", "seams", "squares", "tile")),
     f"{HOUSE}query.rays",
 )

@@ -64,17 +64,15 @@ def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> Non
         )
 
 
-def guard_import(
-    settings: ImportSettings, path: Path | None, files: Sequence[Path] = (), more_kernels: tuple = ()
-) -> None:
+def guard_import(settings: ImportSettings, path: Path | None, files: Sequence[Path] = ()) -> None:
     """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError.
 
     Args:
         path: None for a process that writes nothing.
         files: the files of a mosaic; by default that of the settings.
-        more_kernels: further modules of kernels to load.
     """
     from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges, window_errors
+    from ...kernels.mosaic import resample
     from ..field.lands import LANDS
     from ..run.warmup import load
 
@@ -86,7 +84,7 @@ def guard_import(
         ranges,
         window_errors,
         *([holes] if settings.holes else []),
-        *more_kernels,
+        *([resample] if settings.source not in LANDS else []),  # also of one file, if it is sheared or reprojected
     ):
         load(module)
     if settings.source in LANDS:

@@ -8,9 +8,8 @@ from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.mosaic import insets
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
-from adaptive_terrain.cbt_terrain.mosaic.positions import BLOCK
 from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
-from adaptive_terrain.cbt_terrain.mosaic.windows import GridPiece
+from adaptive_terrain.cbt_terrain.rasters.grid_pieces import BLOCK, GridPiece
 from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
 
 

@@ -5,12 +5,16 @@ import math
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.georeference import border_error
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
+from adaptive_terrain.cbt_terrain.importing import earlier_import
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line
-from rasterio.transform import from_origin
+from rasterio.transform import Affine, from_origin
+from rasterio.warp import transform
 from rasters import hills, imported, write_exr, write_raster
 from transverse_mercator import utm_to_degrees
 
@@ -93,6 +97,77 @@ def test_blocks_of_rows_make_no_difference(tmp_path):
     whole = raster.read(0, raster.height)
     parts = [raster.read(first, 1) for first in range(raster.height)]
     assert np.array_equal(np.concatenate(parts), whole, equal_nan=True)
+
+
+def sampled(source, raster):
+    """Sample a file bilinearly at the positions of a raster, each transformed by PROJ; NaN beyond the file."""
+    place = raster.georeference
+    x = place.middle[0] + (np.arange(raster.width) - (raster.width - 1) / 2) * place.step_x
+    y = place.middle[1] - (np.arange(raster.height) - (raster.height - 1) / 2) * place.step_y
+    x, y = (values.ravel() for values in np.meshgrid(x, y))
+    with rasterio.open(source) as file:
+        heights = file.read(1).astype(np.float64)
+        column, row = ~file.transform @ tuple(map(np.array, transform(place.crs, file.crs, x, y)))
+    column, row = column - 0.5, row - 0.5
+    inside = (column >= 0) & (column <= heights.shape[1] - 1) & (row >= 0) & (row <= heights.shape[0] - 1)
+    left, top = (np.clip(v, 0, n - 2).astype(int) for v, n in zip((column, row), heights.shape[::-1], strict=True))
+    s, t = column - left, row - top
+    low = heights[top, left] * (1 - s) + heights[top, left + 1] * s
+    high = heights[top + 1, left] * (1 - s) + heights[top + 1, left + 1] * s
+    return np.where(inside, low * (1 - t) + high * t, np.nan).reshape(raster.height, raster.width)
+
+
+FILES = {  # coordinate system, transform, target
+    "degrees": ("EPSG:4326", from_origin(WEST, NORTH, STEP, STEP), "utm"),
+    "rotated": ("EPSG:32632", Affine(30.0, 12.0, 5e5, 12.0, -30.0, 5.3e6), "EPSG:3035"),
+    "mirrored": ("EPSG:32632", Affine(-30.0, 0.0, 5e5, 0.0, 30.0, 5.3e6), "EPSG:32633"),
+    "feet": ("EPSG:2263", from_origin(9.8e5, 2e5, 30.0, 30.0), "EPSG:32618"),
+    "other datum": ("EPSG:4267", from_origin(-100.0, 40.0, 1e-3, 1e-3), "EPSG:26914"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_an_independent_sampler_agrees_within_the_stated_error(tmp_path, name):
+    crs, place, target = FILES[name]
+    source = write_raster(tmp_path / "a.tif", hills(300, 200).astype(np.float32), crs=crs, transform=place)
+    raster = open_source(ImportSettings(str(source), project=target))
+    rows, wanted = raster.read(0, raster.height), sampled(source, raster)
+    known = ~np.isnan(wanted) & ~np.isnan(rows)
+    assert known.mean() > 0.4 and (np.isnan(wanted) != np.isnan(rows)).mean() < 1e-3
+    assert np.abs(rows - wanted)[known].max() <= raster.moved + 1e-9 < 1.0
+
+
+def test_windows_of_another_reader_have_the_same_bytes(tmp_path):
+    source = degrees(tmp_path, hills(WIDTH, HEIGHT))
+    raster = open_source(ImportSettings(str(source), project="EPSG:3035"))
+    whole = raster.read(0, raster.height)
+    again = open_source(ImportSettings(str(source), project="EPSG:3035"))
+    for first, count, column, columns in (37, 50, 11, 90), (0, 1, 100, 1), (90, 7, 0, raster.width):
+        part = whole[first : first + count, column : column + columns]
+        assert again.window(first, count, column, columns).tobytes() == part.tobytes()
+
+
+def test_a_store_of_the_earlier_method_is_imported_again(tmp_path, monkeypatch):
+    settings = ImportSettings(str(degrees(tmp_path, hills(WIDTH, HEIGHT))), project="utm")
+    monkeypatch.setattr(earlier_import, "RESAMPLING", 0)
+    run_import(settings, tmp_path / "s")
+    assert earlier_import.finished_import(tmp_path / "s", settings) is not None
+    monkeypatch.undo()
+    assert earlier_import.finished_import(tmp_path / "s", settings) is None
+    run_import(settings, tmp_path / "s")
+    assert earlier_import.finished_import(tmp_path / "s", settings)["unchanged"]
+
+
+def test_a_world_beyond_which_there_are_no_positions(tmp_path):
+    """Nodes beyond the poles have no position. Up to 20 of them raise an error each in GDAL."""
+    latitude = 90.0 - np.arange(0.5, 180.0)
+    heights = np.repeat(latitude[:, None], 360, axis=1).astype(np.float32)
+    source = write_raster(tmp_path / "a.tif", heights, crs="EPSG:4326", transform=from_origin(-180.0, 90.0, 1.0, 1.0))
+    raster = open_source(ImportSettings(str(source), project="EPSG:8857"))
+    rows = raster.read(0, raster.height)
+    wanted = sampled(source, raster)
+    known = ~np.isnan(wanted) & ~np.isnan(rows)
+    assert known.mean() > 0.7 and np.abs(rows - wanted)[known].max() <= raster.moved + 1e-9
 
 
 BAD_PROJECTIONS = [

@@ -10,6 +10,7 @@ from adaptive_terrain.cbt_terrain.importing import drafts
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.rasters.resampled_file import ResampledFile
 from adaptive_terrain.cbt_terrain.tiling import borders, tile_work
 from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
 from mosaic_files import EAST, NORTH, UTM32
@@ -109,11 +110,34 @@ def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, na
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
-def test_a_reprojected_raster_is_read_in_one_unit(tmp_path, tiled):  # noqa: F811
+def test_a_reprojected_raster_is_read_by_unit(tmp_path, tiled, monkeypatch):  # noqa: F811
+    """A killed import reads only the units that it lacks, and has the bytes of one piece."""
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.formats.gdal_source.BLOCK_ROWS", 8)
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 1000)
     source = write_raster(tmp_path / "a.tif", MOUNTAINS, crs="EPSG:4326", transform=from_origin(10.0, 50.0, 1e-4, 1e-4))
-    for store, cut in ("whole", None), ("tiled", 5):
-        tiled(cut)
-        run_import(ImportSettings(str(source), project="utm"), tmp_path / store)
+    settings, windows = ImportSettings(str(source), project="utm"), []
+    whole_window = ResampledFile.window
+
+    def window(self, first, count, *columns):
+        windows.append((first, count))
+        if len(windows) == kill_at:
+            raise KeyboardInterrupt
+        return whole_window(self, first, count, *columns)
+
+    monkeypatch.setattr(ResampledFile, "window", window)
+    tiled(None)
+    kill_at = 0
+    run_import(settings, tmp_path / "whole")
+    all_rows = sum(count for _, count in windows)
+    tiled(5)
+    windows.clear()
+    kill_at = 10
+    with pytest.raises(KeyboardInterrupt):
+        run_import(settings, tmp_path / "tiled")
+    windows.clear()
+    kill_at = 0
+    run_import(settings, tmp_path / "tiled")
+    assert 0 < sum(count for _, count in windows) < all_rows
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 

@@ -123,14 +123,14 @@ def find_positions(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tu
     from rasterio.errors import CRSError
     from rasterio.warp import transform
 
-    for _ in range(REPORTED):
+    for attempt in range(REPORTED + 1):
         try:
-            return tuple(map(np.array, transform(source, target, x, y)))
-        except CRSError:
-            raise
-        except Exception:  # at least one of the positions that GDAL reports
-            continue
-    return tuple(map(np.array, transform(source, target, x, y)))
+            found = transform(source, target, x, y)
+            break
+        except Exception as reason:  # perhaps at one of the positions that GDAL reports
+            if attempt == REPORTED or isinstance(reason, CRSError):
+                raise
+    return np.array(found[0]), np.array(found[1])
 
 
 def base_crs(crs: CRS) -> CRS | None:

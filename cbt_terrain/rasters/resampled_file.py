@@ -123,14 +123,15 @@ class ResampledFile:
         The nodes end at the grid's border, because positions beyond are of no use and may not exist.
         """
         if self._plan.source.crs == self._plan.target.crs:  # linear, so any spacing is exact
-            return BlockNodes(*self._exact(column, row, SPACINGS[0], SPACINGS[0]), SPACINGS[0], SNAPPED, SNAPPED)
+            u, v = self._exact(column, row, SPACINGS[0], SPACINGS[0])
+            return BlockNodes(u, v, SPACINGS[0], SNAPPED, SNAPPED)
         for spacing in SPACINGS:
             exact = self._exact(column, row, spacing // 2, spacing)
             errors = [interpolation_error(values) for values in exact]
             if max(errors) <= TOLERANCE and np.isfinite(exact).all():
                 u, v = (np.ascontiguousarray(values[::2, ::2]) for values in exact)
-                return BlockNodes(u, v, spacing, *(MARGIN * error + SNAPPED for error in errors))
-        return BlockNodes(*exact, 1, SNAPPED, SNAPPED)
+                return BlockNodes(u, v, spacing, MARGIN * errors[0] + SNAPPED, MARGIN * errors[1] + SNAPPED)
+        return BlockNodes(exact[0], exact[1], 1, SNAPPED, SNAPPED)  # the last spacing has computed every sample
 
     def _exact(self, column: int, row: int, step: int, spacing: int) -> np.ndarray:
         """Return exact columns and rows of the file at every `step` samples of a block: float64 [2, rows, columns].

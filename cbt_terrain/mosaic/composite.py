@@ -65,8 +65,7 @@ class Composite:
 
     Attributes:
         grid: the target grid.
-        tiles: in ascending order of priority; a tile's position is its rank.
-        lattices: their lattices.
+        tiles, lattices: tiles in ascending order of priority, which is their rank, and their lattices.
         stored: type of the samples; float64 if any are interpolated or converted.
         scale, offset: a height is value * scale + offset metres.
         resamples: whether samples of some files are interpolated.
@@ -101,7 +100,7 @@ class Composite:
         self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
-        # Boxes are in columns and rows of the grid, steps and reach in its samples. A bridge needs a reach of one step.
+        # A bridge needs a reach of one step.
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])

@@ -113,7 +113,8 @@ def _border(composite: Composite, edge: TileEdge, is_second: bool) -> np.ndarray
 
 def _middle(composite: Composite, edge: TileEdge) -> tuple[float, float]:
     """Return x and y of the middle of an edge in the grid's system."""
-    across, along = edge.lattice.rectangles[edge.first][edge.axis + 2] + 0.5, sum(edge.line()) / 2
+    low, high = edge.line()
+    across, along = edge.lattice.rectangles[edge.first][edge.axis + 2] + 0.5, (low + high) / 2
     u, v = (across, along) if edge.axis == 0 else (along, across)
     x, y = edge.lattice.positions(np.array([u]), np.array([v]))
     x, y = projected(edge.lattice.crs, composite.grid.crs, x, y)

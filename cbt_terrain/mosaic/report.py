@@ -17,6 +17,7 @@ from ..importing.drafts import store_bytes, work_bytes
 from ..importing.tile_import import TILED_SAMPLES
 from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings
+from ..view.linear import add_up
 from .composite import Composite
 from .edges import EdgeReport, find_edges
 from .mosaic_source import blend_metres, georeference_of
@@ -180,7 +181,7 @@ def _expected_seconds(composite: Composite) -> float:
     """Return the expected time of an import: that of measured windows, times the samples that each stands for."""
     # With finer tiles, the plan has the samples of a raster without them that takes as long.
     samples = composite.grid.width * composite.grid.height if composite.finer is None else composite.finer[0].work
-    seconds = sum(part * _seconds_at(composite, *middle) for part, middle in measured_parts(composite))
+    seconds = add_up(part * _seconds_at(composite, *middle) for part, middle in measured_parts(composite))
     return float(f"{seconds * samples:.2g}")
 
 

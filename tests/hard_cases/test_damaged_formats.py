@@ -15,7 +15,7 @@ OF_IMPORTS = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_D
 MANY = max(6, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 100)
 
 
-def test_files_are_written_after_an_import_in_this_process(tmp_path):
+def test_case_85_files_are_written_after_an_import(tmp_path):
     """The test below failed after one of a mosaic, because GDAL found no header beside a .flt file."""
     with rasterio.Env(**OF_IMPORTS):
         for name, (write, place, _) in WRITERS.items():

@@ -28,7 +28,7 @@ def test_a_text_from_outside_cannot_command_the_terminal(capsys):
         (["bake", "--store", "x", "--max-error", "1", "--detail", "0,2", "--out", "a.npz"], 2, "--detail"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.npz"], 1, "no terrain store at x"),
         (
-            ["map", "--store", "x", "--out", "a.tif"],
+            ["maps", "--store", "x", "--maps", "sky", "--out", "maps"],
             1,
             "choose its folder (--store, or Store in Blender), or import again",
         ),

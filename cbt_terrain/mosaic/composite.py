@@ -19,6 +19,7 @@ from ..formats.gdal_source import open_overview
 from ..importing.source_list import file_stat
 from ..rasters.grid_pieces import (
     BLOCK,
+    MAX_BUFFER,
     NO_DATA,
     SNAPPED,
     UNCOVERED,
@@ -44,7 +45,6 @@ from .windows import at_corners, source_box
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
-MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 METHOD = 1  # increased when the same files give other values
 
 

@@ -124,14 +124,7 @@ def _seams(seams: SeamReport, scale: float) -> dict:
     entries = {"seams": seams.pairs, "seams_compared": seams.compared, "seam_samples": len(seams.steps)}
     if not len(seams.steps):
         return entries
-    sizes = np.abs(seams.steps) * scale
-    worst = int(np.argmax(sizes))
-    return entries | {
-        "seam_median_m": float(np.median(sizes)),
-        "seam_max_m": float(sizes[worst]),
-        "seam_max_at": [float(c) for c in seams.places[worst]],
-        "seam_max_between": [Path(path).name for path in seams.names[seams.numbers[worst]]],
-    }
+    return entries | _figures("seam", np.abs(seams.steps) * scale, seams.places, seams.numbers, seams.names)
 
 
 def _edges(edges: EdgeReport, scale: float) -> dict:
@@ -142,13 +135,25 @@ def _edges(edges: EdgeReport, scale: float) -> dict:
     entries = {"edges": edges.pairs, "edges_compared": edges.compared}
     if not len(edges.steps):
         return entries if edges.pairs else {}
-    sizes = np.abs(edges.steps) * scale
+    return entries | _figures(
+        "edge", np.abs(edges.steps) * scale, edges.places, np.arange(len(edges.names)), edges.names
+    )
+
+
+def _figures(
+    kind: str, sizes: np.ndarray, places: np.ndarray, numbers: np.ndarray, names: list[tuple[str, str]]
+) -> dict:
+    """Return the median of steps between files, and the largest step with its place and files: entries `<kind>_...`.
+
+    sizes: float64 [n], metres, at least one. places: float64 [n, 2], x and y. numbers: int [n], each step's index in
+    `names`, the paths of pairs of files.
+    """
     worst = int(np.argmax(sizes))
-    return entries | {
-        "edge_median_m": float(np.median(sizes)),
-        "edge_max_m": float(sizes[worst]),
-        "edge_max_at": [float(c) for c in edges.places[worst]],
-        "edge_max_between": [Path(path).name for path in edges.names[worst]],
+    return {
+        f"{kind}_median_m": float(np.median(sizes)),
+        f"{kind}_max_m": float(sizes[worst]),
+        f"{kind}_max_at": [float(c) for c in places[worst]],
+        f"{kind}_max_between": [Path(path).name for path in names[numbers[worst]]],
     }
 
 

@@ -20,6 +20,7 @@ MARGIN = 1.25
 SNAPPED = 1e-6  # see SNAP in kernels/mosaic/resample.py
 UNCOVERED, NO_DATA = -1, -2  # ranks, as in kernels/mosaic/resample.py
 EDGE = 3  # source samples around those that a piece is interpolated from
+MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 
 
 class BlockNodes(NamedTuple):

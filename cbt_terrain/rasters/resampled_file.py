@@ -12,6 +12,7 @@ from .grid_pieces import (
     BLOCK,
     EDGE,
     MARGIN,
+    MAX_BUFFER,
     NO_DATA,
     SNAPPED,
     SPACINGS,
@@ -27,7 +28,6 @@ from .grid_pieces import (
 )
 
 TOLERANCE = 0.001  # largest error of an interpolated position, file samples: 3 cm in a raster of 30 m
-MAX_BUFFER = 1 << 22  # file samples of a piece; a larger one is divided
 MAX_BLOCKS = 64  # whose nodes are kept: 17 KB each where the system is even, 4 MB where nodes are 2 samples apart
 
 

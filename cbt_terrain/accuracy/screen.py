@@ -101,7 +101,8 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     assert view.projection is not None  # only a panorama has none
     p = view.projection
     e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]
-    # The column of the projection that shifts the frame: of the constant, or of the depth, which is -z.
+    # A lens shift moves the middle of the frame by a constant (column 3) if orthographic, else by a multiple of the
+    # depth, which is -z (column 2).
     column = 3 if view.kind == ORTHOGRAPHIC else 2
     sign = -1.0 if view.kind == ORTHOGRAPHIC else 1.0
     shift = sign * p[0, column] / p[0, 0], sign * p[1, column] / p[1, 1]

@@ -62,7 +62,8 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
             inputs = [stored_at(lattice, depth + 1), coarser, flat(translated, wp.uint8), out]
             launch.spread(kernels.raise_codes, items(coarser), inputs, step="meshlet errors", threads=threads)
         # On a bilinear surface a cell's diamond and the side diamonds one bisection below have the same error, so
-        # every other pass moves cells by two bisections. Curvatures halve with each bisection.
+        # every other pass moves cells by two bisections. Curvatures halve with each bisection: in those passes by
+        # `_raise_cells`, in the others here.
         if step % 2 == 0:
             _raise_cells(lattice, errors, table, threads)
         elif has_curvatures:

@@ -69,9 +69,9 @@ def _start_level(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the rock that may still break and the scree at the start of a level, float32 [rows, columns] m.
 
-    They are `breakable` and `loose`, rock and scree before the operator, after the coarser level's change `coarse`
-    (None at the coarsest level). Interpolation loses mass at borders and where less rock is breakable here; deposits
-    are scaled to conserve it.
+    They are `breakable` and `loose`, rock and scree before the operator, after the coarser level's change `coarse`,
+    interpolated to this level (None at the coarsest level). Interpolation loses mass at borders and where less rock is
+    breakable here; deposits are scaled to conserve it.
     """
     if coarse is None:
         return breakable.copy(), loose.copy()
@@ -81,7 +81,9 @@ def _start_level(
         deposited = np.where(ground.missing, np.float32(0.0), deposited)
     scree = np.maximum(loose + deposited, 0.0)
     gain = np.clip(deposited, 0.0, scree)  # without negative deposits, as of scree that slid off
-    deposited, wear = balance_mass(gain, wear, breakable, scree - loose - wear, coarse_change, ground)
+    deposited, wear = balance_mass(
+        gain, wear, max_eroded=breakable, change=scree - loose - wear, net=coarse_change, ground=ground
+    )
     scree += deposited - gain
     return np.ascontiguousarray(breakable - wear), np.ascontiguousarray(np.maximum(scree, 0.0))
 

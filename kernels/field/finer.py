@@ -133,7 +133,7 @@ def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
     """Return the index in `finer.ranges` of the lower height code of the diamond with its vertex at finer sample i, j.
 
     The upper code follows. The index is -1 without a tile. group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer
-    cells.
+    cells, whose vertices are 2 samples apart, 1 for cells four times as wide, and so on.
     """
     tile = tile_at(finer, i, j)
     index = wp.int64(-1)

@@ -145,7 +145,7 @@ def expand(
         for k in range(t.inner_points):
             w = item_at(t.weights, wp.int64(k))
             put(out.point, wp.int64(first_point + k), p + to_apex * w[0] + to_right * w[1])
-        # `look_up` replaces the template's numbers in a row of a table by those of the mesh.
+        # `look_up` replaces the template's numbers in a row of a table by those of the mesh. `edges` has pairs of them.
         look_up(t.ends, 0, 2 * t.inner_lines, numbers, points, out.edges, first_line)
         c = 3 * t.triangles
         look_up(t.corners, c * odd, c, numbers, points, out.corner_verts, c * leaf)

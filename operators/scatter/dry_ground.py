@@ -13,14 +13,15 @@ SEA = "sea"  # parameter of height operators: all ground up to this height is se
 
 
 def keep_dry(settings, terrain) -> str:
-    """Keep a scatter out of a terrain's water; return a clause about the result, without a capital and a full stop.
+    """Keep the scatter of `settings` out of a terrain's water; return a clause about the result, for a sentence.
 
     Water Depth is on in any case: it acts once the stack has *Water* or *Flood* and the land is shaped. Above the Sea
     is on for land that reaches down to the level of the sea: that of *Add Water* if there is one.
     """
     terrain_settings = terrain.adaptive_terrain
-    depth, entries = settings.where.water_depth, terrain_settings.land.entries
-    depth.use, depth.low, depth.high, depth.edge = True, 0.0, FILM_M, FILM_M  # a film of rain is no water
+    depth_rule, entries = settings.where.water_depth, terrain_settings.land.entries
+    # Points stay where the water is no deeper than a film of rain.
+    depth_rule.use, depth_rule.low, depth_rule.high, depth_rule.edge = True, 0.0, FILM_M, FILM_M
     notes = ["none in the water of the stack"] if _has_water(entries) else []
     imported, sea = imported_of(terrain_settings), shown_sea(terrain)
     sea = _sea_level(entries) if sea is None else sea  # metres of the height map

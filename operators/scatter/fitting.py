@@ -19,7 +19,7 @@ MAX_ON_LAND = 1_000_000
 FULL_OF_CONES, FULL_OF_OBJECTS, FULL_WITH_RULES = 200, 100, 140
 # Approximate fraction of the ground that rules leave: with rules, half the spacing gives no more objects.
 SHARE_BY_RULES = 0.25
-REACH_HEIGHTS = 2  # what stands there, and its shadow
+REACH_HEIGHTS = 2  # the setting Reach in heights of an object: the object and its shadow
 WITHOUT_EXTENT = ("EMPTY", "LIGHT", "CAMERA", "SPEAKER", "LIGHT_PROBE")
 NAMES = ("spacing", "full_until", "size", "margin_m")  # in the order of `fitted`
 
@@ -59,7 +59,7 @@ def _to_world(obj) -> Matrix:
 
 
 def scale_of(terrain) -> float:
-    """Return metres of the world in a horizontal metre of a terrain's own space, the mean of x and y."""
+    """Return the length in the world of a horizontal metre of a terrain's own space, the mean of x and y."""
     x, y, _ = terrain.matrix_world.to_scale()
     return math.sqrt(abs(x * y)) or 1.0
 
@@ -90,14 +90,15 @@ def fit(obj) -> None:
     factor, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
     smallest = 0.0 if raster is None else scale * math.sqrt(math.prod(raster.extent_m) / MAX_ON_LAND)
     spacing = rounded(max(width, factor * smallest), digits=2, toward=math.ceil)
-    put_numbers(settings, spacing / scale, full * spacing, REACH_HEIGHTS * max(width, height))
+    put_numbers(settings, spacing / scale, full_until=full * spacing, reach=REACH_HEIGHTS * max(width, height))
 
 
 def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:
     """Set the fitted numbers of a scatter and remember them, to tell later which ones the user has changed.
 
-    spacing: metres of the terrain's space. full_until, reach: metres of the world. first: set all, otherwise only those
-    that the user has not changed. The size is set to 1.
+    spacing: metres of the terrain's space. full_until: distance from the camera up to which all points exist; reach:
+    how far objects and their shadows extend from their points; both in metres of the world. first: set all, otherwise
+    only those that the user has not changed. The size is set to 1.
     """
     for number, (name, value) in enumerate(zip(NAMES, (spacing, full_until, 1.0, reach), strict=True)):
         if first or getattr(settings, name) == settings.fitted[number]:

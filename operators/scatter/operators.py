@@ -75,7 +75,8 @@ def new_scatter(terrain, spacing: float):
     obj = bpy.data.objects.new(f"{terrain.name} Scatter", bpy.data.meshes.new(f"{terrain.name} Scatter"))
     settings, in_world = obj.adaptive_scatter, spacing * scale_of(terrain)
     settings.enabled, settings.seed = True, len(scatters_of(terrain))
-    put_numbers(settings, spacing, FULL_OF_CONES * in_world, REACH_HEIGHTS * in_world, first=True)
+    full_until, reach = FULL_OF_CONES * in_world, REACH_HEIGHTS * in_world
+    put_numbers(settings, spacing, full_until=full_until, reach=reach, first=True)
     obj.parent = terrain
     for collection in terrain.users_collection:
         collection.objects.link(obj)

@@ -15,7 +15,7 @@ from .properties import MESH
 from .request import ScatterRecord, is_scatter, scatters_of
 
 ORPHAN = "Its parent is no terrain, so its points stay as they are: parent it to one, or delete it."
-LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
+LABELS = {"margin_deg": {"text": "Margin (°)"}}  # labels of settings whose unit Blender does not know
 IDENTITY = Matrix()  # transform of a scatter in its terrain's space, in which its points are written
 
 
@@ -90,7 +90,7 @@ def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
 
 
 def size_lines(settings, terrain) -> list[str]:
-    """Return the sizes of the collection's objects, and the number of instances that the spacing stands for."""
+    """Return two lines: sizes of the collection's objects, and the number of points on all the land without rules."""
     width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
     sizes = length_text(width), length_text(height)
     objects = phrase("Up to {} wide, {} high", *sizes) if width else phrase("No objects: cones")

@@ -32,7 +32,7 @@ class ScatterItem:
     """A visible scatter.
 
     `uid`, `name`: session_uid and name of its object. `on_mesh`: points are on the triangles, not on the height field.
-    `culls`: without hidden points. `sea_level`: points are above it, metres in the terrain's space.
+    `culls`: points that hills hide are left out. `sea_level`: points are above it, metres in the terrain's space.
     """
 
     uid: int
@@ -70,8 +70,9 @@ def _new_history() -> "FrameHistory":
 class ScatterRecord:
     """The last points of a scatter.
 
-    `key`: what they depend on. `shown`: which points its mesh has. `ms`: milliseconds of the last points by step;
-    `runs`: how often points were made. `history`: holds candidates on the ground for later frames.
+    `key`: what they depend on. `shown`: `key` of the points that were written last, with the uid and size of their
+    mesh. `ms`: milliseconds of the last points by step; `runs`: number of times that points were made. `history`: holds
+    candidates on the ground for later frames.
     """
 
     history: "FrameHistory" = field(default_factory=_new_history)
@@ -144,7 +145,7 @@ def make_points(
 
     scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
     views = tuple(view.key() for view in scatters.views)
-    below, outline = request.cleanup.key()
+    below, outline = request.cleanup.key()  # the height and the outline by which the mesh is cut
     is_uncut = not request.cleanup.active  # a cut part would hide ground that is seen through the cut
     horizon = cache(terrain.horizon)  # one for all scatters
     for item in scatters.items:
@@ -161,14 +162,21 @@ def make_points(
             item.sea_level,
         )
         culls = item.culls and is_uncut
-        key += (culls and (request.criterion, request.frozen),)
+        key += (culls and (request.criterion, request.frozen),)  # the mesh that hides them depends on these
         if key == record.key:
             continue
-        start, record.key = time.perf_counter(), ()  # no key, should the points fail
+        start, record.key = time.perf_counter(), ()  # without a key, points that fail are made again later
         try:
-            boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
-            inputs = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
-            points = place_points(heights, ScatterRequest(item.scatter, *inputs), record.history, terrain.threads)
+            wanted = ScatterRequest(
+                item.scatter,
+                scatters.views,
+                request.placement,
+                *scale,
+                boundary=request.cleanup.boundary,
+                horizon=horizon() if culls else None,
+                max_points=scatters.max_points,
+            )
+            points = place_points(heights, wanted, record.history, terrain.threads)
         except TerrainError as error:
             raise error.within(f"The scatter {item.name!r} cannot be made") from None
         if item.on_mesh:

@@ -35,7 +35,7 @@ MATERIALS = {
     "Grass": ((0.05, 0.075, 0.016), (0.26, 0.28, 0.09), 0.7),
     "Stone": ((0.05, 0.05, 0.048), (0.17, 0.172, 0.168), 0.9),
 }
-DIFFERENCE = 0.3  # between instances, as part of a colour
+DIFFERENCE = 0.3  # between the colours of instances: the range of red, as a fraction of its mean
 
 
 class AddStarterCollection(bpy.types.Operator):
@@ -111,7 +111,7 @@ def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
         tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
         tree.is_modifier = True
         tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-        form(starter_forms.FormNodes(tree, number + 1), materials, size)
+        form(starter_forms.FormNodes(tree, seed=number + 1), materials, size)
         obj = bpy.data.objects.new(f"{name} {number + 1}", bpy.data.meshes.new(name))
         obj.modifiers.new(name, "NODES").node_group = tree
         context.scene.collection.objects.link(obj)

@@ -88,13 +88,14 @@ class FormNodes(Nodes):
     def blade(self, along: int, across: int, width: float, fold: float, droop: float):
         """Return a blade of length 1 along X that tapers to its tip, folded along its middle, with its tip down.
 
-        along, across: vertices. width: about the largest width, metres. fold: metres down per metre from the middle.
-        droop: metres by which the tip is lower.
+        along, across: vertices. width: about twice the largest width, metres. fold: metres down per metre from the
+        middle. droop: metres by which the tip is lower.
         """
         inputs = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": along, "Vertices Y": across}
         grid = self.add("GeometryNodeMeshGrid", inputs).outputs["Mesh"]
         x, y, _ = self.coordinates()
-        x = self.math("ADD", x, 0.5)
+        x = self.math("ADD", x, 0.5)  # 0 at the base, 1 at the tip
+        # width * (1.02 - x)^0.7 * (0.35 + 0.8 x): widest near the middle, almost 0 at the tip
         local_width = self.math("MULTIPLY", self.math("POWER", self.math("SUBTRACT", 1.02, x), 0.7), width)
         local_width = self.math("MULTIPLY", local_width, self.math("ADD", self.math("MULTIPLY", x, 0.8), 0.35))
         y = self.math("MULTIPLY", y, local_width)
@@ -106,7 +107,7 @@ class FormNodes(Nodes):
         """Return a rhombus of length 1 along X and `width`, folded down along X: two triangles."""
         grid = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": 2, "Vertices Y": 2}
         mesh = self.add("GeometryNodeMeshGrid", grid).outputs["Mesh"]
-        x, y, _ = self.coordinates()
+        x, y, _ = self.coordinates()  # -0.5 .. 0.5; the square's diagonal becomes the length of the leaf
         along = self.math("MULTIPLY_ADD", self.math("ADD", x, y), 0.5, 0.5)
         across = self.math("MULTIPLY", self.math("SUBTRACT", x, y), 0.5 * width)
         down = self.math("MULTIPLY", self.math("ABSOLUTE", across), -fold)
@@ -166,25 +167,27 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     height, branches = 18.0 * size, 125
     trunk = nodes.dress(nodes.stem(height, 0.24 * size, 0.02, 6, 3, 0.15), materials["Bark"], 0.5)
     index = nodes.index()
-    branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))
+    branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))  # of a twig
     part = nodes.math("DIVIDE", branch, float(branches))  # 0 for the lowest branch, 1 at the top
-    left = nodes.math("SUBTRACT", 1.0, part)
-    reach = nodes.math("MULTIPLY_ADD", nodes.math("POWER", left, 0.85), 2.3 * size, 0.1 * size)  # length of a branch
-    along = nodes.math("MULTIPLY", nodes.math("DIVIDE", nodes.math("MODULO", index, float(TWIGS)), TWIGS - 1.0), reach)
+    below_top = nodes.math("SUBTRACT", 1.0, part)
+    length = nodes.math("MULTIPLY_ADD", nodes.math("POWER", below_top, 0.85), 2.3 * size, 0.1 * size)  # of a branch
+    # Twigs are spread over the length of their branch.
+    along = nodes.math("MULTIPLY", nodes.math("DIVIDE", nodes.math("MODULO", index, float(TWIGS)), TWIGS - 1.0), length)
     along = nodes.math("MULTIPLY", along, nodes.random(0.8, 1.1))
     angle = nodes.math("MULTIPLY_ADD", branch, GOLDEN_ANGLE, nodes.random(-0.2, 0.2))
     x, y = (nodes.math("MULTIPLY", nodes.math(kind, angle), along) for kind in ("COSINE", "SINE"))
-    rise = nodes.math("MULTIPLY", along, nodes.math("MULTIPLY_ADD", part, 0.75, -0.35))
+    rise = nodes.math("MULTIPLY", along, nodes.math("MULTIPLY_ADD", part, 0.75, -0.35))  # low branches hang
     z = nodes.math("MULTIPLY_ADD", nodes.math("POWER", part, 0.95), 0.91 * height, 0.08 * height)
     points = nodes.move(nodes.line(branches * TWIGS), nodes.xyz(x, y, nodes.math("ADD", z, rise)))
-    length = nodes.math("MULTIPLY_ADD", nodes.math("POWER", left, 0.6), 1.1 * size, 0.25 * size)
-    length = nodes.math("MULTIPLY", length, nodes.random(0.75, 1.25))
+    twig_length = nodes.math("MULTIPLY_ADD", nodes.math("POWER", below_top, 0.6), 1.1 * size, 0.25 * size)
+    twig_length = nodes.math("MULTIPLY", twig_length, nodes.random(0.75, 1.25))
     pitch = nodes.math("MULTIPLY_ADD", part, -1.3, nodes.random(0.15, 0.65))
     euler = nodes.xyz(nodes.random(-0.5, 0.5), pitch, nodes.math("ADD", angle, nodes.random(-0.8, 0.8)))
-    twigs = nodes.put(points, nodes.leaf(0.62, 0.7), euler, length)
+    twigs = nodes.put(points, nodes.leaf(0.62, 0.7), euler, twig_length)
     x, y, z = nodes.coordinates()
     away = nodes.vector("LENGTH", nodes.xyz(x, y, 0.0))
     shade = nodes.math("MULTIPLY_ADD", away, 0.26 / size, nodes.math("MULTIPLY", z, 0.35 / height))
+    # A dark cone fills the gaps between the twigs.
     inner = {"Vertices": 8, "Radius Bottom": 0.9 * size, "Radius Top": 0.04, "Depth": 0.84 * height}
     core = nodes.add("GeometryNodeMeshCone", inner, fill_type="NONE").outputs["Mesh"]
     core = nodes.move(core, nodes.vector("ADD", nodes.position(), (0.0, 0.0, 0.1 * height)))
@@ -195,7 +198,7 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
 def broadleaf(nodes: FormNodes, materials, size: float) -> None:
     """Build a broad tree: a stem, and a crown of three ellipsoids with leaves. 12 m at size 1."""
     parts = [nodes.dress(nodes.stem(7.0 * size, 0.34 * size, 0.1 * size, 7, 3, 0.3), materials["Bark"], 0.5)]
-    turn = 0.9 * nodes.seed
+    turn = 0.9 * nodes.seed  # each tree is turned otherwise about its stem
     # Of each ellipsoid at size 1: height of its middle, radius, half of its height, distance from the stem, leaves.
     for number, (up, radius, tall, away, count) in enumerate(
         ((8.2, 3.0, 3.1, 0.3, 300), (6.1, 2.3, 1.8, 2.1, 160), (6.5, 2.2, 1.9, 2.0, 160))
@@ -203,7 +206,7 @@ def broadleaf(nodes: FormNodes, materials, size: float) -> None:
         angle = turn + 2.6 * number
         middle = (away * size * math.cos(angle), away * size * math.sin(angle), up * size)
         radii = (radius * size, radius * size, tall * size)
-        dark = nodes.blob(2, tuple(0.8 * r for r in radii), middle, 0.45, 1.6)
+        dark = nodes.blob(2, tuple(0.8 * r for r in radii), middle, 0.45, 1.6)  # fills the gaps between the leaves
         parts.append(nodes.dress(dark, materials["Leaves"], 0.12))
         parts.append(nodes.leaves(count, radii, middle, 0.95 * size, materials["Leaves"]))
     nodes.finish(*parts)
@@ -215,7 +218,7 @@ def bush(nodes: FormNodes, materials, size: float) -> None:
     # Of each ellipsoid at size 1: middle, radius, half of its height, leaves.
     for middle, radius, tall, count in (((0.0, 0.0, 0.55), 0.75, 0.68, 230), ((0.6, 0.25, 0.35), 0.5, 0.42, 120)):
         middle, radii = tuple(size * c for c in middle), (radius * size, radius * size, tall * size)
-        dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, 0.45, 1.8)
+        dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, 0.45, 1.8)  # fills the gaps between the leaves
         parts.append(nodes.dress(dark, materials["Leaves"], 0.12))
         parts.append(nodes.leaves(count, radii, middle, 0.26 * size, materials["Leaves"]))
     nodes.finish(*parts)

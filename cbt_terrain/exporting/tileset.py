@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
-from ..field.store_folder import check_no_description
+from ..field.store_folder import check_is_no_store_json
 from ..importing.placing import Placing, placing_or_middle
 from ..run import stopping
 from ..run.owned_files import remove_file
@@ -86,7 +86,7 @@ def export_tileset(
         raise TerrainError(f"{path} is no tileset", expected="a .json file in an existing folder")
     if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
-    check_no_description(path)
+    check_is_no_store_json(path)
     remove_abandoned(path.parent)
     levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
     placing = placing_or_middle(field)

@@ -174,7 +174,7 @@ def named_folder(path: Path) -> Path | None:
         return None
 
 
-def check_no_description(path: Path) -> None:
+def check_is_no_store_json(path: Path) -> None:
     """Raise TerrainError if a file is the description of a store, without which the store is lost."""
     if path.name.casefold() == JSON_NAME and named_folder(path.parent) is not None:
         raise TerrainError(f"{path} belongs to a terrain store", fix="choose another folder")

@@ -9,11 +9,12 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 
-# Blender's types of attributes that glTF knows, and those of such a type that are no attributes of ours.
+# Types of attributes that Blender's glTF exporter writes, and names of these types that it writes in another way.
 GLTF_TYPES = ("FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR")
 RESERVED_NAMES = ("position", "custom_normal")
-# Cosine between axes of an object; float32 rounds those of one that is not sheared to less.
+# An object is sheared if the cosine between two of its axes is larger: float32 rounds right angles to less.
 SHEARED = 1e-5
+# Options of Blender's exporters.
 ONLY = {"export_selected_objects": True, "apply_modifiers": False}
 
 

@@ -89,7 +89,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
         from .exporting import check_target, figures, write_piece
         from .frame_sources import scene_piece
 
-        format_of(path)
+        format_of(path)  # raises for an unknown suffix, before any work
         check_target(path)
         remove_abandoned(path.parent)
         piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)

@@ -91,14 +91,14 @@ class LandExport(FileJobOperator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Open the shaped land and write on a thread; return the line to report. Raises TerrainError."""
         self.check_file()
-        land = shaped_field(context.object, context.evaluated_depsgraph_get())
+        open_land = shaped_field(context.object, context.evaluated_depsgraph_get())
 
-        def open_land():
+        def open_locked():
             """Return the height field of the shaped land; on the job's thread."""
             with session.engine_lock:
-                return land()
+                return open_land()
 
-        field = yield from jobs.run_on_thread(job, open_land)
+        field = yield from jobs.run_on_thread(job, open_locked)
         job.raise_if_stopped()  # its terrain may be gone
         modules, write = self.prepare(job.terrain(), bpy.context.evaluated_depsgraph_get(), field)
         yield from jobs.prepare_kernels(job, modules)
@@ -150,7 +150,7 @@ class ExportHeights(LandExport, bpy.types.Operator):
             files = export_raster(field.path, self.filepath, on_progress=on_progress, step=step)
             return f"Written: {', '.join(file.name for file in files)}"
 
-        step = self.step
+        step = self.step  # read now: Blender may free the operator while `write` runs on its thread
         return [grid] if step or field.raster.finer else [], write
 
 

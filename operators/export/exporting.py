@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...cbt_terrain.errors import TerrainError, check_path
-from ...cbt_terrain.field.store_folder import check_no_description
+from ...cbt_terrain.field.store_folder import check_is_no_store_json
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import real_path, remove_file
@@ -137,7 +137,7 @@ def _replace_special(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder and its missing parents, and remove what killed processes have left in it.
+    """Make the folder and its missing parents, and remove partial files of killed processes from it.
 
     Raises TerrainError.
     """
@@ -167,7 +167,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
-    check_no_description(path)
+    check_is_no_store_json(path)
 
 
 @contextmanager
@@ -186,6 +186,7 @@ def named_failures(path: Path):
         reason = (lines or ["no reason given"])[-1].removeprefix("Error: ")
     else:
         return
+    # `final_names`: users do not know the partial files that a reason may name.
     raise TerrainError(
         f"{path} cannot be written ({final_names(str(reason))})", fix="check the disk, or choose another folder"
     )
@@ -265,7 +266,7 @@ def figures(piece: "Piece") -> dict:
         "vertices": len(piece.surface.positions),
         **bounds_of(update),
         "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
-        **{name: piece.info[name] for name in ("loaded",) if name in piece.info},
+        **({"loaded": piece.info["loaded"]} if "loaded" in piece.info else {}),  # of an incomplete store
     }
 
 

@@ -92,7 +92,7 @@ class StoreFrames:
             self.placement[:2, 3] = field.lattice.anchor_x, field.lattice.anchor_y
         self.field = with_detail(interpolated(field, interpolation), detail)
         self.terrain = Terrain(self.field)
-        self.effects = plan(AttributeRequest(name, ("the export",), GEOMETRY) for name in effects)
+        self.effects = plan(AttributeRequest(name, readers=("the export",), family=GEOMETRY) for name in effects)
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
             "store": field_identity(self.field),

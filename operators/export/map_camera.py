@@ -27,7 +27,7 @@ STATE = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_st
 BEFORE = "adaptive_terrain_map_before"  # property with the values of SIZE before the map
 SIZE = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"  # of the render
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
-MARGIN = 0.1  # of the terrain's height, above and below
+MARGIN = 0.1  # of the terrain's height: the camera's distance to its top, and the view's depth below its bottom
 MOVED = 0.1  # pixels by which an unchanged camera may seem to be moved
 # Degrees of the sun of shaded relief: above the horizon, and from north to west.
 SUN_HEIGHT, SUN_WEST = 45.0, 45.0
@@ -137,7 +137,10 @@ def _camera_state(scene) -> list[float]:
 
 
 def is_unchanged(scene) -> bool:
-    """Return whether the scene's camera and the picture's aspect are those of its map; True for one without numbers."""
+    """Return whether the scene's camera and the picture's aspect are those of its map, within rounding.
+
+    True for a camera without stored numbers.
+    """
     now, location = np.array(_camera_state(scene)), slice(7, None, 4)  # the last number of each row of the matrix
     stored, pixel = np.array(scene.camera.get(STATE, now)), now[0] / scene.render.resolution_x  # side in metres
     allowed = np.full(len(now), 1e-6)

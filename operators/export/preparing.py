@@ -42,7 +42,7 @@ class Preparation(NamedTuple):
         say: prints a line.
         on_progress: takes the fraction of a terrain's part that is done.
         stores: folder of the stores of a farm's job, in which tiles in view are loaded; None for the terrains' own.
-        share: the number, from 1, and the count of processes that read the tiles in view.
+        share: this process's number, from 1, and the number of processes that share the work.
     """
 
     frames: Sequence[int]
@@ -61,7 +61,7 @@ def is_missing(store: Path) -> bool:
     """Return whether a folder has no complete store yet; False for a damaged one: opening it reports the damage."""
     if not os.path.exists(store / JSON_NAME):
         return True
-    with suppress(TerrainError):  # who opens a damaged store reports it
+    with suppress(TerrainError):
         return loaded_m(read_json(store)["provenance"]) is not None  # None: all samples are loaded
     return False
 
@@ -144,7 +144,7 @@ def shape_land(obj, task: Preparation) -> None:
         views = []
         if land.of_views:
             *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
-        # "": the store counts only without land
+        # Shapes the land; the store "" would be opened only without land.
         raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")
     if names := maps_shown_by_materials(obj):
@@ -154,7 +154,7 @@ def shape_land(obj, task: Preparation) -> None:
         say(maps_summary(bake_maps(request, field, task.on_progress), obj.name))
 
 
-SHARED = READ_TILES, MEASURE  # parts of which each process does a share, as of "tiles"
+SHARED = READ_TILES, MEASURE  # parts of an import that several processes share, as they share "tiles"
 IMPORTS = READ_TILES, FILL, MEASURE  # parts of an import of all samples
 PARTS = {
     "stores": import_store,
@@ -164,7 +164,7 @@ PARTS = {
     "load": load_view,
     **{step: partial(import_share, step) for step in IMPORTS},
 }
-ALL = "stores", "land"  # without a farm
+ALL = "stores", "land"  # the parts without a farm, which are all that is needed
 
 
 def prepare(
@@ -179,8 +179,8 @@ def prepare(
     """Make the `parts` (of PARTS) that frames of the open file need, for the terrains `objects`. Raises TerrainError.
 
     say: prints a line. on_progress: takes the number of finished terrains, counted for each part, with fractions.
-    stores: folder of a farm job's stores, None for the terrains' own. share: the number, from 1, and the count of
-    processes that read the tiles in view.
+    stores: folder of a farm job's stores, None for the terrains' own. share: this process's number, from 1, and the
+    number of processes that share the work.
     """
     work = [(part, obj) for part in parts for obj in objects]
     for done, (part, obj) in enumerate(work):

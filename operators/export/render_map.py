@@ -59,7 +59,7 @@ def map_steps(
     Each picture gets a world file and, with `with_geotiff`, becomes a GeoTIFF, too. All tiles show the mesh of the
     whole map, so they fit together.
 
-    tiles: number of pictures across and down; several have their numbers in their names. job: shows the progress, and
+    tiles: number of pictures across and down; several have column and row in their names. job: shows the progress, and
     renders beside the window; without it nothing is yielded before a picture is complete.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
@@ -145,8 +145,8 @@ def _start_render(scene, *how: str) -> None:
 def _render_beside_window(scene, values: dict, job: jobs.BackgroundJob) -> Iterator[None]:
     """Yield while Blender renders a part of the frame on its own thread. Raises JobStopped if that was cancelled.
 
-    Another render ends first. `values` of the render settings are in effect only until Blender has copied them, so that
-    a file that is saved meanwhile does not get them.
+    A render that is already running ends first. `values` of the render settings are in effect only until Blender has
+    copied them, so that a file that is saved meanwhile does not get them.
     """
     seen: set[str] = set()
     watched = {name: lambda *_, name=name: seen.add(name) for name in ("render_pre", "render_cancel")}

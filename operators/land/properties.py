@@ -99,7 +99,7 @@ GROUPS = {name: _make_group(effect) for name, effect in HEIGHT_OPERATORS.items()
 EARLIER_GROUPS = {before: GROUPS[now] for before, now in RENAMED.items()}  # of entries in older files
 
 
-# What rules of masks are about -> its group, in the order of the menu.
+# What rules of masks are about -> its group, in the order of the menu. Numbers: default limits and edge, range.
 RULES = {
     HEIGHT: BANDS[rules.HEIGHT],
     SLOPE: BANDS[rules.SLOPE],

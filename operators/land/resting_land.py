@@ -105,7 +105,7 @@ def turn(shown: Iterable[tuple], idle: bool) -> bool:
 
 
 def give_way() -> None:
-    """End the job: the same land is needed at once."""
+    """End the job, because a render or Shape Now needs the same land at once."""
     if _making is not None:
         _end_job(_making)
 
@@ -143,7 +143,8 @@ def _land_to_make(obj, depsgraph) -> Land | None:
     """Return the land to shape for the views of the last update; None if there is nothing to make.
 
     That is so without land, if all of it exists, or if it is in `_left`: the user stopped it, or it failed. The
-    terrain's rest is then done. Land that is fine only in view (`of_views`) may lack tiles after it was shaped.
+    terrain's rest is then done. Land that is fine only in view (`of_views`) may lack tiles after it was shaped;
+    `of_views_alone` is the same land in that form.
     """
     request = session.record_of(obj).status.request
     land = _current_land(obj, depsgraph)
@@ -163,11 +164,13 @@ def _current_land(obj, depsgraph) -> Land | None:
 
 def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
     """Return the views of a request as the description of the tiles that shaping needs."""
-    placement, scale_and_offset = (
-        about_middle(request.placement, request.anchor),
-        (request.vertical_scale, request.vertical_offset),
+    return requested_tiles.SeenTiles(
+        tuple(request.views),
+        placement=about_middle(request.placement, request.anchor),
+        error_px=request.criterion.error_px,
+        vertical_scale=request.vertical_scale,
+        vertical_offset=request.vertical_offset,
     )
-    return requested_tiles.SeenTiles(tuple(request.views), placement, request.criterion.error_px, *scale_and_offset)
 
 
 def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:

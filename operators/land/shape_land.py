@@ -31,9 +31,15 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
     if land is not None and land.of_views and views:
-        settings, placement = evaluated.adaptive_terrain, raster_placement_of(evaluated)
-        scale_and_offset = settings.vertical_scale, settings.vertical_offset
-        land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale_and_offset))
+        settings = evaluated.adaptive_terrain
+        seen = SeenTiles(
+            tuple(views),
+            placement=raster_placement_of(evaluated),
+            error_px=settings.render.error_px,
+            vertical_scale=settings.vertical_scale,
+            vertical_offset=settings.vertical_offset,
+        )
+        land = replace(land, seen=seen)
     if land is None:
         raise TerrainError(
             f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off", fix="add an operator"
@@ -83,8 +89,8 @@ def next_unshaped(context, done: Container[str] = ()):
     depsgraph = context.evaluated_depsgraph_get()
     for obj in session.terrains_of(context.scene):
         with suppress(TerrainError):  # the render reports it
-            land = None if obj.hide_render else land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
             # waits=True: the render waits for shaped land, a preview is not enough
+            land = None if obj.hide_render else land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
             if land is not None and obj.name not in done and (land.of_views or not land.is_shaped):
                 return obj
     return None

@@ -25,7 +25,7 @@ from .properties import EVERYWHERE
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 FAILED = "Failed"
-SMALL_M = 500.0
+SMALL_M = 500.0  # longer side below which a terrain was probably not meant in metres
 NOTES = {
     SOURCE: "Not shown yet: press Update or Shape Now",
     FAILED: "Not shown: see the error above",
@@ -158,7 +158,7 @@ def state_of(obj) -> LandState:
 
 
 def _state_after_update(obj, numbers: list[int]) -> LandState:
-    """Return the LandState by the last update: a preview, shaped land, or neither, with the reason.
+    """Return what the last update has shown, as a LandState: a preview, shaped land, or neither, with the reason.
 
     numbers: positions of the active entries in the list.
     """
@@ -232,14 +232,23 @@ def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
         for added in shaped["added"]:
             if added["computed"]:
                 ms[added["entry"]] = (ms[added["entry"]] or 0.0) + added["ms"]
-        names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
         partial = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
         # Effects that computed a whole level though only some of its tiles were requested.
         whole = (_label_of(step["effect"]) for step in shaped["added"] if step["whole"] and step["level"] in partial)
         # The first effect whose tiles may not fit together.
         doubtful = next((_label_of(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
-        return _ShapingInfo(step_m, tuple(ms), *(shaped[name] for name in names), doubtful, next(whole, ""))
+        return _ShapingInfo(
+            step_m=step_m,
+            ms=tuple(ms),
+            tiles=shaped["tiles"],
+            tile_counts=shaped["tile_counts"],
+            left_out_rms_m=shaped["left_out_rms_m"],
+            left_out_max_m=shaped["left_out_most_m"],
+            finished_early=shaped["finished_early"],
+            doubtful=doubtful,
+            whole_effect=next(whole, ""),
+        )
     except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything
         return None
 

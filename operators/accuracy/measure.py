@@ -99,7 +99,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     from ...cbt_terrain.accuracy.rows import is_unsteady, spread_of, unsteady_text, worst
     from ...cbt_terrain.terrain import Terrain
 
-    request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
+    request = replace(request, frozen="")  # costs are those of a mesh that follows its camera
     unit = requested_unit(request.criterion)
     name = f"error_{unit}"  # of the criterion's field
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)

@@ -46,7 +46,7 @@ class AccuracySubject:
         rows: the measured settings.
         notes: sentences for the page.
         crops: pictures of some of the errors.
-        called: the object's name as `file_name` returns it, "" for a store.
+        object_name: the object's name as `file_name` returns it, "" for a store.
         effects: the attributes that the scene reads.
     """
 
@@ -60,7 +60,7 @@ class AccuracySubject:
     rows: "list[Row]" = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     crops: "list[Crop]" = field(default_factory=list)
-    called: str = ""
+    object_name: str = ""
     effects: AttributePlan = AttributePlan()
 
     @property
@@ -69,8 +69,8 @@ class AccuracySubject:
         file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
         return (
             file
-            if file_slug(self.called or Path(file).stem) == file_slug(Path(file).stem)
-            else f"{file}: {self.called}"
+            if file_slug(self.object_name or Path(file).stem) == file_slug(Path(file).stem)
+            else f"{file}: {self.object_name}"
         )
 
     @property
@@ -93,9 +93,8 @@ def store_subject(
     size = f"{resolution[0]} x {resolution[1]} pixels"
     if path is None:
         view = whole_view(heights, resolution)
-        return AccuracySubject(
-            name, heights, [TimedFrame([view])], [], f"as a whole from the south-west, {size}", current
-        )
+        seen = f"as a whole from the south-west, {size}"
+        return AccuracySubject(name, heights, [TimedFrame([view])], frame_numbers=[], seen=seen, current=current)
     flight = read_camera_path(path)
     last = math.floor(flight.frames[-1])
     numbers = list(frames or spread_frames(math.ceil(flight.frames[0]), last))
@@ -131,7 +130,7 @@ def scene_subjects(
 
 @dataclass(frozen=True)
 class Look:
-    """The Request of a terrain at the first of some frames, and its views and placement in each of them.
+    """How a terrain is seen: its Request at the first of some frames, and its views and placement in each of them.
 
     `name`: the object's, as `file_name` returns it. `frames`, `frame_numbers`: as in AccuracySubject.
     """
@@ -152,7 +151,7 @@ class Look:
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), setting_of_request(request)
         found = AccuracySubject(self.name, heights, self.frames, self.frame_numbers, seen, current, request.criterion)
-        found.called, found.effects = self.name, plan(request.effects.requests)
+        found.object_name, found.effects = self.name, plan(request.effects.requests)
         found.notes += omission_notes(request.criterion)
         return found
 
@@ -199,8 +198,8 @@ def setting_of_request(request) -> Setting | None:
     unit = requested_unit(criterion)
     if not unit:
         return None
-    limits = criterion.max_depth, criterion.meshlet
-    return Setting(unit, getattr(criterion, f"error_{unit}"), *limits, interpolation=request.interpolation)
+    limits = {"max_depth": criterion.max_depth, "meshlet": criterion.meshlet}
+    return Setting(unit, getattr(criterion, f"error_{unit}"), interpolation=request.interpolation, **limits)
 
 
 def omission_notes(criterion: Criterion) -> list[str]:

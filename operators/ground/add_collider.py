@@ -64,7 +64,7 @@ def _bake_collider(terrain, depsgraph):
     metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
     warmup.wait()
     with session.engine_lock:
-        update = bake(ground.field, terrain.adaptive_terrain.collider_error_m / metres, **ground.heights)
+        update = bake(ground.field, terrain.adaptive_terrain.collider_error_m / metres, **ground.scale_and_offset)
     return update, update.bound_m * metres
 
 

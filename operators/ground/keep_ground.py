@@ -108,7 +108,7 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
     # moved: metres of each move of an object so far.
     leaders, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
     while needed := _find_moves(todo, grounds, depsgraph, moved):
-        # A constraint holds an object if its first move has left more than half of the distance.
+        # A constraint holds an object if the distance left is more than half of its first move.
         held = [obj for obj in needed if obj in moved and abs(needed[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _reset_deltas(obj)

@@ -86,7 +86,7 @@ def _local_position(ground: WorldGround, read: Coordinates, system: str) -> np.n
         except TerrainError as error:
             what = f"Latitude and longitude cannot be converted to {shown(crs, 40)}. {error.what}"
             raise TerrainError(what, fix="enter east and north of that system") from None
-    if in_degrees:  # a raster may count longitudes from 0 to 360
+    if in_degrees:  # a raster may count longitudes from 0 to 360; place[2]: that of its middle
         x += 360.0 * round((place[2] - x) / 360.0)
     return from_crs(place, np.array([[x, y]]))[0]
 
@@ -109,7 +109,7 @@ def _point_at(ground: WorldGround, local: np.ndarray) -> KnownPoint | None:
     """Return the ground at a position of a terrain's space, float64 [2]; None outside and in holes."""
     from ...cbt_terrain.query.ground import ground_at
 
-    samples = ground_at(ground.field, local[None], **ground.heights)
+    samples = ground_at(ground.field, local[None], **ground.scale_and_offset)
     if not samples.inside[0]:
         return None
     z = float(samples.heights[0])

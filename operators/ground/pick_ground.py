@@ -84,16 +84,17 @@ class PickGround(GroundOperator, bpy.types.Operator):
         """Move the 3D cursor or the active object to where the ray first hits the ground."""
         depsgraph = context.evaluated_depsgraph_get()
         found = chosen_grounds(context, depsgraph)
-        hit = world_ground.first_hit(found, self.origin, self.direction)  # point, and number of its ground
+        hit = world_ground.first_hit(found, self.origin, self.direction)
         if hit is None:
             raise TerrainError("There is no ground under the mouse, or along the ray", fix="aim at the terrain")
+        point, ground = hit[0], found[hit[1]]
         if self.moves == OBJECT:
-            _move_origin(context.object, hit[0], depsgraph)
+            _move_origin(context.object, point, depsgraph)
         else:
-            context.scene.cursor.location = hit[0]
-        slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
-        position = ", ".join(f"{value:,.2f}" for value in hit[0])
-        coordinates = found[hit[1]].coordinates(hit[0])
+            context.scene.cursor.location = point
+        slope = math.degrees(math.acos(min(1.0, ground.normals(point[None])[0, 2])))
+        position = ", ".join(f"{value:,.2f}" for value in point)
+        coordinates = ground.coordinates(point)
         self.report({"INFO"}, ", ".join(filter(None, (f"Ground at {position} m, slope {plain(slope)}°", coordinates))))
         return {"FINISHED"}
 

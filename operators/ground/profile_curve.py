@@ -158,7 +158,7 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
     """
     from ...cbt_terrain.query.ground import profile
 
-    found = profile(ground.field, ground.to_local(line)[:, :2], spacing, **ground.heights)
+    found = profile(ground.field, ground.to_local(line)[:, :2], spacing, **ground.scale_and_offset)
     known = np.isfinite(found.heights)
     points = ground.to_world(np.c_[found.places, np.where(known, found.heights, 0.0)])
     points[~known, 2] = np.nan

@@ -18,7 +18,7 @@ def channels_to_world(evaluated) -> Matrix:
     It includes constraints that carry an object (Follow Path, Child Of). Raises TerrainError if it is singular.
     """
     acting, world = [c.type for c in evaluated.constraints if not c.mute], evaluated.matrix_world
-    if acting and STAY.issuperset(acting):  # they do not move it, their rotations are left out: the parent counts
+    if acting and STAY.issuperset(acting):  # they only turn it: the frame is the parent's, without their rotations
         frame = world @ evaluated.matrix_local.inverted_safe()
         if evaluated.parent is not None:
             frame = frame @ evaluated.matrix_parent_inverse

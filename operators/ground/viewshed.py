@@ -56,7 +56,7 @@ class Viewshed(GroundOperator, bpy.types.Operator):
         point = np.array([eye.evaluated_get(depsgraph).matrix_world.translation], np.float64)
         terrain, ground = terrain_at(context, point, repr(eye.name), depsgraph)
         seen = viewshed(
-            ground.field, ground.to_local(point)[0], self.target_height, self.radius or None, **ground.heights
+            ground.field, ground.to_local(point)[0], self.target_height, self.radius or None, **ground.scale_and_offset
         )
         image = _make_image(terrain, seen)
         if self.attribute:

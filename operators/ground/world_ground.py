@@ -35,8 +35,8 @@ class WorldGround:
     offset: float
 
     @property
-    def heights(self) -> dict[str, float]:
-        """Return the arguments of the engine's functions for vertical scale and offset."""
+    def scale_and_offset(self) -> dict[str, float]:
+        """Return the vertical scale and offset as keyword arguments of the engine's functions."""
         return {"vertical_scale": self.scale, "vertical_offset": self.offset}
 
     def key(self) -> tuple:
@@ -70,13 +70,13 @@ class WorldGround:
         to_local = inverse(self.placement)
         local_directions = _transform_vectors(to_local[:3, :3], directions)
         local_origins = _transform_points(to_local, origins)
-        return self.to_world(pick(self.field, local_origins, local_directions, **self.heights).points)
+        return self.to_world(pick(self.field, local_origins, local_directions, **self.scale_and_offset).points)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Return upward unit normals in the world, float64 [n, 3], at points of the world on the surface."""
         from ...cbt_terrain.query.ground import ground_at
 
-        local = ground_at(self.field, self.to_local(points)[:, :2], **self.heights).normals
+        local = ground_at(self.field, self.to_local(points)[:, :2], **self.scale_and_offset).normals
         normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)  # by the inverse transpose
         normals = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]
         return np.where(normals[:, 2:] < 0.0, -normals, normals)

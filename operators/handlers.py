@@ -17,7 +17,7 @@ from ..cbt_terrain.run import stopping
 from .accuracy import measuring
 from .accuracy import report as accuracy_report
 from .bridge import freed_memory
-from .bridge.demand import kept
+from .bridge.demand import demand_cache
 from .bridge.writing import allow_writing
 from .ground import keep_ground
 from .importing import import_terrain, incomplete
@@ -27,7 +27,7 @@ from .terrain.request import RENDER, VIEWPORT
 from .text.console import print_line
 
 # A terrain's mesh and attributes depend on no other type.
-SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *kept.TYPES
+SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *demand_cache.TYPES
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
 _joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes that its compositor takes in
@@ -54,7 +54,7 @@ def _unless_paused(handler):
 def _note_scene_change(depsgraph) -> None:
     """Record which objects of the scene changed, for updates that read them later; call it in a pause, too."""
     if depsgraph is not None and depsgraph.mode == VIEWPORT:
-        kept.note_update(depsgraph)
+        demand_cache.note_update(depsgraph)
 
 
 def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:

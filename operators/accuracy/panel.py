@@ -137,7 +137,7 @@ def summary_lines(status, sees_nothing: bool = False, is_behind: bool = False) -
     if unit.startswith("px") and value == 0.0 and (sees_nothing or is_behind):
         bound = "no view" if sees_nothing else "updating"
     ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
-    return [("Triangles", f"{status.left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
+    return [("Triangles", f"{status.triangles_left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
 
 
 def statistics_lines(status) -> list[tuple[str, str]]:
@@ -155,8 +155,8 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     if status.bounds.relaxed != 1.0:
         lines.append(("Coarser than asked", phrase("{} times", plain(status.bounds.relaxed))))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
-    if status.left != status.triangles:
-        lines.append(("Left by clean-up", f"{status.left:,}"))
+    if status.triangles_left != status.triangles:
+        lines.append(("Left by clean-up", f"{status.triangles_left:,}"))
     return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
 
 

@@ -14,7 +14,7 @@ from ...cbt_terrain.attributes.layers import why_missing
 from ...cbt_terrain.attributes.plan import AttributePlan
 from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.field.heightfield import HeightField
-from ..bridge.demand import kept
+from ..bridge.demand import demand_cache
 from ..bridge.demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from ..layers.decals import decal_parameters
 from ..layers.properties import color_parameters, empty_layers_note, layer_parameters
@@ -147,7 +147,7 @@ def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
     A reader of everything counts for each attribute, and one of the active colours for the attributes that are active.
     mode: VIEWPORT or RENDER.
     """
-    demand = kept.demand_of(obj, depsgraph, mode)
+    demand = demand_cache.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})  # a copy: `demand` may be cached
     everything = {name: demand.get(ALL, []) for name in ATTRIBUTES}
     colours = {obj.data.attributes.active_color_name, obj.data.attributes.default_color_name}

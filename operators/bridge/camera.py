@@ -207,7 +207,7 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         ends = lens.central_cylindrical_range_v_min, lens.central_cylindrical_range_v_max
         low, high = (end / lens.central_cylindrical_radius for end in ends)
         across = lens.central_cylindrical_range_u_max - lens.central_cylindrical_range_u_min
-        steepest = 1 + max(low * low, high * high)
+        steepest = 1 + max(low * low, high * high)  # tan(latitude) = v, so a step of v spans 1 / (1 + v * v) of it
         return min(abs(across) / width / math.sqrt(steepest), abs(high - low) / height / steepest)
     if panorama == "FISHEYE_EQUIDISTANT":
         return lens.fisheye_fov / max(width, height)
@@ -222,7 +222,7 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         factors = [getattr(lens, f"fisheye_polynomial_k{power}") for power in range(5)]
         angles = sum(factor * radii**power for power, factor in enumerate(factors))
         steps = np.abs(np.diff(angles))[np.abs(angles[:-1]) <= lens.fisheye_fov / 2]  # further out there is no picture
-        return float(steps.min(initial=math.inf)) / (corner / 1024) * millimetres
+        return float(steps.min(initial=math.inf)) / (corner / 1024) * millimetres  # radians per millimetre, of a pixel
     return min(2 * math.pi / width, math.pi / height) / 2
 
 

@@ -19,7 +19,8 @@ import bpy
 LARGE = 100_000  # triangles; fewer need less than 2,000 pages of a microsecond each
 IDLE_S = 5.0  # after the last mesh
 
-# <malloc.h> of glibc, whose default thresholds grow to 32 MB and 64 MB; older versions accept no larger ones.
+# Options of `mallopt`, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, and their values while memory is held and afterwards:
+# glibc's default thresholds grow to 32 MB and 64 MB, and older versions accept no larger ones.
 _TRIM, _MMAP = -1, -3
 _HELD, _MMAP_LIMIT, _TRIM_LIMIT = 1 << 30, 32 << 20, 64 << 20
 _FOREVER_MS = -1
@@ -27,7 +28,7 @@ _FOREVER_MS = -1
 _lock = threading.Lock()  # a render calls `give_back` on another thread
 _decays: dict[bytes, int] = {}  # original decay times of jemalloc's arenas in milliseconds, while they hold memory
 _glibc_holds = False
-_last = 0.0
+_last = 0.0  # monotonic seconds of the last call of `hold_freed_memory`
 
 
 def hold_freed_memory() -> None:

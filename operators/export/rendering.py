@@ -141,5 +141,5 @@ def _figures(name: str, record: Record) -> dict:
     """Return the figures of the terrain that was rendered, with the keys of `exporting.figures`."""
     status = record.status
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
-    figures = {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}
+    figures = {"name": name, "triangles": status.triangles_left, **bounds_of(status.bounds), "ms": ms}
     return figures | loading_note(record.field)

@@ -28,13 +28,14 @@ from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, gathe
 from ..terrain.request_kernels import kernels_for
 from . import session
 
+# Seconds between turns of the timer: without work, while the worker computes, and during a render.
 IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
 NORMALS_S = 1.0  # without an update before a live mesh gets its exact normals
 
 
 @dataclass
 class LiveUpdate:
-    """An update or a step of one: the terrain's session_uid, its generation at the start, and the request."""
+    """An update or a step of one: the terrain's session_uid, its Record.generation at the start, and the request."""
 
     uid: int
     generation: int
@@ -42,7 +43,7 @@ class LiveUpdate:
     future: Future | None  # None once its result is shown
 
 
-_dirty = False
+_dirty = False  # whether a terrain may need an update
 _unrefined: dict[int, LiveUpdate] = {}  # last updates whose meshes show a preview, by session_uid
 _job: LiveUpdate | None = None
 _worker: ThreadPoolExecutor | None = None
@@ -87,7 +88,7 @@ def _turn() -> float:
     idle = not _dirty and not _windows_changed()
     if idle:
         _job = _next_refinement()
-    _dirty |= _refine_resting_land(idle and _job is None)
+    _dirty |= _refine_resting_land(idle and _job is None)  # finer land needs an update
     if idle:
         if _job is None and time.monotonic() - _shown_at >= NORMALS_S:
             _write_postponed_normals()
@@ -113,7 +114,7 @@ def _refine_resting_land(idle: bool) -> bool:
 
 def _write_postponed_normals() -> None:
     """Write the exact normals that live updates have left out, before Blender 4.5."""
-    if any(record.postponed is not None for _, record in session.records()):
+    if any(record.postponed_normals is not None for _, record in session.records()):
         for obj in session.all_terrains():
             if obj.mode == "OBJECT":
                 _show_normals(obj)

@@ -32,7 +32,7 @@ class Status:
         changed: whether the engine's mesh differed from the one before.
         leaves, triangles: of the engine's mesh.
         bounds: bounds of the mesh.
-        left: triangles after the clean-up.
+        triangles_left: triangles after the clean-up.
         ms: milliseconds by step.
         effects: status of attributes by name.
         effects_bytes: memory of all attributes, including their cache for the next update.
@@ -47,7 +47,7 @@ class Status:
     leaves: int = 0
     triangles: int = 0
     bounds: ReportedBounds = ReportedBounds()
-    left: int = 0
+    triangles_left: int = 0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
     effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     effects_bytes: int = 0
@@ -69,13 +69,13 @@ class Record:
         field: the height field of the last update, None before the first.
         serial: number of the current surface; it grows whenever the surface changes.
         shown: key of the surface in the mesh and of how it was written.
-        postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
+        postponed_normals: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
         overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
         effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
         effects_serial: number of the current values.
         effects_status: status by name.
         effects_runs: how often each was computed.
-        live_key: key of the last live request.
+        live_key: key of the last request of the live update, which skips an equal one; None to repeat it.
         time_correction: from updates of the live viewport.
         scatters: by the session_uid of their objects.
         generation: changes with everything that makes a running update stale.
@@ -85,7 +85,7 @@ class Record:
     field: object = None
     serial: int = 0
     shown: tuple | None = None
-    postponed: np.ndarray | None = None
+    postponed_normals: np.ndarray | None = None
     overlay: Overlay | None = None
     overlay_key: tuple | None = None
     overlay_ms: float = 0.0

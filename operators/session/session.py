@@ -21,7 +21,7 @@ from ...cbt_terrain.run.owned_files import real_path
 from ..attributes.request import statuses
 from ..bridge import freed_memory
 from ..bridge.cleanup import clean_up
-from ..bridge.demand import kept
+from ..bridge.demand import demand_cache
 from ..bridge.writer import write_mesh, write_normals
 from ..overlay.colors import make_overlay
 from ..scatter.request import make_points, show_points
@@ -284,10 +284,10 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
         start = time.perf_counter()
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold_freed_memory()
-        record.shown = record.postponed = None  # nothing, should the writing fail
+        record.shown = record.postponed_normals = None  # nothing, should the writing fail
         surface = clean_up(shown_surface(record, update), request.cleanup)
         if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):
-            record.postponed = surface.normals.copy()
+            record.postponed_normals = surface.normals.copy()
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
@@ -301,7 +301,7 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
         mode=mode,
         request=request,
         field_key=record.field.key,
-        left=len(obj.data.polygons),
+        triangles_left=len(obj.data.polygons),
         ms=ms,
         effects=record.effects_status,
         effects_bytes=record.effects_bytes,
@@ -319,7 +319,7 @@ def show_normals(obj) -> bool:
     They are dropped if the mesh has changed since then or is being edited.
     """
     record, mesh = record_of(obj), obj.data
-    normals, record.postponed = record.postponed, None
+    normals, record.postponed_normals = record.postponed_normals, None
     if normals is None or record.shown is None or len(normals) != len(mesh.vertices) or mesh.is_editmode:
         return False
     write_normals(mesh, normals)
@@ -350,9 +350,9 @@ def _make_mesh_single_user(obj) -> None:
 
 def forget_shown() -> None:
     """After undo, write each mesh again at its next update, and drop running updates."""
-    kept.forget()  # the attributes that node trees read
+    demand_cache.forget()  # the attributes that node trees read
     for record in _records.values():
-        record.shown = record.postponed = record.live_key = None
+        record.shown = record.postponed_normals = record.live_key = None
         for scatter in record.scatters.values():
             scatter.shown = ()
         record.generation += 1
@@ -360,7 +360,7 @@ def forget_shown() -> None:
 
 def clear() -> None:
     """Drop every terrain and height field, after another file or before the extension is disabled."""
-    kept.forget()  # the attributes that node trees read
+    demand_cache.forget()  # the attributes that node trees read
     with engine_lock:
         for record in _records.values():
             record.generation += 1

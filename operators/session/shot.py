@@ -52,8 +52,8 @@ def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **opti
     yield views
 
 
-def _move_view(view: View, placement: np.ndarray, first: np.ndarray) -> View:
-    """Return the View that shows a terrain at `first` as `view` shows it at `placement`, both float64 [4, 4]."""
-    if np.array_equal(placement, first):
+def _move_view(view: View, placement: np.ndarray, target: np.ndarray) -> View:
+    """Return the View that shows a terrain at `target` as `view` shows it at `placement`, both float64 [4, 4]."""
+    if np.array_equal(placement, target):
         return view
-    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))
+    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(target)))

@@ -44,7 +44,7 @@ def draw_status(layout, context, obj) -> None:
         row.label(text="No height map yet: press Import", icon="INFO")
     elif not obj.visible_get():
         row.label(text="Hidden: stays as it is", icon="HIDE_ON")
-    elif status.mode and not status.left:  # an update left no triangle
+    elif status.mode and not status.triangles_left:  # an update left no triangle
         row.label(text="Nothing is left: all is cut away", icon="ERROR")
     elif obj.adaptive_terrain.frozen:
         row = row.split(factor=NOTICE_WIDTH)

@@ -111,4 +111,4 @@ def test_free_normals_are_never_postponed(scene, add_terrain, monkeypatch):
     show_window(monkeypatch)
     monkeypatch.setattr(live, "NORMALS_S", 1e9)
     turn()
-    assert terrain.data.has_custom_normals and session.record_of(terrain).postponed is None
+    assert terrain.data.has_custom_normals and session.record_of(terrain).postponed_normals is None

@@ -192,8 +192,8 @@ def test_clean_up_follows_the_settings(scene, add_terrain):
     assert 0 < len(terrain.data.polygons) < whole
     assert terrain.data.validate(verbose=True) is False
     status = session.record_of(terrain).status
-    assert (status.triangles, status.left) == (whole, len(terrain.data.polygons))
-    assert dict(statistics_lines(status))["Left by clean-up"] == f"{status.left:,}"
+    assert (status.triangles, status.triangles_left) == (whole, len(terrain.data.polygons))
+    assert dict(statistics_lines(status))["Left by clean-up"] == f"{status.triangles_left:,}"
     piece = scene_piece(terrain, bpy.context.evaluated_depsgraph_get(), 1)
     assert piece.info["triangles"] == len(piece.surface.triangles) == len(terrain.data.polygons)
     assert piece.info["vertices"] == len(piece.surface.positions)

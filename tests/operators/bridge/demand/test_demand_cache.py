@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from adaptive_terrain.operators.bridge.demand import kept
+from adaptive_terrain.operators.bridge.demand import demand_cache
 from demand_trees import Moved, colour, new_material, new_object, shows
 
 
@@ -16,9 +16,9 @@ def gathered(monkeypatch):
         calls.append(arguments)
         return found(*arguments)
 
-    found = kept.find_demand
-    monkeypatch.setattr(kept, "find_demand", counted)
-    kept.forget()
+    found = demand_cache.find_demand
+    monkeypatch.setattr(demand_cache, "find_demand", counted)
+    demand_cache.forget()
     return calls
 
 
@@ -33,7 +33,7 @@ def worn(scene, add_terrain):
 def read(terrain):
     """Return the attributes that the viewport reads after Blender's update."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    return set(kept.demand_of(terrain, depsgraph, "VIEWPORT"))
+    return set(demand_cache.demand_of(terrain, depsgraph, "VIEWPORT"))
 
 
 def test_nothing_is_gathered_while_nothing_changes(worn, gathered, scene):
@@ -52,7 +52,7 @@ def test_nothing_is_gathered_while_nothing_changes(worn, gathered, scene):
 def test_a_render_always_gathers(worn, gathered):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for _ in range(2):
-        kept.demand_of(worn, depsgraph, "RENDER")
+        demand_cache.demand_of(worn, depsgraph, "RENDER")
     assert len(gathered) == 2
 
 
@@ -134,4 +134,4 @@ def test_a_modifiers_own_settings_are_noticed(worn, gathered):
 def test_another_file_is_another_demand(worn, gathered):
     assert read(worn) == {"slope"}
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert kept._cached == {}
+    assert demand_cache._cached == {}

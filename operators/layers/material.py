@@ -19,7 +19,7 @@ GROUP = "Terrain Layers"
 PLAIN = (0.2, 0.19, 0.17)  # without any layer
 MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
 FIELDS = 100.0  # default sizes of the variation in the terrain's longer side
-A_GROUP = 4  # layers in one attribute or map
+LAYERS_PER_SPLAT = 4  # layers whose weights are in one attribute or map: splat_1, splat_2 ...
 COLORS, NORMAL, SKY, SUN = "color", "detail_normal", "sky", "sun"
 VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
 COLOUR = "Color"
@@ -29,9 +29,9 @@ RAGGED = 0.9
 BANDED = 6.0
 # What the noise does to a colour.
 LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
-# How far from a seam of tiles a pixel may reach, as a part of its distance.
+# Width of the ground along a seam of tiles that is read without mipmaps, as a fraction of its distance to the camera.
 SEAM = 0.01
-# Octaves of the variation, by its size, and how far each is seen, in its own size.
+# Octaves of the variation, in its size; the distance at which an octave is half as strong, in the octave's size.
 BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 
@@ -309,11 +309,11 @@ def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])
     fourth = n.math("MAXIMUM", opposite, 1.0 - RAGGED)
     colour = total = None
-    for first in range(0, len(colours), A_GROUP):
-        vector, alpha = _add_weights(n, sources, first // A_GROUP)
+    for first in range(0, len(colours), LAYERS_PER_SPLAT):
+        vector, alpha = _add_weights(n, sources, first // LAYERS_PER_SPLAT)
         weights = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
         weights.append(n.math("MULTIPLY", alpha, fourth))
-        for weight, layer in zip(weights, colours[first : first + A_GROUP], strict=False):
+        for weight, layer in zip(weights, colours[first : first + LAYERS_PER_SPLAT], strict=False):
             weighted = n.scaled(layer, weight)
             colour = weighted if colour is None else n.vector("ADD", colour, weighted)
             total = weight if total is None else n.math("ADD", total, weight)

@@ -282,8 +282,8 @@ def layer_alone(settings) -> rules.Layer:
         )
     if settings.image is not None:
         layer_rules.append(rules.image_rule(painted_of(settings.image)))
-    numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
-    return rules.Layer(settings.name, tuple(layer_rules), *numbers, settings.seed)
+    names = ("name", "strength", "on_top", "noise_size", "ragged", "seed")
+    return rules.Layer(rules=tuple(layer_rules), **{name: getattr(settings, name) for name in names})
 
 
 def rule_of(kind: str, band) -> rules.Rule:

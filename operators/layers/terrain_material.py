@@ -6,7 +6,7 @@ import bpy
 from ...cbt_terrain.attributes.splat import NAMES
 from ..maps.images import map_image, map_vector, tile_metres
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
-from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, LayerSources, dress
+from .material import COLORS, LAYERS_PER_SPLAT, NORMAL, SKY, SUN, LayerSources, dress
 from .properties import colors_of
 
 
@@ -44,7 +44,8 @@ def sources_of(obj, light) -> LayerSources:
     light: SKY and SUN that the user chose; those with a baked map are always used.
     """
     layers = colors_of(obj.adaptive_terrain)
-    names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])  # as many groups as the layers need
+    num_splats = -(-len(layers) // LAYERS_PER_SPLAT)  # rounded up
+    names = (COLORS, NORMAL, SKY, SUN, *NAMES[:num_splats])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     layers = [] if COLORS in maps else layers  # the map has their colours
     light = [name for name in (SKY, SUN) if name in light or name in maps]

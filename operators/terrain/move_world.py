@@ -46,10 +46,8 @@ class MoveWorld(bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Move the scene, set the anchors of its terrains, and report the distance."""
-        scene, terrains = (
-            context.scene,
-            [obj for obj in session.terrains_of(context.scene) if obj.adaptive_terrain.store],
-        )
+        scene = context.scene
+        terrains = [obj for obj in session.terrains_of(scene) if obj.adaptive_terrain.store]
         middle = middle_of_path(scene)
         # Metres of the world; a multiple of the step of anchors, and nothing for a path that is near already.
         by = -np.round(middle / ANCHOR_STEP) * ANCHOR_STEP if np.abs(middle).max() > NEAR else np.zeros(2)

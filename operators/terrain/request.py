@@ -49,9 +49,11 @@ class Request:
         land: land to be shaped from it first, or None.
         interpolation: the height field's, by its name in heightfield.py.
         ground: displacement on it, or None.
+        criterion: how fine the mesh has to be.
         views: of the cameras or viewports to refine for, [] if the criterion needs none.
         placement: float64 [4, 4], the terrain's space to the world, metres.
         anchor: origin of that space, metres east and north of the raster's middle.
+        vertical_scale, vertical_offset: z in that space is height * scale + offset, metres.
         smooth: shade the mesh smoothly.
         cleanup: parts of the finished mesh to cut away.
         overlay: colours of the mesh.

@@ -158,6 +158,11 @@ def forget() -> None:
         known.clear()
 
 
+def field_of_land(land: Land, open_field: OpenField, verified: bool = False) -> HeightField:
+    """Return the height field of land, which is shaped first if it is needed; as `raster_of`."""
+    return raster_of("", land, open_field, verified)
+
+
 def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bool = False) -> HeightField:
     """Return the height field of a store or of land, which is shaped first if it is needed. For any thread.
 

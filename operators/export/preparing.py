@@ -12,7 +12,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME, read_json
-from ...cbt_terrain.height_operators.derived_store import raster_of
+from ...cbt_terrain.height_operators.derived_store import field_of_land, raster_of
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.thinning import loaded_m
 from ...cbt_terrain.importing.tile_import import FILL, MEASURE, READ_TILES
@@ -144,8 +144,8 @@ def shape_land(obj, task: Preparation) -> None:
         views = []
         if land.of_views:
             *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
-        # Shapes the land; the store "" would be opened only without land.
-        raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
+        wanted = wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views)
+        field_of_land(wanted, session.open_field, verified=True)  # shapes it
         say(f"{obj.name}: its land is shaped")
     if names := maps_shown_by_materials(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
@@ -154,17 +154,17 @@ def shape_land(obj, task: Preparation) -> None:
         say(maps_summary(bake_maps(request, field, task.on_progress), obj.name))
 
 
-SHARED = READ_TILES, MEASURE  # parts of an import that several processes share, as they share "tiles"
-IMPORTS = READ_TILES, FILL, MEASURE  # parts of an import of all samples
+SHARED_PARTS = "tiles", READ_TILES, MEASURE  # those of which each process does a share
+IMPORT_PARTS = READ_TILES, FILL, MEASURE  # parts of an import of all samples
 PARTS = {
     "stores": import_store,
     "land": shape_land,
     "view": find_view,
     "tiles": read_view,
     "load": load_view,
-    **{step: partial(import_share, step) for step in IMPORTS},
+    **{step: partial(import_share, step) for step in IMPORT_PARTS},
 }
-ALL = "stores", "land"  # the parts without a farm, which are all that is needed
+DEFAULT_PARTS = "stores", "land"  # all that one machine needs
 
 
 def prepare(

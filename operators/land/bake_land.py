@@ -72,8 +72,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
         def copy() -> tuple[Land, str]:
             """Check the shaped land, which is shaped first if a script has not done that, and copy it."""
             with stopping.checking(job.raise_if_stopped):
-                # opens the shaped land, and checks its files; the store "" would be opened only without land
-                derived_store.raster_of("", land, session.open_field, verified=True)
+                derived_store.field_of_land(land, session.open_field, verified=True)
                 copy_store(land.folder, target, job.progress)
             return land, folder
 

@@ -159,8 +159,8 @@ class ShapeLand(_Shaping, bpy.types.Operator):
             *_, views = _visit_views(
                 obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene)
             )
-            # shapes the land; the store "" would be opened only without land
-            derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
+            land = wanted_land(obj, context.evaluated_depsgraph_get(), views)
+            derived_store.field_of_land(land, session.open_field)  # shapes it
         except TerrainError as error:
             return self.fail(obj, str(error))
         self.finish(context, obj)

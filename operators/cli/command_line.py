@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
-from ..text.console import LONGEST_LINE, OPENJD, open_streams, print_line, unwritten
+from ..text.console import LONGEST_LINE, OPENJD, open_streams, print_line, why_stdout_failed
 from . import verbs
 from .parser import PROGRAM, build_parser
 
@@ -54,7 +54,7 @@ def _run(argv: list[str] | None) -> int:
         print_line(f"{PROGRAM} {arguments.verb}: error: {shown(error, LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        message = unwritten(error) or shown(_error_text(error), LONGEST_LINE)
+        message = why_stdout_failed(error) or shown(_error_text(error), LONGEST_LINE)
         fields = error.to_json() if isinstance(error, TerrainError) else {"what": str(message)}
         print_line(json.dumps(fields) if arguments.json_errors else f"{PROGRAM}: error: {message}", file=sys.stderr)
         if arguments.progress == OPENJD:

@@ -15,7 +15,7 @@ from ...cbt_terrain.view.criterion import Criterion
 from ..text import effect_lines
 
 MEASURED_TRIANGLES = 200_000
-FINE_M = 1e-3  # an error that the limit above holds back
+FINE_M = 1e-3  # an error so small that the limit above decides the mesh
 
 
 def describe_attributes() -> dict:
@@ -45,7 +45,8 @@ def _measure_attribute(name: str, field, surface):
     planned = plan([AttributeRequest(name, ("this command",), GEOMETRY)])
     for _ in range(2):
         ran = evaluate(field, EffectRequest(planned, surface), FrameHistory(), launch.default_threads()).ran
-    return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)
+    ms, nbytes = sum(step.ms for step in ran.values()), sum(step.nbytes for step in ran.values())
+    return Ran(ms=ms, nbytes=nbytes, computed=ran[name].computed)
 
 
 def list_readers(blend: Path, camera: str | None) -> list[str]:

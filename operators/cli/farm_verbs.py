@@ -17,16 +17,15 @@ def run_prepare(arguments) -> None:
 
     need_bpy("A .blend file")
     from ..export.blend_files import open_scene
-    from ..export.preparing import ALL, IMPORTS, SHARED, prepare
+    from ..export.preparing import DEFAULT_PARTS, IMPORT_PARTS, SHARED_PARTS, prepare
     from ..session.shot import frames_of
 
-    shared = "tiles", *SHARED
-    if arguments.share and arguments.only not in shared:
-        raise UsageError(f"--share belongs to --only {' and --only '.join(shared)}")
-    if arguments.only in ("load", *IMPORTS) and arguments.job_stores is None:
+    if arguments.share and arguments.only not in SHARED_PARTS:
+        raise UsageError(f"--share belongs to --only {' and --only '.join(SHARED_PARTS)}")
+    if arguments.only in ("load", *IMPORT_PARTS) and arguments.job_stores is None:
         raise UsageError(f"--only {arguments.only} needs --job-stores")
     scene, objects = open_scene(arguments.scene)
-    parts = [arguments.only] if arguments.only else ALL
+    parts = [arguments.only] if arguments.only else DEFAULT_PARTS
     where = {"stores": arguments.job_stores, "share": arguments.share or (1, 1)}
     with Progress(len(parts) * len(objects), "prepare", arguments.progress) as bar:
         prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to, **where)

@@ -18,7 +18,8 @@ from ..export.exporting import check_target
 from ..text.console import print_line
 from .point_table import parse_points
 
-MAX_BYTES = 1 << 30
+MAX_BYTES = 1 << 30  # of the file of points
+# Columns that are added to the points, and those of a profile.
 FOUND = ("height_m", "slope_deg", "normal_x", "normal_y", "normal_z")
 ALONG = ("along_m", "x", "y", FOUND[0])
 LONGEST_UNIT = 10_000.0  # metres; a coordinate system with a longer one counts angles

@@ -6,15 +6,12 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
-from ...cbt_terrain.height_operators.export import check_export, export_raster
 from ...cbt_terrain.height_operators.shape_process import ShapeJob
 from ...cbt_terrain.height_operators.stack import read_stack
 from ...cbt_terrain.height_operators.tiles import tiles_seen
 from ...cbt_terrain.sandbox.store_job import wait_for
 from ..text.console import Progress
 from .maps_command import views_along
-
-__all__ = ["check_export", "export", "run"]
 
 # A larger raster is shaped as a whole only on request (`whole`).
 WHOLE_SAMPLES = 4097 * 4097
@@ -70,8 +67,3 @@ def run(
 
     with Progress(1.0, "shape", show_progress) as bar:
         return wait_for(start_job, on_progress)
-
-
-def export(out: Path, file: Path) -> list[Path]:
-    """Write the heights and layers of the shaped store `out` as rasters named after `file`; return their paths."""
-    return export_raster(out, file)

@@ -5,9 +5,7 @@ import argparse
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .argument_types import MAX_INT, argument, count, count_from_one, pair, parse_effects, path, positive
-
-MAX_ERROR_M = 1e9
+from .argument_types import MAX_ERROR_M, MAX_INT, argument, count, count_from_one, pair, parse_effects, path, positive
 
 
 def add_tiles(verb: argparse.ArgumentParser) -> None:

@@ -170,6 +170,7 @@ def run_maps(arguments) -> None:
 
 def run_shape(arguments) -> None:
     """Run the verb `shape`: apply height operators to a store, and write the result as a store and as rasters."""
+    from ...cbt_terrain.height_operators.export import check_export, export_raster
     from . import shape_command
 
     for option in () if arguments.path else ("frames", "resolution", "pixel_error"):
@@ -178,7 +179,7 @@ def run_shape(arguments) -> None:
     if arguments.whole and arguments.path:
         raise UsageError("--whole and --path contradict each other: all tiles, or those that the camera sees")
     if arguments.export:
-        shape_command.check_export(arguments.export)
+        check_export(arguments.export)
     start = time.monotonic()
     report = shape_command.run(
         arguments.store,
@@ -196,7 +197,7 @@ def run_shape(arguments) -> None:
     print_fields(report | {"tiles": f"{report['tiles_built']:,} built of {report['tiles_there_are']:,} there are"})
     for line in levels:
         print_line(f"level: {shown(line)}")
-    for file in shape_command.export(arguments.out, arguments.export) if arguments.export else ():
+    for file in export_raster(arguments.out, arguments.export) if arguments.export else ():
         print_line(f"{file} is written")
     print_line(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
 

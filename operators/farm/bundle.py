@@ -34,7 +34,7 @@ STORES_PARAMETER = """- name: StoresDir
   objectType: DIRECTORY
   dataFlow: INOUT
   description: Stores of this job, with the tiles that its frames see."""
-MAX_SHARES, SHARE_TILES = 16, 8  # tasks that read tiles, and tiles in view of one if all are in view
+MAX_SHARES, SHARE_TILES = 16, 8  # of tasks that share the tiles in view: one for SHARE_TILES tiles, MAX_SHARES at most
 MAX_NAME, MAX_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 

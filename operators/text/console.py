@@ -140,7 +140,7 @@ def open_streams() -> None:
     sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def unwritten(error: Exception) -> str:
+def why_stdout_failed(error: Exception) -> str:
     """Return why stdout cannot be written, or "" if `error` has another cause.
 
     The rest of the output is dropped, since Python would try to write it at exit and report another error.

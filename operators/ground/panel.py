@@ -62,7 +62,7 @@ class GroundPanel:
             box.prop(settings, "clearance")
         box.prop(settings, "terrain")
         box.operator("adaptive_terrain.let_go", icon="UNLINKED")
-        for text in notes(obj):
+        if text := keep_ground.note_of(obj):
             draw_message(box, text, "ERROR")
 
     def _draw_collider(self, layout, terrain):
@@ -86,9 +86,3 @@ def _cursor_text(context) -> str:
         return ""
     position = terrain.matrix_world.inverted() @ context.scene.cursor.location
     return coordinates_text(imported.place, imported.crs, np.array(position[:2]) + anchor_of(terrain))
-
-
-def notes(obj) -> list[str]:
-    """Return notes on how an object is kept on the ground."""
-    text = keep_ground.note_of(obj)
-    return [text] if text else []

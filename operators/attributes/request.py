@@ -114,9 +114,9 @@ def statuses(
 
     found = {}
     for step in plan.steps:
-        cost = ran.get(step.name, Ran(0.0, 0, 0))
-        found[step.name] = EffectStatus(step.readers, step.family, cost.ms, cost.nbytes, cost.computed)
-        found[step.name] = replace(found[step.name], note=_note_on(step, heights))
+        cost = ran.get(step.name, Ran(ms=0.0, nbytes=0, computed=0))
+        status = EffectStatus(step.readers, step.family, note=_note_on(step, heights))
+        found[step.name] = replace(status, ms=cost.ms, nbytes=cost.nbytes, computed=cost.computed)
     off = dict(effects.off)
     for name, why in plan.skipped.items():
         found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off_text(off[name]) if name in off else why)

@@ -59,13 +59,13 @@ def bake_maps(
     """
     tiling = tiling_of(field.lattice, min_level(field.raster))
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    # Metres of each tile's finest content, and of the finest texel that is needed.
-    finest = shown = sizing.shown_by(tiling, field, request.requests)
+    # Metres for each tile: of its finest content, which no texel has to be smaller than, and of the pixels that see it.
+    content = pixels = sizing.shown_by(tiling, field, request.requests)
     if request.views:  # no finer than a pixel of a view
         placement = np.eye(4) if request.placement is None else request.placement
-        finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
+        pixels = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
     texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.requests)
-    sides = sizing.resolutions(tiling, finest, shown, texel_bytes, request.budget_mb)
+    sides = sizing.resolutions(tiling, pixels, content, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
     return bake(field, request.requests, request.folder, sides, **heights, **more)
 

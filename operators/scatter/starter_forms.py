@@ -152,6 +152,7 @@ class FormNodes(Nodes):
         out = self.xyz(self.math("MULTIPLY", cosine, level), self.math("MULTIPLY", sine, level), up)
         depth = self.random(0.7, 1.0)
         points = self.move(self.line(count), self.vector("MULTIPLY_ADD", self.scaled(out, depth), size, middle))
+        # Leaves point away from the middle, less steeply than its direction.
         pitch = self.math("MULTIPLY_ADD", self.math("ARCSINE", up), -0.7, self.random(-0.7, 0.7))
         euler = self.xyz(self.random(-0.9, 0.9), pitch, self.math("ADD", angle, self.random(-0.9, 0.9)))
         placed = self.put(points, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
@@ -232,7 +233,7 @@ def grass(nodes: FormNodes, materials, size: float) -> None:
     radius = nodes.math("MULTIPLY", away, 0.16 * size)
     x, y = (nodes.math("MULTIPLY", nodes.math(kind, angle), radius) for kind in ("COSINE", "SINE"))
     points = nodes.move(nodes.line(count), nodes.xyz(x, y, -0.02))
-    pitch = nodes.math("MULTIPLY_ADD", away, 0.75, nodes.random(-1.75, -1.4))
+    pitch = nodes.math("MULTIPLY_ADD", away, 0.75, nodes.random(-1.75, -1.4))  # about upright (-pi / 2) in the middle
     euler = nodes.xyz(0.0, pitch, nodes.math("ADD", angle, nodes.random(-0.6, 0.6)))
     blades = nodes.put(points, nodes.blade(4, 2, 0.07, 0.0, 0.22), euler, nodes.random(0.28 * size, 0.45 * size))
     shade = nodes.math("MULTIPLY", nodes.coordinates().z, 2.4 / size)
@@ -244,7 +245,7 @@ def rock(nodes: FormNodes, materials, size: float) -> None:
     stone = nodes.blob(4, (0.5 * size, 0.42 * size, 0.34 * size), (0.0, 0.0, 0.14 * size), 0.55, 0.9)
     position = nodes.position()
     cells = nodes.add("ShaderNodeTexVoronoi", {"Vector": position, "Scale": 2.2 / size}).outputs["Distance"]
-    cut = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", cells, 0.4), -0.22, 1.0)
+    cut = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", cells, 0.4), -0.22, 1.0)  # each cell of the noise bulges
     stone = nodes.move(stone, nodes.scaled(position, cut))
     shade = nodes.math("MULTIPLY_ADD", nodes.coordinates().z, 1.3 / size, 0.15)
     nodes.finish(nodes.dress(stone, materials["Stone"], shade, smooth=False))

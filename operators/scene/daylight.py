@@ -26,7 +26,7 @@ SKY_TYPES = {"MULTIPLE_SCATTERING": 0.08, "NISHITA": 0.11}
 # Haze at the horizon and below, by the sun's elevation: its radiance, and its color from warm to cool.
 ELEVATIONS, RADIANCE = np.radians((2.0, 8.0, 15.0, 28.0)), (0.18, 0.4, 0.55, 0.65)
 WARM_HAZE, COOL_HAZE = (1.25, 0.95, 0.72), (0.82, 1.0, 1.18)
-FADE = -0.01, 0.12  # sines of the angles above the horizon between which its colour becomes the sky's
+FADE = -0.01, 0.12  # sines of the angles above the horizon between which the haze's colour becomes the sky's
 
 
 def sun_vector(elevation: float, azimuth: float) -> Vector:

@@ -133,7 +133,7 @@ class SetUpScene(bpy.types.Operator):
                 viewpoint.look_from(viewport[1], to_world, 0.5 * sight.diagonal(sight.box_of(obj)))
         built_camera.matrix_world = to_world
         built_camera.data.clip_start, built_camera.data.clip_end = viewpoint.clip_range(obj, to_world.translation)
-        leave_map(scene)
+        leave_map(scene)  # a map camera has changed the size of the picture
         scene.camera = built_camera
         return built_camera
 

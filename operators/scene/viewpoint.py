@@ -128,6 +128,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
         skyline = horizon[..., -1].std(axis=-1)
         last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
+        # The border of the terrain is seen where a ray's last sample is below the eye and not hidden.
         edge = np.take_along_axis(rise, last, axis=-1)[..., 0]
         is_edge_seen = (edge < 0.0) & (np.take_along_axis(shown, last, axis=-1)[..., 0] > 0.0)
         cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)  # worse the nearer the border is

@@ -53,6 +53,7 @@ def draw_status(layout, context, obj) -> None:
     else:
         text, operator, button = sight_notice(context, obj)
         harmless = text in NO_VIEW and follows_viewport(obj, context.scene)
+        # loaded: the detail of an incomplete store here, "" for a complete one.
         if (harmless or not text) and (loaded := loaded_here(context, obj)):
             text, harmless, (operator, button) = loaded, False, LOAD_ALL
         row = row.split(factor=NOTICE_WIDTH) if text else row

@@ -13,7 +13,7 @@ MAX_ERROR_M = 1e9
 METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
 
 
-def argument(parse):
+def argparse_type(parse):
     """Wrap a parser for argparse, which shows the text of an ArgumentTypeError only: convert ValueError and
     TerrainError.
     """

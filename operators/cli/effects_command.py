@@ -59,7 +59,7 @@ def list_readers(blend: Path, camera: str | None) -> list[str]:
     from ..export.frame_sources import SceneFrames
     from ..session import session
 
-    scene = SceneFrames(blend, camera, None)
+    scene = SceneFrames(blend, camera, resolution=None)
     lines = []
     for piece in scene.pieces(scene.scene.frame_current):
         statuses = session.record_of(piece.obj).status.effects

@@ -3,7 +3,7 @@
 
 import argparse
 
-from .argument_types import argument, count_from_one, path, path_text, positive, share
+from .argument_types import argparse_type, count_from_one, path, path_text, positive, share
 
 MAX_MEMORY_GIB = 1e6
 FRAMES = "A,B-C,D-E:STEP"
@@ -17,14 +17,14 @@ def add_submit(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_formats, parse_frames
 
     verb.add_argument("--scene", **SCENE, help="the .blend file, as it is on disk")
-    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="the scene's, without")
+    verb.add_argument("--frames", type=argparse_type(parse_frames), metavar=FRAMES, help="the scene's, without")
     verb.add_argument(
         "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
     )
     verb.add_argument("--chunk", type=count_from_one, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
     what = verb.add_mutually_exclusive_group()
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
-    formats = argument(parse_formats)
+    formats = argparse_type(parse_formats)
     what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
     verb.add_argument(
         "--extension",
@@ -43,7 +43,7 @@ def add_prepare(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_frames
 
     verb.add_argument("--scene", **SCENE)
-    frames = argument(parse_frames)
+    frames = argparse_type(parse_frames)
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
     only = "import stores, shape land and bake maps, or a step of a farm's job with incomplete stores"
     parts = "stores", "land", "view", "tiles", "load", "read", "fill", "measure"
@@ -57,7 +57,7 @@ def add_render(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_frames
 
     verb.add_argument("--scene", **SCENE)
-    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
+    verb.add_argument("--frames", type=argparse_type(parse_frames), required=True, metavar=FRAMES)
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
     verb.add_argument("--job-stores", **JOB_STORES)
@@ -68,4 +68,4 @@ def add_verify(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_frames
 
     verb.add_argument("folder", type=path, help="where export or render has written them")
-    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
+    verb.add_argument("--frames", type=argparse_type(parse_frames), required=True, metavar=FRAMES)

@@ -40,7 +40,7 @@ def run_render(arguments) -> None:
     from ..export.frame_sources import SceneFrames
     from ..export.rendering import render_frames
 
-    source = SceneFrames(arguments.scene, None, None, stores=arguments.job_stores)
+    source = SceneFrames(arguments.scene, camera=None, resolution=None, stores=arguments.job_stores)
     for folder in folders_outside(source.scene, Path(arguments.scene).parent, arguments.out):
         print_line(f"note: a File Output node writes outside the scene's folder, to {folder}", file=sys.stderr)
     with frame_reporter(arguments, "render") as on_frame:

@@ -4,7 +4,7 @@
 import argparse
 
 from . import import_verbs
-from .argument_types import MAX_ERROR_M, MAX_INT, argument, count_from_one, pair, path, path_text, positive
+from .argument_types import MAX_ERROR_M, MAX_INT, argparse_type, count_from_one, pair, path, path_text, positive
 
 PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
 
@@ -55,7 +55,7 @@ def _add_contents(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--channel", metavar="NAME", help="channel of an EXR file (the first that fits)")
     verb.add_argument(
         "--encoding",
-        choices=ENCODINGS[1:],
+        choices=ENCODINGS[1:],  # without "", which recognises coded heights
         help="of heights in an image's colours; plain for none (recognised in web map tiles z/x/y.png)",
     )
     verb.add_argument("--cell", type=float, metavar="METRES", help="side of the cells of gridded points (from density)")
@@ -69,7 +69,7 @@ def _add_parts(verb: argparse.ArgumentParser) -> None:
     part = verb.add_mutually_exclusive_group()
     part.add_argument("--only", choices=PARTS, help="one part of a large import; without, all that is not done yet")
     part.add_argument("--job", type=path, metavar="DIR", help="write a job that a render farm runs, and import nothing")
-    tiles = {"type": argument(parse_frames), "metavar": "A-B", "default": ()}
+    tiles = {"type": argparse_type(parse_frames), "metavar": "A-B", "default": ()}
     verb.add_argument("--tiles", **tiles, help="numbers of the tiles to read or measure, from 0")
     verb.add_argument(
         "--chunk", type=count_from_one, metavar="N", help=f"tiles of one task ({import_verbs.TASK_TILES})"

@@ -12,7 +12,7 @@ from . import farm_options, farm_verbs, import_options, import_verbs, tile_verbs
 from .argument_types import (
     MAX_ERROR_M,
     add_settings,
-    argument,
+    argparse_type,
     count,
     pair,
     parse_effects,
@@ -138,14 +138,16 @@ def _add_export(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import FORMATS, parse_formats
 
     _add_view_options(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
-    verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
+    verb.add_argument(
+        "--format", type=argparse_type(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS)
+    )
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     add_settings(verb)
     verb.add_argument("--interpolation", choices=INTERPOLATIONS, help=BETWEEN)
     verb.add_argument("--displacement", "--detail", **DISPLACEMENT)
     verb.add_argument(
         "--effects",
-        type=argument(parse_effects),
+        type=argparse_type(parse_effects),
         metavar="auto|none|F,F",
         help="attributes to write: those that the scene reads (auto; of a store none), none, or these",
     )
@@ -193,7 +195,7 @@ def _add_shape(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--stack", type=path, required=True, metavar="FILE.json", help="the effects, in their order")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the store to write")
     verb.add_argument("--path", type=path, metavar="FILE.json", help="only tiles that this camera sees")
-    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
+    verb.add_argument("--frames", type=argparse_type(parse_frames), metavar=FRAMES, help="of the path (all)")
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")
     verb.add_argument(
         "--pixel-error", type=PIXELS, metavar="PX", help="smallest change for which a finer level is made (1)"
@@ -252,7 +254,7 @@ def _add_view_options(verb: argparse.ArgumentParser, store: str, frames_required
     source = verb.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
     source.add_argument("--store", type=path, metavar="DIR", help=store)
-    frames = {"type": argument(parse_frames), "metavar": FRAMES, "help": "of the path or the scene"}
+    frames = {"type": argparse_type(parse_frames), "metavar": FRAMES, "help": "of the path or the scene"}
     verb.add_argument("--frames", required=frames_required, **frames)
     verb.add_argument("--camera", **CAMERA)
     camera_path = "camera path for --store (docs/reference/camera-path.md)"

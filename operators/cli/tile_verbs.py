@@ -5,7 +5,17 @@ import argparse
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .argument_types import MAX_ERROR_M, MAX_INT, argument, count, count_from_one, pair, parse_effects, path, positive
+from .argument_types import (
+    MAX_ERROR_M,
+    MAX_INT,
+    argparse_type,
+    count,
+    count_from_one,
+    pair,
+    parse_effects,
+    path,
+    positive,
+)
 
 
 def add_tiles(verb: argparse.ArgumentParser) -> None:
@@ -28,7 +38,7 @@ def add_tiles(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--name", default="terrain", help="of the tiles and the JSON file (terrain)")
     verb.add_argument("--pattern", default=PATTERN, help=f"name of a tile ({PATTERN})")
     masks = "attributes to write as 8-bit PNG: those that the store has as layers (auto), none, or these"
-    verb.add_argument("--masks", type=argument(parse_effects), metavar="auto|none|F,F", help=masks)
+    verb.add_argument("--masks", type=argparse_type(parse_effects), metavar="auto|none|F,F", help=masks)
 
 
 def run_tiles(arguments) -> None:

@@ -49,7 +49,8 @@ def _displacement(arguments):
     """Return the Detail that --displacement describes, None without the option."""
     from ...cbt_terrain.field.detail import Detail
 
-    return Detail(*arguments.displacement) if arguments.displacement else None
+    amplitude, wavelength = arguments.displacement or (0.0, 0.0)
+    return Detail(amplitude, wavelength) if arguments.displacement else None
 
 
 def run_export(arguments) -> None:
@@ -103,8 +104,14 @@ def _export_source(arguments):
             effects=arguments.effects,
             ground=displacement,
         )
-        of_scene = arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter
-        return SceneFrames(*of_scene, arguments.job_stores)
+        return SceneFrames(
+            arguments.scene,
+            arguments.camera,
+            arguments.resolution,
+            overrides,
+            with_scatters=arguments.scatter,
+            stores=arguments.job_stores,
+        )
     if arguments.job_stores:
         raise UsageError("--job-stores belongs to --scene")
     if arguments.scatter:

@@ -11,7 +11,7 @@ from ...cbt_terrain.attributes.color import DEFAULT_COLORS
 from ...cbt_terrain.attributes.splat_rules import DEFAULT
 from ...cbt_terrain.run import child
 from ..land.water_surface import new_water_material
-from ..layers.material import LayerSources, dress, new_plain_material
+from ..layers.material import LayerSources, give_terrain_material, new_plain_material
 from ..scatter import starter
 from ..scatter.instancing import new_scatter_group
 from ..scene.haze import haze_group
@@ -74,7 +74,7 @@ def _add_materials(studio: Studio) -> None:
     """Add the terrain's material, its node group, and materials of each default layer and of water, with previews."""
     layers = [(layer.name, color) for layer, color in zip(DEFAULT, DEFAULT_COLORS, strict=True)]
     ground = studio.new_ground(len(layers))
-    terrain = dress(ground, LayerSources(layers))
+    terrain = give_terrain_material(ground, LayerSources(layers))
     terrain.name = "Terrain Material"
     node = next(node for node in terrain.node_tree.nodes if node.type == "GROUP")
     node.inputs["Variation Size"].default_value = VARIATION_M

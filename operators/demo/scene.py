@@ -14,8 +14,8 @@ from ...cbt_terrain.run.partial_files import written_beside
 from ...cbt_terrain.view.linear import inverse
 from ..bridge.demand.trees import tree_of_new
 from ..export.blend_files import open_empty_file
-from ..layers.material import dress
-from ..layers.terrain_material import sources_of
+from ..layers.material import give_terrain_material
+from ..layers.terrain_material import material_sources
 from ..maps.properties import SHOT
 from ..session import session
 from ..terrain.properties import CHOSEN_CAMERA
@@ -65,7 +65,7 @@ def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, 
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
     ground.set_layers(settings)
     bake_island_maps(obj)
-    material = dress(obj, sources_of(obj, ()))  # (): no light but that of the maps
+    material = give_terrain_material(obj, material_sources(obj, ()))  # (): no light but that of the maps
     put_grain(material)
     put_haze(material, sun_direction())
     field, water = open_store(store), water_material(sun_direction())

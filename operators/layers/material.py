@@ -52,7 +52,7 @@ class LayerSources:
     tile: float = 0.0
 
 
-def dress(obj, sources: LayerSources) -> bpy.types.Material:
+def give_terrain_material(obj, sources: LayerSources) -> bpy.types.Material:
     """Give the object a material with the group, or rebuild the group of the material that it has; return the material.
 
     A material that an object with another mesh uses, or that is linked from a file, is copied first. The inputs of the
@@ -94,7 +94,7 @@ def new_plain_material(name: str, color: tuple[float, float, float], size: float
     return material
 
 
-def has_group(obj) -> bool:
+def has_layers_group(obj) -> bool:
     """Return whether a material of the object has the node group."""
     return any(shows_layers(slot.material) for slot in obj.material_slots)
 
@@ -104,7 +104,7 @@ def shows_layers(material) -> bool:
     return _group_node(material) is not None
 
 
-def is_bare(obj) -> bool:
+def has_no_material(obj) -> bool:
     """Return whether the object has no material."""
     return all(slot.material is None for slot in obj.material_slots)
 

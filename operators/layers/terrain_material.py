@@ -6,7 +6,7 @@ import bpy
 from ...cbt_terrain.attributes.splat import NAMES
 from ..maps.images import map_image, map_vector, tile_metres
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
-from .material import COLORS, LAYERS_PER_SPLAT, NORMAL, SKY, SUN, LayerSources, dress
+from .material import COLORS, LAYERS_PER_SPLAT, NORMAL, SKY, SUN, LayerSources, give_terrain_material
 from .properties import colors_of
 
 
@@ -33,12 +33,12 @@ class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
     def execute(self, context):
         """Build the material from the layers, the chosen light and the baked maps of the active terrain."""
         light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]
-        material = dress(context.object, sources_of(context.object, light))
+        material = give_terrain_material(context.object, material_sources(context.object, light))
         self.report({"INFO"}, f"{material.name} is the material of {context.object.name}")
         return {"FINISHED"}
 
 
-def sources_of(obj, light) -> LayerSources:
+def material_sources(obj, light) -> LayerSources:
     """Return the inputs of the terrain's material: its layers, the light that it reads and its baked maps.
 
     light: SKY and SUN that the user chose; those with a baked map are always used.

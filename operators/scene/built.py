@@ -16,7 +16,7 @@ def find_built(scene, role: str):
     return items.get(role) if hasattr(items, "keys") else None
 
 
-def keep_built(scene, role: str, item) -> None:
+def remember_built(scene, role: str, item) -> None:
     """Remember an item that was made for the scene, or with None forget it."""
     if not hasattr(scene.get(BUILT), "keys"):
         scene[BUILT] = {}

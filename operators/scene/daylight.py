@@ -14,7 +14,7 @@ from mathutils import Vector
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
 from . import built
-from .built import keep_built
+from .built import remember_built
 
 SUN, SKY = "Terrain Sun", "Terrain Sky"
 SUN_STRENGTH, SUN_DISC_DEG = 6.0, 0.545  # W/m^2 at right angles, degrees
@@ -46,7 +46,7 @@ def add_sun(scene, elevation: float, azimuth: float):
     lamp.color = [low + (1.0 - low) * math.sqrt(white) for low in WARM]
     sun = bpy.data.objects.new(SUN, lamp)
     sun.matrix_world = sun_vector(elevation, azimuth).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    keep_built(scene, built.SUN, sun)
+    remember_built(scene, built.SUN, sun)
     scene.collection.objects.link(sun)
     return sun
 
@@ -65,7 +65,7 @@ def add_sky(scene, towards: Vector) -> None:
     scene's world before loses the scene as its user.
     """
     world = bpy.data.worlds.new(SKY)
-    keep_built(scene, built.SKY, world)
+    remember_built(scene, built.SKY, world)
     # The sky is smooth without the sun's disc: Cycles' own choice, a map of 2048 pixels, takes ten seconds to make.
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
     tree = tree_of_new(world)

@@ -8,14 +8,14 @@ from mathutils import Vector
 
 from ..export.map_camera import leave_map
 from ..importing.imported import imported_of
-from ..layers.material import dress, has_group, is_bare
+from ..layers.material import give_terrain_material, has_layers_group, has_no_material
 from ..layers.operators import PRESET_PANEL, PRESETS
 from ..layers.properties import has_default_layers
-from ..layers.terrain_material import sources_of
+from ..layers.terrain_material import material_sources
 from ..session.polls import cancelled_by_errors, on_terrain_object
 from ..terrain import frame_terrain, sight
 from . import built, daylight, defaults, viewpoint
-from .built import find_built, keep_built, was_set_up
+from .built import find_built, remember_built, was_set_up
 from .haze import set_haze
 
 CURRENT, ACROSS = "CURRENT", "ACROSS"
@@ -92,11 +92,11 @@ class SetUpScene(bpy.types.Operator):
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         towards = _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
-        if is_bare(obj):
+        if has_no_material(obj):
             _choose_layers(obj)
-            dress(obj, sources_of(obj, ()))
-        elif has_group(obj):
-            dress(obj, sources_of(obj, ()))
+            give_terrain_material(obj, material_sources(obj, ()))
+        elif has_layers_group(obj):
+            give_terrain_material(obj, material_sources(obj, ()))
         set_haze(obj, self.haze, daylight.haze_color(max(math.asin(max(-1.0, min(1.0, towards.z))), 0.0)))
         if is_first:
             _choose_look(scene)
@@ -122,13 +122,13 @@ class SetUpScene(bpy.types.Operator):
             return current
         if built_camera is None:
             built_camera = current if defaults.is_default_camera(current) else _add_camera(scene)
-            keep_built(scene, built.CAMERA, built_camera)
+            remember_built(scene, built.CAMERA, built_camera)
         built_camera.data.lens = viewpoint.LENS_MM
         if self.view == CURRENT and viewport is not None and not through_camera:
             space, region_3d = viewport
             to_world, built_camera.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
         else:
-            to_world = viewpoint.across(obj)
+            to_world = viewpoint.view_across(obj)
             if viewport is not None:
                 viewpoint.look_from(viewport[1], to_world, 0.5 * sight.diagonal(sight.box_of(obj)))
         built_camera.matrix_world = to_world
@@ -153,9 +153,9 @@ def _light(scene, elevation: float, azimuth: float) -> Vector:
     """
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
-    before, scene.world = scene.world, None
+    before, scene.world = scene.world, None  # so that a world of this scene alone has no user left
     if before is not None and before == find_built(scene, built.SKY):
-        keep_built(scene, built.SKY, None)
+        remember_built(scene, built.SKY, None)
         if before.users == 0:
             bpy.data.worlds.remove(before)
     elif not defaults.is_default_world(before):

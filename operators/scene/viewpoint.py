@@ -56,7 +56,7 @@ def look_from(region_3d, camera_to_world: Matrix, distance: float) -> None:
     region_3d.view_location = camera_to_world @ Vector((0.0, 0.0, -distance))
 
 
-def across(obj) -> Matrix:
+def view_across(obj) -> Matrix:
     """Return the matrix to the world of a camera over a terrain in the view that shows most kinds of ground.
 
     Raises TerrainError without a store.

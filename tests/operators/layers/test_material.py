@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.layers.material import LayerSources, build_group, dress
+from adaptive_terrain.operators.layers.material import LayerSources, build_group, give_terrain_material
 
 LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
 
@@ -32,7 +32,7 @@ def group_of(obj):
 def test_the_group_reads_what_it_says(ground, count):
     for light in ((), ("sky",), ("sky", "sun")):
         sources = LayerSources(LAYERS[:count], light=light)
-        dress(ground, sources)
+        give_terrain_material(ground, sources)
         assert attributes_read(group_of(ground).node_tree) == {f"splat_{k // 4 + 1}" for k in range(count)} | {*light}
     assert len(bpy.data.node_groups) == len(bpy.data.materials) == 1
 
@@ -40,34 +40,36 @@ def test_the_group_reads_what_it_says(ground, count):
 def test_a_map_takes_the_place_of_the_attribute(ground):
     baked = bpy.data.images.new("map", 4, 4, alpha=True)
     sources = LayerSources(LAYERS[:5], ("sky",), {"splat_2": baked, "detail_normal": baked})
-    dress(ground, sources)
+    give_terrain_material(ground, sources)
     group = group_of(ground)
     assert attributes_read(group.node_tree) == {"splat_1", "sky"}
     assert sum(node.type == "TEX_IMAGE" for node in group.node_tree.nodes) == 2
     [link] = group.outputs["Normal"].links
     assert link.to_node.type == "BSDF_PRINCIPLED"
-    dress(ground, LayerSources(LAYERS[:5], ("sky",)))
+    give_terrain_material(ground, LayerSources(LAYERS[:5], ("sky",)))
     assert attributes_read(group_of(ground).node_tree) == {"splat_1", "splat_2", "sky"}
     assert "Normal" not in group_of(ground).outputs
 
 
 def test_links_and_settings_stay_when_it_is_built_again(ground):
-    dress(ground, LayerSources(LAYERS[:3]))
+    give_terrain_material(ground, LayerSources(LAYERS[:3]))
     tree, group = ground.data.materials[0].node_tree, group_of(ground)
     checker = tree.nodes.new("ShaderNodeTexChecker")
     tree.links.new(checker.outputs["Color"], group.inputs["Layer 1"])
     group.inputs["Variation"].default_value = 0.25
-    dress(ground, LayerSources(LAYERS[:6], light=("sky",)))
+    give_terrain_material(ground, LayerSources(LAYERS[:6], light=("sky",)))
     assert [link.from_node for link in group.inputs["Layer 1"].links] == [checker]
     assert group.inputs["Variation"].default_value == 0.25 and group.inputs["Occlusion"].default_value > 0
-    dress(ground, LayerSources(LAYERS[:1]))
+    give_terrain_material(ground, LayerSources(LAYERS[:1]))
     assert [item.name for item in group.inputs] == ["Layer 0", "Variation", "Variation Size"]
 
 
 def test_layers_may_have_any_names(ground):
     names = ["X", "Variation", "", "Color", "X", "Occlusion", "Layer"]
     for _ in range(2):
-        dress(ground, LayerSources([(name, (0.1 * number,) * 3) for number, name in enumerate(names)], light=("sky",)))
+        give_terrain_material(
+            ground, LayerSources([(name, (0.1 * number,) * 3) for number, name in enumerate(names)], light=("sky",))
+        )
         sockets = group_of(ground).inputs
         wanted = ["X", "Variation 2", "Layer", "Color", "X 2", "Occlusion 2", "Layer 2"]
         assert [socket.name for socket in sockets][:7] == wanted
@@ -75,29 +77,32 @@ def test_layers_may_have_any_names(ground):
 
 
 def test_a_group_that_a_user_has_rearranged_is_built_again(ground):
-    dress(ground, LayerSources(LAYERS[:2]))
+    give_terrain_material(ground, LayerSources(LAYERS[:2]))
     interface = group_of(ground).node_tree.interface
     panel = interface.new_panel("Mine")
     interface.move_to_parent(next(item for item in interface.items_tree if item.name == "Layer 1"), panel, 0)
-    dress(ground, LayerSources(LAYERS[:3]))
+    give_terrain_material(ground, LayerSources(LAYERS[:3]))
     assert [i.name for i in group_of(ground).inputs] == ["Layer 0", "Layer 1", "Layer 2", "Variation", "Variation Size"]
 
 
 def test_a_material_that_another_terrain_wears_stays_as_it_is(ground):
-    worn = dress(ground, LayerSources(LAYERS[:2]))
+    worn = give_terrain_material(ground, LayerSources(LAYERS[:2]))
     other = bpy.data.objects.new("Other", ground.data.copy())
-    assert dress(other, LayerSources(LAYERS[:5])) != worn
+    assert give_terrain_material(other, LayerSources(LAYERS[:5])) != worn
     assert attributes_read(group_of(ground).node_tree) == {"splat_1"} and ground.data.materials[0] == worn
     assert attributes_read(group_of(other).node_tree) == {"splat_1", "splat_2"}
-    assert dress(other, LayerSources(LAYERS[:6])) == other.data.materials[0] and len(bpy.data.materials) == 2
+    assert (
+        give_terrain_material(other, LayerSources(LAYERS[:6])) == other.data.materials[0]
+        and len(bpy.data.materials) == 2
+    )
 
 
 def test_a_slot_of_the_object_gets_the_material(ground):
     ground.data.materials.append(None)
     ground.material_slots[0].link = "OBJECT"
     ground.material_slots[0].material = bpy.data.materials.new("Mine")
-    made = dress(ground, LayerSources(LAYERS[:2]))
-    assert ground.material_slots[0].material == made == dress(ground, LayerSources(LAYERS[:2]))
+    made = give_terrain_material(ground, LayerSources(LAYERS[:2]))
+    assert ground.material_slots[0].material == made == give_terrain_material(ground, LayerSources(LAYERS[:2]))
 
 
 def colour_of(ground, weights, **settings) -> np.ndarray:
@@ -134,7 +139,7 @@ def colour_of(ground, weights, **settings) -> np.ndarray:
 
 @pytest.mark.parametrize("layer", [0, 3, 6])
 def test_one_layer_alone_has_its_colour(ground, layer):
-    dress(ground, LayerSources(LAYERS[:7]))
+    give_terrain_material(ground, LayerSources(LAYERS[:7]))
     weights = np.zeros(8)
     weights[layer] = 1.0
     seen = colour_of(ground, {"splat_1": weights[:4], "splat_2": weights[4:]}, Variation=0.0)
@@ -142,7 +147,7 @@ def test_one_layer_alone_has_its_colour(ground, layer):
 
 
 def test_layers_mix_their_colours_and_little_sky_is_dark(ground):
-    dress(ground, LayerSources(LAYERS[:4], light=("sky",)))
+    give_terrain_material(ground, LayerSources(LAYERS[:4], light=("sky",)))
     given = {"splat_1": (0.5, 0.0, 0.0, 0.5), "sky": 1.0}
     light = colour_of(ground, given, Variation=0.0, Occlusion=0.5)
     assert LAYERS[0][1][0] < light[0] < LAYERS[3][1][0] and abs(light[1] - 0.3) < 2e-3

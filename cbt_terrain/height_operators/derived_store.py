@@ -293,7 +293,7 @@ def remove_old(land: Land) -> None:
             total -= size
 
 
-def check_after(store: str, error: TerrainError) -> None:
+def raise_if_damaged(store: str, error: TerrainError) -> None:
     """Check a derived store after an error that its damage may have caused; other stores and whole ones stay.
 
     A store is checked once; its result counts until the store changes.

@@ -133,7 +133,7 @@ def summary_lines(status, sees_nothing: bool = False, is_behind: bool = False) -
     if not status.mode:
         return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
     name, value, unit, _ = (_list_bounds(status) or [("Error bound", None, "", None)])[0]
-    bound = "-" if value is None else _bound_label(value, unit, 3)
+    bound = "-" if value is None else _bound_label(value, unit, digits=3)
     if unit.startswith("px") and value == 0.0 and (sees_nothing or is_behind):
         bound = "no view" if sees_nothing else "updating"
     ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
@@ -147,7 +147,7 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     unit = requested_unit(status.request.criterion)
     lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
     for name, value, unit, terms in _list_bounds(status):
-        lines.append((name, _bound_label(value, unit, 4)))
+        lines.append((name, _bound_label(value, unit, digits=4)))
         parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
         lines += [(f"    {phrase(label)}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
     if status.bounds.limited:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
-from ..export.exporting import check_room, check_target, make_folder, write_files
+from ..export.exporting import check_disk_space, check_target, make_folder, write_files
 from ..text.machine import describe_machine
 from .plots import setting_label
 from .subject import AccuracySubject
@@ -23,7 +23,7 @@ def prepare_folder(out: Path) -> None:
     make_folder(out)
     for name in FILES:
         check_target(out / name)
-    check_room(out / PAGE, REPORT_BYTES)
+    check_disk_space(out / PAGE, REPORT_BYTES)
 
 
 def write_report(subjects: Sequence[AccuracySubject], out: Path) -> None:

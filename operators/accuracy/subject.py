@@ -20,7 +20,7 @@ from ...cbt_terrain.view.criterion import Criterion, requested_unit
 from ...cbt_terrain.view.linear import length
 from ...cbt_terrain.view.view import View
 from ..export.blend_files import file_name
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 
 if TYPE_CHECKING:
     from ...cbt_terrain.accuracy.crops import Crop
@@ -166,7 +166,7 @@ def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> 
     from ..terrain.request import RENDER, gather
 
     requests, shown = {}, {}
-    with paused():
+    with handlers_paused():
         for number in sorted({n + step for n in numbers for step in (0, 1) if n + step <= max(scene.frame_end, n)}):
             scene.frame_set(number)
             for obj in objects:

@@ -13,7 +13,7 @@ from ..bridge.scene_paths import absolute_path
 from ..export.blend_files import file_name
 from ..jobs import BackgroundJob
 from ..session import session
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 from ..terrain.request import RENDER, gather
 from . import report as accuracy_report
 from .measuring import MeasuringOperator
@@ -67,7 +67,7 @@ def copied_scene(scene, view_layer):
     try:
         yield copy, copy.view_layers[view_layer.name]
     finally:
-        with paused():  # objects are shared: handlers of other extensions may have moved them
+        with handlers_paused():  # objects are shared: handlers of other extensions may have moved them
             copy.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         bpy.data.scenes.remove(copy)
 

@@ -2,6 +2,7 @@
 """The one place where a Blender camera, or a 3D viewport, becomes a View."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -259,14 +260,5 @@ def _stereo_views(view: View, stereo) -> list[View]:
         elif stereo.convergence_mode == "OFFAXIS" and view.kind == PERSPECTIVE:
             # The point straight ahead at the convergence distance falls on the same pixel for both eyes.
             projection[0, 2] -= projection[0, 0] * offset / convergence
-        eyes.append(
-            View(
-                product(move, view.world_to_camera),
-                projection,
-                view.resolution,
-                view.kind,
-                view.clip,
-                view.radians_per_pixel,
-            )
-        )
+        eyes.append(replace(view, world_to_camera=product(move, view.world_to_camera), projection=projection))
     return eyes

@@ -166,7 +166,8 @@ class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
         """
         obj = context.object
         settings = obj.adaptive_terrain
-        baked, update = bake_object(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
+        depsgraph = context.evaluated_depsgraph_get()
+        baked, update = bake_object(obj, depsgraph, settings.bake_error_m, fitted=settings.bake_fit)
         _show_instead(baked, obj, context.view_layer)
         message = f"{baked.name}, in the place of {obj.name}, which is hidden now: {len(baked.data.polygons):,} "
         message += f"triangles, at most {bound_text(update.bound_m, 'm')} off"

@@ -51,7 +51,7 @@ def _enable_gltf() -> None:
         addon_utils.enable("io_scene_gltf2")
 
 
-def need_no_shear(obj) -> None:
+def check_not_sheared(obj) -> None:
     """Raise TerrainError for a sheared object: a glTF node has a rotation and a scale only."""
     axes = [axis.normalized() for axis in obj.matrix_world.to_3x3().col]
     if max(abs(axes[k].dot(axes[k - 1])) for k in range(3)) > SHEARED:
@@ -131,7 +131,7 @@ def export_glb(obj, name: str) -> None:
     """Write the selected object to a .glb. Raises TerrainError for a sheared object."""
     import bpy
 
-    need_no_shear(obj)
+    check_not_sheared(obj)
     _enable_gltf()
     with _underscored_names([obj.data]):
         bpy.ops.export_scene.gltf(

@@ -22,16 +22,16 @@ from ...cbt_terrain.run.partial_files import (
     written_among,
     written_beside,
 )
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 from ..text.console import quiet
 from .blender_exporters import only_selected
 from .formats import FORMATS, format_of
 from .read_back import count_triangles
 from .summaries import (
     close_summary,
-    complete_summary,
     content_digest,
     file_sizes,
+    find_complete_summary,
     input_name,
     settings_digest,
     summary_name,
@@ -103,7 +103,7 @@ def write_frames(
         stopping.check()
         summary_path = out / summary_name(frame)
         digests = {input_name(path, out): contents(path) for path in inputs(frame)}
-        existing = complete_summary(out, frame, settings_key, digests, formats)
+        existing = find_complete_summary(out, frame, settings_key, digests, formats)
         if existing is not None and resume:
             on_frame(frame, existing, True)
             continue
@@ -118,7 +118,7 @@ def write_frames(
 def _remove_summary(path: Path) -> None:
     """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
     try:
-        _replace_special(path)
+        _replace_special(path)  # `remove_file` refuses these
         remove_file(path, may_be_link=True)
     except OSError as error:
         raise TerrainError(
@@ -192,7 +192,7 @@ def named_failures(path: Path):
     )
 
 
-def check_room(path: Path, size: int) -> None:
+def check_disk_space(path: Path, size: int) -> None:
     """Raise TerrainError if the disk has no room for `size` bytes beside `path`."""
     with named_failures(path), private_folder(path.parent) as folder:
         (folder / path.name).write_bytes(bytes(size))
@@ -290,7 +290,7 @@ def _written_by_blender(path: Path, written=written_beside):
     if they cannot. No handler of this extension runs meanwhile: an exporter may change the frame while it reads the
     mesh.
     """
-    with written(path) as partial, paused():
+    with written(path) as partial, handlers_paused():
         partial.touch()
         remove_file(partial, may_be_link=True)
         yield partial

@@ -26,7 +26,7 @@ from ...cbt_terrain.view.criterion import Criterion
 from ...cbt_terrain.view.settings import BOUNDS
 from ...cbt_terrain.view.view import View
 from ..bridge.scene_paths import absolute_path
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 from ..terrain.overrides import NO_OVERRIDES, Overrides
 from .blend_files import check_distinct_names, file_name, new_object, open_scene
 from .summaries import content_digest
@@ -176,7 +176,7 @@ class SceneFrames:
         """Yield a Piece of every terrain of the scene, which stays at `frame`. Each mesh is written before."""
         import bpy
 
-        with paused():  # an export updates each terrain once, for the render
+        with handlers_paused():  # an export updates each terrain once, for the render
             self.scene.frame_set(frame)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         for obj in self.objects:

@@ -19,7 +19,7 @@ from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain import sight
 from ..terrain.properties import SCENE_CAMERA
-from .blender_exporters import need_no_shear
+from .blender_exporters import check_not_sheared
 
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
@@ -66,7 +66,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
         with_sun: whether a scene without a sun gets one from the north-west.
     """
     box, scene = sight.box_of(obj, depsgraph), depsgraph.scene
-    need_no_shear(obj)
+    check_not_sheared(obj)
     matrix = raster_placement_of(obj.evaluated_get(depsgraph))
     if np.linalg.det(matrix[:3, :3]) <= 0.0:
         raise TerrainError(f"The terrain {obj.name!r} is mirrored", fix="give it a scale above 0")
@@ -208,7 +208,7 @@ class MapCamera(TerrainObjectOperator, bpy.types.Operator):
     def execute(self, context):
         """Add or update the camera over the active terrain, set the scene's resolution, and report it."""
         obj, metres = context.object, self.metres if self.use_metres else None
-        add_map_camera(obj, context.evaluated_depsgraph_get(), self.pixels, metres, self.sun)
+        add_map_camera(obj, context.evaluated_depsgraph_get(), self.pixels, metres, with_sun=self.sun)
         size = "{:,} x {:,} pixels".format(*render_resolution(context.scene))
         if obj.adaptive_terrain.camera_source != SCENE_CAMERA:
             self.report({"WARNING"}, f"{size}; the terrain is not refined for the scene's camera: set Camera to Scene")

@@ -143,6 +143,7 @@ def shape_land(obj, task: Preparation) -> None:
     if land is not None:
         views = []
         if land.of_views:
+            # about_middle: in the space of the raster, as `wanted_land` takes them.
             *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
         wanted = wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views)
         field_of_land(wanted, session.open_field, verified=True)  # shapes it
@@ -185,7 +186,7 @@ def prepare(
     work = [(part, obj) for part in parts for obj in objects]
     for done, (part, obj) in enumerate(work):
         on_progress(done)
-        if part == "land" and stores is not None:
+        if part == "land" and stores is not None:  # other parts have loaded the tiles into the job's stores
             use_job_stores([obj], stores)
         report = partial(_add_fraction, on_progress, done)
         PARTS[part](obj, Preparation(frames, say, report, stores, share))

@@ -236,9 +236,9 @@ class RenderMap(FileJobOperator, bpy.types.Operator):
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Render the map into the chosen file, or into tiles with its name; return the files."""
-        settings = context.scene, Path(self.filepath), tuple(self.tiles), self.geotiff
+        path, shown_by = Path(self.filepath), job if self.beside_window else None
         try:
-            return (yield from map_steps(*settings, job if self.beside_window else None))
+            return (yield from map_steps(context.scene, path, tuple(self.tiles), self.geotiff, job=shown_by))
         except ReferenceError:  # undo has replaced the scene, or it is gone
             raise jobs.JobStopped from None
 

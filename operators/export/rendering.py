@@ -19,17 +19,17 @@ from ...cbt_terrain.run.owned_files import NotOursError
 from ...cbt_terrain.run.partial_files import private_folder
 from ..land.request import land_of
 from ..session import session, stale_renders
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 from ..session.record import Record
 from ..terrain.request import RENDER
-from .exporting import check_room, check_target, write_frames
+from .exporting import check_disk_space, check_target, write_frames
 from .file_outputs import escape_braces, publish_outputs, redirected_outputs
 from .frame_sources import SceneFrames, bounds_of, loading_note
 from .summaries import file_sizes
 
 # Blender does not report that a disk was too full for a picture. So a file of this size is tried afterwards: more than
 # the buffer that is written last, and as large as a network folder's block.
-ROOM = 1 << 20
+SPACE_BYTES = 1 << 20
 
 
 def render_frames(
@@ -66,7 +66,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
     start = time.perf_counter()
     scene = source.scene
     terrains: list[dict] = []  # filled by `_collect_figures` while Blender renders
-    with paused():  # the render sets it again, and then updates each terrain once
+    with handlers_paused():  # the render sets it again, and then updates each terrain once
         scene.frame_set(frame)
     _check_land(source.objects, frame)
     with private_folder(out) as folder:
@@ -88,7 +88,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
         stopping.check()
         pictures = sorted(picture_folder.iterdir()) if picture_folder.is_dir() else []
         if pictures:
-            check_room(out / pictures[0].name, ROOM)
+            check_disk_space(out / pictures[0].name, SPACE_BYTES)
         for picture in pictures:
             check_target(out / picture.name)
         files = publish_outputs(scene, output_folder)

@@ -94,7 +94,7 @@ def read_summary(out: Path, frame: int) -> dict:
     raise ValueError(f"{summary_name(frame)} is damaged")
 
 
-def complete_summary(
+def find_complete_summary(
     out: Path, frame: int, settings: str, inputs: dict[str, str | None], formats: Sequence[str]
 ) -> dict | None:
     """Return the summary of a frame that need not be made again, None for any other frame.

@@ -41,4 +41,4 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
         return None
     land = Land.of(source, stack, waits)
     derived_store.use(obj.session_uid, land)
-    return land.in_shots if settings.land.where == SEEN else land  # in_shots: all of it, too, if that costs less
+    return land.in_shots if settings.land.where == SEEN else land  # `in_shots` is all of it if that costs less

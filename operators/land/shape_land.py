@@ -76,6 +76,7 @@ def _visit_views(obj, scene, land: Land, frames: list[int]):
     if not land.of_views:
         yield []
         return
+    # about_middle: in the space of the raster, as `wanted_land` takes them.
     yield from visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
 
 

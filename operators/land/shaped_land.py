@@ -158,7 +158,7 @@ def state_of(obj) -> LandState:
 
 
 def _state_after_update(obj, numbers: list[int]) -> LandState:
-    """Return what the last update has shown, as a LandState: a preview, shaped land, or neither, with the reason.
+    """Return the LandState of the mesh of the last update: a preview, shaped land, or neither, with the reason.
 
     numbers: positions of the active entries in the list.
     """

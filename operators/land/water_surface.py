@@ -79,9 +79,10 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         water = existing_water(terrain)
         level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
         store, land = store_path(terrain), land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
+        # The height operator Water computes the surface.
         yield from jobs.prepare_kernels(job, prepare.kernels_of(Stack((Entry(WATER.name),))))
         job.progress(0.0)
-        name, anchor = terrain.name, anchor_of(terrain)
+        name, anchor = terrain.name, anchor_of(terrain)  # read here: the thread must not read Blender's data
         return level, *(yield from jobs.run_on_thread(job, lambda: _water_mesh(name, store, land, anchor, level)))
 
     def finish(self, _context, terrain, result: tuple[float | None, Surface, float | None]) -> None:

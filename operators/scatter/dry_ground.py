@@ -59,5 +59,6 @@ def _has_water(entries) -> bool:
 
 def _sea_level(entries) -> float:
     """Return the height of the sea in the stack's last operator that has one, else 0."""
+    # An entry has the parameters of its effect in a member of the effect's name.
     levels = [getattr(getattr(entry, entry.effect, None), SEA, None) for entry in entries if entry.on]
     return next((level for level in reversed(levels) if level is not None), 0.0)

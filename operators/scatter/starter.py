@@ -114,7 +114,7 @@ def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
         form(starter_forms.FormNodes(tree, seed=number + 1), materials, size)
         obj = bpy.data.objects.new(f"{name} {number + 1}", bpy.data.meshes.new(name))
         obj.modifiers.new(name, "NODES").node_group = tree
-        context.scene.collection.objects.link(obj)
+        context.scene.collection.objects.link(obj)  # Blender evaluates no object outside of the scene
         objects.append(obj)
     depsgraph = context.evaluated_depsgraph_get()
     for obj in objects:

@@ -155,7 +155,7 @@ class FormNodes(Nodes):
         # Leaves point away from the middle, less steeply than its direction.
         pitch = self.math("MULTIPLY_ADD", self.math("ARCSINE", up), -0.7, self.random(-0.7, 0.7))
         euler = self.xyz(self.random(-0.9, 0.9), pitch, self.math("ADD", angle, self.random(-0.9, 0.9)))
-        placed = self.put(points, self.leaf(0.8, 0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
+        placed = self.put(points, self.leaf(width=0.8, fold=0.5), euler, self.random(0.7 * leaf, 1.3 * leaf))
         # The shade is lighter above and outside.
         position = self.position()
         away = self.vector("LENGTH", self.vector("DIVIDE", self.vector("SUBTRACT", position, middle), size))
@@ -166,7 +166,8 @@ class FormNodes(Nodes):
 def conifer(nodes: FormNodes, materials, size: float) -> None:
     """Build a spruce: branches of six twigs about a stem, shorter towards its top. 18 m at size 1."""
     height, branches = 18.0 * size, 125
-    trunk = nodes.dress(nodes.stem(height, 0.24 * size, 0.02, 6, 3, 0.15), materials["Bark"], 0.5)
+    stem = nodes.stem(height, bottom=0.24 * size, top=0.02, sides=6, rings=3, sway=0.15)
+    trunk = nodes.dress(stem, materials["Bark"], shade=0.5)
     index = nodes.index()
     branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))  # of a twig
     part = nodes.math("DIVIDE", branch, float(branches))  # 0 for the lowest branch, 1 at the top
@@ -184,7 +185,7 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     twig_length = nodes.math("MULTIPLY", twig_length, nodes.random(0.75, 1.25))
     pitch = nodes.math("MULTIPLY_ADD", part, -1.3, nodes.random(0.15, 0.65))
     euler = nodes.xyz(nodes.random(-0.5, 0.5), pitch, nodes.math("ADD", angle, nodes.random(-0.8, 0.8)))
-    twigs = nodes.put(points, nodes.leaf(0.62, 0.7), euler, twig_length)
+    twigs = nodes.put(points, nodes.leaf(width=0.62, fold=0.7), euler, twig_length)
     x, y, z = nodes.coordinates()
     away = nodes.vector("LENGTH", nodes.xyz(x, y, 0.0))
     shade = nodes.math("MULTIPLY_ADD", away, 0.26 / size, nodes.math("MULTIPLY", z, 0.35 / height))
@@ -193,12 +194,13 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     core = nodes.add("GeometryNodeMeshCone", inner, fill_type="NONE").outputs["Mesh"]
     core = nodes.move(core, nodes.vector("ADD", nodes.position(), (0.0, 0.0, 0.1 * height)))
     needles = materials["Needles"]
-    nodes.finish(trunk, nodes.dress(core, needles, 0.0), nodes.dress(twigs, needles, shade))
+    nodes.finish(trunk, nodes.dress(core, needles, shade=0.0), nodes.dress(twigs, needles, shade))
 
 
 def broadleaf(nodes: FormNodes, materials, size: float) -> None:
     """Build a broad tree: a stem, and a crown of three ellipsoids with leaves. 12 m at size 1."""
-    parts = [nodes.dress(nodes.stem(7.0 * size, 0.34 * size, 0.1 * size, 7, 3, 0.3), materials["Bark"], 0.5)]
+    stem = nodes.stem(7.0 * size, bottom=0.34 * size, top=0.1 * size, sides=7, rings=3, sway=0.3)
+    parts = [nodes.dress(stem, materials["Bark"], shade=0.5)]
     turn = 0.9 * nodes.seed  # each tree is turned otherwise about its stem
     # Of each ellipsoid at size 1: height of its middle, radius, half of its height, distance from the stem, leaves.
     for number, (up, radius, tall, away, count) in enumerate(
@@ -207,9 +209,10 @@ def broadleaf(nodes: FormNodes, materials, size: float) -> None:
         angle = turn + 2.6 * number
         middle = (away * size * math.cos(angle), away * size * math.sin(angle), up * size)
         radii = (radius * size, radius * size, tall * size)
-        dark = nodes.blob(2, tuple(0.8 * r for r in radii), middle, 0.45, 1.6)  # fills the gaps between the leaves
-        parts.append(nodes.dress(dark, materials["Leaves"], 0.12))
-        parts.append(nodes.leaves(count, radii, middle, 0.95 * size, materials["Leaves"]))
+        # A dark ellipsoid fills the gaps between the leaves.
+        dark = nodes.blob(2, tuple(0.8 * r for r in radii), middle, rough=0.45, noise_scale=1.6)
+        parts.append(nodes.dress(dark, materials["Leaves"], shade=0.12))
+        parts.append(nodes.leaves(count, radii, middle, leaf=0.95 * size, material=materials["Leaves"]))
     nodes.finish(*parts)
 
 
@@ -219,9 +222,10 @@ def bush(nodes: FormNodes, materials, size: float) -> None:
     # Of each ellipsoid at size 1: middle, radius, half of its height, leaves.
     for middle, radius, tall, count in (((0.0, 0.0, 0.55), 0.75, 0.68, 230), ((0.6, 0.25, 0.35), 0.5, 0.42, 120)):
         middle, radii = tuple(size * c for c in middle), (radius * size, radius * size, tall * size)
-        dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, 0.45, 1.8)  # fills the gaps between the leaves
-        parts.append(nodes.dress(dark, materials["Leaves"], 0.12))
-        parts.append(nodes.leaves(count, radii, middle, 0.26 * size, materials["Leaves"]))
+        # A dark ellipsoid fills the gaps between the leaves.
+        dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, rough=0.45, noise_scale=1.8)
+        parts.append(nodes.dress(dark, materials["Leaves"], shade=0.12))
+        parts.append(nodes.leaves(count, radii, middle, leaf=0.26 * size, material=materials["Leaves"]))
     nodes.finish(*parts)
 
 
@@ -235,14 +239,16 @@ def grass(nodes: FormNodes, materials, size: float) -> None:
     points = nodes.move(nodes.line(count), nodes.xyz(x, y, -0.02))
     pitch = nodes.math("MULTIPLY_ADD", away, 0.75, nodes.random(-1.75, -1.4))  # about upright (-pi / 2) in the middle
     euler = nodes.xyz(0.0, pitch, nodes.math("ADD", angle, nodes.random(-0.6, 0.6)))
-    blades = nodes.put(points, nodes.blade(4, 2, 0.07, 0.0, 0.22), euler, nodes.random(0.28 * size, 0.45 * size))
+    blade = nodes.blade(along=4, across=2, width=0.07, fold=0.0, droop=0.22)
+    blades = nodes.put(points, blade, euler, scale=nodes.random(0.28 * size, 0.45 * size))
     shade = nodes.math("MULTIPLY", nodes.coordinates().z, 2.4 / size)
     nodes.finish(nodes.dress(blades, materials["Grass"], shade))
 
 
 def rock(nodes: FormNodes, materials, size: float) -> None:
     """Build a rock that is partly in the ground. `size`: its diameter in metres."""
-    stone = nodes.blob(4, (0.5 * size, 0.42 * size, 0.34 * size), (0.0, 0.0, 0.14 * size), 0.55, 0.9)
+    radii, middle = (0.5 * size, 0.42 * size, 0.34 * size), (0.0, 0.0, 0.14 * size)
+    stone = nodes.blob(4, radii, middle, rough=0.55, noise_scale=0.9)
     position = nodes.position()
     cells = nodes.add("ShaderNodeTexVoronoi", {"Vector": position, "Scale": 2.2 / size}).outputs["Distance"]
     cut = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", cells, 0.4), -0.22, 1.0)  # each cell of the noise bulges

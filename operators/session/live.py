@@ -253,7 +253,7 @@ def _solve_on_worker(record: session.Record, request: Request):
     _stage = "Refining"
     with session.engine_lock:
         first = previews.with_previews(request, session.field_of(request))
-        return _solve_and_paint(record, first), record.serial, first is request
+        return _solve_with_overlay(record, first), record.serial, first is request
 
 
 def _refine_on_worker(record: session.Record, request: Request):
@@ -268,15 +268,15 @@ def _refine_on_worker(record: session.Record, request: Request):
     if not previews.refine(request, session.field_of(request)):
         return None
     with session.engine_lock:
-        return _solve_and_paint(record, request), record.serial, True
+        return _solve_with_overlay(record, request), record.serial, True
 
 
-def _solve_and_paint(record: session.Record, request: Request):
+def _solve_with_overlay(record: session.Record, request: Request):
     """Compute the update of a request and its overlay; return the Update. The caller holds the engine's lock."""
     global _stage
     update = session.solve(record, request)
     _stage = "Making the overlay"
-    session.paint(record, request, update)
+    session.update_overlay(record, request, update)
     return update
 
 

@@ -7,7 +7,7 @@ _pauses = 0
 
 
 @contextmanager
-def paused():
+def handlers_paused():
     """Keep this extension's handlers from running in the `with` block; blocks may be nested.
 
     An exporter may change the frame while it reads meshes that a handler would write, and code that steps through
@@ -22,5 +22,5 @@ def paused():
 
 
 def is_paused() -> bool:
-    """Return whether a `with paused()` block is active."""
+    """Return whether a `with handlers_paused()` block is active."""
     return _pauses > 0

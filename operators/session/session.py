@@ -134,7 +134,7 @@ def _update(obj, record: Record, depsgraph, mode: str, options: dict):
     request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
     with engine_lock:
         update = solve(record, request)
-        paint(record, request, update)
+        update_overlay(record, request, update)
         show(obj, record, request, update, mode)
     record.live_key = request.key() if mode == VIEWPORT else None
     return update
@@ -167,7 +167,7 @@ def solve(record: Record, request: Request):
     try:
         return _refine(record, request, heights)
     except TerrainError as error:
-        derived_store.check_after(str(heights.path), error)
+        derived_store.raise_if_damaged(str(heights.path), error)
         raise
 
 
@@ -227,7 +227,7 @@ def freeze(obj) -> str:
         return frozen.encode_tree(tree, settings["meshlet"])
 
 
-def paint(record: Record, request: Request, update) -> None:
+def update_overlay(record: Record, request: Request, update) -> None:
     """Make or drop the record's overlay for a request, after `solve` and on any thread that holds `engine_lock`.
 
     update: result of `solve`. An overlay with the same inputs is kept.
@@ -253,8 +253,9 @@ def field_of(request: Request):
 
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(anchored(raster, *request.anchor), request.interpolation)
-    vertical = request.vertical_scale, request.vertical_offset
-    return displaced(field, request.ground, *vertical, launch.default_threads())
+    return displaced(
+        field, request.ground, request.vertical_scale, request.vertical_offset, threads=launch.default_threads()
+    )
 
 
 def open_field(store: str):
@@ -283,7 +284,7 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
     if written:
         start = time.perf_counter()
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
-            freed_memory.hold_freed_memory()
+            freed_memory.hold_freed_memory()  # the next mesh gets the memory of this one
         record.shown = record.postponed_normals = None  # nothing, should the writing fail
         surface = clean_up(shown_surface(record, update), request.cleanup)
         if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):

@@ -11,7 +11,7 @@ import numpy as np
 from ...cbt_terrain.view.linear import inverse, product
 from ...cbt_terrain.view.view import View
 from ..terrain.request import RENDER, Request, gather
-from .pauses import paused
+from .pauses import handlers_paused
 
 
 def frames_of(scene) -> range:
@@ -28,13 +28,13 @@ def visit_requests(obj, scene, frames: Iterable[int], **options) -> Iterator[Req
     try:
         for frame in frames:
             if frame != scene.frame_current:
-                with paused():
+                with handlers_paused():
                     scene.frame_set(frame)
             yield gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **options)
     finally:
         with suppress(ReferenceError):  # undo or another file removed the scene between two steps
             if (scene.frame_current, scene.frame_subframe) != now:
-                with paused():
+                with handlers_paused():
                     scene.frame_set(now[0], subframe=now[1])
 
 

@@ -21,7 +21,7 @@ from ..ground import add_collider
 from ..land import shaped_land, water_object
 from ..scatter.request import scatters_of
 from ..session import live, session
-from ..session.pauses import paused
+from ..session.pauses import handlers_paused
 from ..session.polls import IN_A_MODE, cancelled_by_errors
 from ..session.shot import frames_of
 
@@ -76,7 +76,7 @@ def middle_of_path(scene) -> np.ndarray:
     if camera is None:
         return np.array(scene.cursor.location[:2], np.float64)
     frames, now, places = frames_of(scene), (scene.frame_current, scene.frame_subframe), []
-    with paused():
+    with handlers_paused():
         for frame in sorted(set(np.linspace(frames[0], frames[-1], MAX_FRAMES).round().astype(int).tolist())):
             scene.frame_set(frame)
             evaluated = camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
@@ -98,7 +98,7 @@ def move_world(context, by: np.ndarray) -> list[str]:
     if not by.any():
         return driven_names
     without_parent = [obj for obj in scene.objects if obj.parent is None and obj.library is None]
-    seen: set[int] = set()
+    shifted: set[int] = set()  # as in `shift_location`
     # Objects with constraints come last: their targets may have moved them already.
     for obj in sorted(without_parent, key=lambda obj: len(obj.constraints) > 0):
         if obj.constraints:
@@ -106,7 +106,7 @@ def move_world(context, by: np.ndarray) -> list[str]:
             context.view_layer.update()
             if (obj.matrix_world.translation - before).dot(step) > FOLLOWED * step.dot(step):
                 continue  # a constraint's target has taken it along
-        if not shift_location(obj, step, seen):
+        if not shift_location(obj, step, shifted):
             driven_names.append(obj.name)
     context.view_layer.update()
     scene.cursor.location += step
@@ -118,17 +118,17 @@ def move_world(context, by: np.ndarray) -> list[str]:
         moves = zip((origin.x, origin.y), by, origin.metres, strict=True)
         x, y = (coordinate - float(move) / metres for coordinate, move, metres in moves)
         was_claimed = is_claimed(scene)
-        set_origin(scene, origin._replace(x=x, y=y), None)
+        set_origin(scene, origin._replace(x=x, y=y), latitude_longitude=None)
         if was_claimed:
             claim_origin(scene)
     return driven_names
 
 
-def shift_location(obj, by: Vector, seen: set[int]) -> bool:
+def shift_location(obj, by: Vector, shifted: set[int]) -> bool:
     """Add `by` to an object's location in all frames; return False if a driver or a track moves the object.
 
-    Its delta location is moved then. seen: pointers of the curves that are shifted already, since objects may share an
-    action.
+    Its delta location is moved then. shifted: pointers of the animation curves that are shifted already, since objects
+    may share an action.
     """
     animation = obj.animation_data
     is_driven = animation is not None and (
@@ -140,8 +140,8 @@ def shift_location(obj, by: Vector, seen: set[int]) -> bool:
         return False
     obj.location = Vector(obj.location) + by
     for curve in _curves_of(animation, "location"):
-        if curve.as_pointer() not in seen:
-            seen.add(curve.as_pointer())
+        if curve.as_pointer() not in shifted:
+            shifted.add(curve.as_pointer())
             for key in curve.keyframe_points:
                 for point in (key.co, key.handle_left, key.handle_right):
                     point.y += by[curve.array_index]
@@ -183,7 +183,7 @@ def set_anchor(obj, x: float, y: float) -> None:
             fix="animate a parent of it instead",
         )
     basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
-    shift_location(obj, Vector((basis @ by).tolist()), set())
+    shift_location(obj, Vector((basis @ by).tolist()), shifted=set())
     obj.adaptive_terrain.anchor = (x, y)
     keep_children(obj, by)
 

@@ -176,7 +176,10 @@ def gather(
         frozen=frozen,
         effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
         scatters=gather_scatters(
-            obj, depsgraph, mode == RENDER, lambda: views or _find_views(evaluated, depsgraph, mode, camera, resolution)
+            obj,
+            depsgraph,
+            render=mode == RENDER,
+            views=lambda: views or _find_views(evaluated, depsgraph, mode, camera, resolution),
         ),
         curve=curve,
         anchor=anchor,

@@ -23,11 +23,13 @@ def kernels_for(request: Request) -> list[ModuleType]:
 
     attributes = list(request.effects.requests)
     if isinstance(request.ground, LayeredDetail):  # its weights are splat attributes
-        attributes.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+        attributes.append(
+            AttributeRequest(NAMES[0], readers=("detail",), parameters=(("layers", request.ground.layers),))
+        )
     for item in request.scatters.items:
         attributes += [read for read, _ in item.scatter.reads()]
     found = kernels_of(plan(attributes)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
-    hides = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.items)
+    needs_horizon = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.items)
     packages = (
         (detail, request.ground is not None),
         (bicubic, request.interpolation == "bicubic"),
@@ -35,4 +37,4 @@ def kernels_for(request: Request) -> list[ModuleType]:
         (scatter, bool(request.scatters.items)),
     )
     found += [module for package, is_used in packages if is_used for module in modules_of(package)]
-    return [*found, horizon_map] if hides else found
+    return [*found, horizon_map] if needs_horizon else found

@@ -91,7 +91,7 @@ def _object_key(obj) -> tuple:
 def _scene_key(scene) -> tuple:
     """Return a key of a scene's engine, view layers, background set and number of objects.
 
-    Blender reports every update of a scene as one of the scene itself.
+    Blender reports any change of a scene as an update of the scene, without the kind of change.
     """
     layers = tuple(
         (layer.name, layer.use, layer.material_override and layer.material_override.session_uid, *layer.aovs.keys())

@@ -8,8 +8,8 @@ import pytest
 from adaptive_terrain.operators.export import summaries
 from adaptive_terrain.operators.export.summaries import (
     close_summary,
-    complete_summary,
     content_digest,
+    find_complete_summary,
     summary_checksum,
 )
 from store_exports import run
@@ -93,9 +93,9 @@ SUMMARY_DAMAGE = {
 @pytest.mark.parametrize("damage", SUMMARY_DAMAGE)
 def test_a_damaged_summary_means_another_rendering(frames, capsys, damage):
     digests = {"../tex.png": content_digest(frames.parent / "tex.png")}
-    assert complete_summary(frames, 6, "a", digests, ("npz",)) is not None
+    assert find_complete_summary(frames, 6, "a", digests, ("npz",)) is not None
     SUMMARY_DAMAGE[damage](frames)
-    assert complete_summary(frames, 6, "a", digests, ("npz",)) is None
+    assert find_complete_summary(frames, 6, "a", digests, ("npz",)) is None
     assert run("verify", frames, "--frames", "4-6") == 1
     said = capsys.readouterr().err
     assert "frame 6: frame_0006.json is damaged" in said or (damage == "a broken link" and "frame 6 is missing" in said)
@@ -144,9 +144,9 @@ def test_frames_stay_complete_in_another_place(frames, tmp_path):
     moved = tmp_path / "elsewhere" / "deeper"
     moved.parent.mkdir()
     frames.rename(moved)
-    assert complete_summary(moved, 6, "a", {"../../far/tex.png": digests["../tex.png"]}, ()) is not None
-    assert complete_summary(moved, 6, "a", {"../../far/rock.png": digests["../tex.png"]}, ()) is None
-    assert complete_summary(moved, 6, "a", {}, ()) is None
+    assert find_complete_summary(moved, 6, "a", {"../../far/tex.png": digests["../tex.png"]}, ()) is not None
+    assert find_complete_summary(moved, 6, "a", {"../../far/rock.png": digests["../tex.png"]}, ()) is None
+    assert find_complete_summary(moved, 6, "a", {}, ()) is None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")

@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.export.frame_sources import scene_piece
 from adaptive_terrain.operators.ground import keep_ground, world_ground
 from adaptive_terrain.operators.session import session
-from adaptive_terrain.operators.session.pauses import paused
+from adaptive_terrain.operators.session.pauses import handlers_paused
 from ground_scenes import Cast, added, cube, only
 from mathutils import Vector
 
@@ -153,7 +153,7 @@ def test_renders_have_it_too_with_motion_blur(flight, askew, tmp_path):
 
 
 def test_exports_that_set_frames_in_a_pause_have_it(flight, askew):
-    with paused():
+    with handlers_paused():
         flight.frame_set(8)
     piece = scene_piece(askew, bpy.context.evaluated_depsgraph_get(), 8)
     eye = np.linalg.inv(np.array(piece.info["views"][0]["world_to_camera"]))[:3, 3]

@@ -80,5 +80,5 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
 def _transform(points: np.ndarray, matrix) -> np.ndarray:
     """Transform points [n, 3] by a 4 x 4 matrix term by term, since BLAS rounds differently on other processors."""
     matrix = np.array(matrix, np.float64)
-    x, y, z = points[:, None].transpose(2, 0, 1)
+    x, y, z = points[:, None].transpose(2, 0, 1)  # [n, 1] each
     return x * matrix[:3, 0] + y * matrix[:3, 1] + z * matrix[:3, 2] + matrix[:3, 3]

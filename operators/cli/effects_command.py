@@ -42,7 +42,7 @@ def _measure_attribute(name: str, field, surface):
 
     It is evaluated twice: the second run, which is reported, finds compiled kernels and filled caches.
     """
-    planned = plan([AttributeRequest(name, ("this command",), GEOMETRY)])
+    planned = plan([AttributeRequest(name, readers=("this command",), family=GEOMETRY)])
     for _ in range(2):
         ran = evaluate(field, EffectRequest(planned, surface), FrameHistory(), launch.default_threads()).ran
     ms, nbytes = sum(step.ms for step in ran.values()), sum(step.nbytes for step in ran.values())

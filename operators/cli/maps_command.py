@@ -65,7 +65,7 @@ def subjects_of_store(
     the path, None for all whole frames. `resolution`: pixels.
     """
     views = () if path is None else views_along(path, frames, resolution)
-    requests = tuple(AttributeRequest(name, (READER,)) for name in check_names(names))
+    requests = tuple(AttributeRequest(name, readers=(READER,)) for name in check_names(names))
     request = MapRequest(requests, out, views, only_seen=bool(views))
     return [MapSubject(StoreFrames.name, open_store(store), request)]
 

@@ -65,7 +65,7 @@ def run_tiles(arguments) -> None:
         name=arguments.name,
         pattern=arguments.pattern,
     )
-    masks = [AttributeRequest(name, ("this command",)) for name in names]
+    masks = [AttributeRequest(name, readers=("this command",)) for name in names]
     with Progress(1.0, "tiles", arguments.progress) as bar:
         index = export_height_tiles(field, arguments.out, settings, masks, bar.to)
     print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))

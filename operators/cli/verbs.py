@@ -27,7 +27,7 @@ def run_bake(arguments) -> None:
     except TerrainError as error:
         raise UsageError(f"--out: {error}") from None
     check_target(arguments.out)
-    remove_abandoned(arguments.out.parent)
+    remove_abandoned(arguments.out.parent)  # partial files of killed processes
     with Progress(1.0, "bake", arguments.progress) as bar:
         piece = baked_piece(
             arguments.store,

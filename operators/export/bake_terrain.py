@@ -42,8 +42,8 @@ def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
 
     request = _request_of(obj, depsgraph, error_m)
     if fitted:
-        check_interpolation(request.interpolation)
-    warmup.wait()
+        check_interpolation(request.interpolation)  # only bilinear ground can be fitted
+    warmup.wait()  # for kernels that are being compiled
     with session.engine_lock:
         heights = session.field_of(request)
         update = bake_mesh(

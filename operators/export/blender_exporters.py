@@ -47,7 +47,7 @@ def _enable_gltf() -> None:
     """Enable Blender's glTF add-on, which may be off."""
     import addon_utils
 
-    if not addon_utils.check("io_scene_gltf2")[1]:
+    if not addon_utils.check("io_scene_gltf2")[1]:  # [1]: whether it is enabled now
         addon_utils.enable("io_scene_gltf2")
 
 

@@ -91,7 +91,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
 
         format_of(path)  # raises for an unknown suffix, before any work
         check_target(path)
-        remove_abandoned(path.parent)
+        remove_abandoned(path.parent)  # partial files of killed processes
         piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
         write_piece(piece, path)
         triangles = figures(piece)["triangles"]

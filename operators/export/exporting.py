@@ -129,7 +129,7 @@ def _remove_summary(path: Path) -> None:
 
 
 def _replace_special(path: Path) -> None:
-    """Put an empty file in the place of a link, a pipe or a socket; a link's target stays as it is."""
+    """Put an empty file in the place of a link, a pipe or a socket, to be removed; a link's target stays as it is."""
     if path.is_symlink() or path.is_fifo() or path.is_socket():
         with private_folder(path.parent) as folder:
             (folder / path.name).touch()

@@ -62,7 +62,7 @@ def _bake_collider(terrain, depsgraph):
 
     ground = world_ground.ground_of(terrain, depsgraph)
     metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
-    warmup.wait()
+    warmup.wait()  # for kernels that are being compiled
     with session.engine_lock:
         update = bake(ground.field, terrain.adaptive_terrain.collider_error_m / metres, **ground.scale_and_offset)
     return update, update.bound_m * metres

@@ -35,11 +35,11 @@ class KnownPoint:
     height: float
 
 
-def find_point(grounds: Sequence[WorldGround], read: Coordinates, system: str) -> KnownPoint:
+def find_point(grounds: Sequence[WorldGround], given: Coordinates, system: str) -> KnownPoint:
     """Return the ground at coordinates: of several terrains there, the highest in the world.
 
-    system: AUTOMATIC, OF_TERRAIN or OF_EARTH. Raises TerrainError without a terrain that has a coordinate system, for
-    coordinates outside, in holes, or that PROJ cannot convert.
+    given: the two numbers that the user has entered. system: AUTOMATIC, OF_TERRAIN or OF_EARTH. Raises TerrainError
+    without a terrain that has a coordinate system, for coordinates outside, in holes, or that PROJ cannot convert.
     """
     located = [ground for ground in grounds if ground.field.crs and ground.field.raster.known_place is not None]
     if not located:
@@ -51,7 +51,7 @@ def find_point(grounds: Sequence[WorldGround], read: Coordinates, system: str) -
     found, nearest, failure = [], None, None
     for ground in located:
         try:
-            local = _local_position(ground, read, system)
+            local = _local_position(ground, given, system)
         except TerrainError as error:
             failure = error
             continue
@@ -64,17 +64,17 @@ def find_point(grounds: Sequence[WorldGround], read: Coordinates, system: str) -
         return max(found, key=lambda point: point.position[2])
     if nearest is None:
         raise failure
-    raise _outside(*nearest, read, system)
+    raise _outside(*nearest, given, system)
 
 
-def _local_position(ground: WorldGround, read: Coordinates, system: str) -> np.ndarray:
+def _local_position(ground: WorldGround, given: Coordinates, system: str) -> np.ndarray:
     """Return the position of coordinates in a terrain's space, float64 [2] metres. Raises TerrainError."""
     place, crs = ground.field.raster.known_place, ground.field.crs
     in_degrees = is_in_degrees(place)
-    if not (in_degrees or _is_of_earth(read, system)):
-        x, y = (read.second, read.first) if read.order == NORTH_FIRST else (read.first, read.second)
+    if not (in_degrees or _is_of_earth(given, system)):
+        x, y = (given.second, given.first) if given.order == NORTH_FIRST else (given.first, given.second)
         return from_crs(place, np.array([[x, y]]))[0]
-    y, x = (read.second, read.first) if read.order == EAST_FIRST else (read.first, read.second)
+    y, x = (given.second, given.first) if given.order == EAST_FIRST else (given.first, given.second)
     if not (abs(y) <= 90.0 and abs(x) <= 360.0):
         raise TerrainError(
             f"Latitude {y:,.10g} and longitude {x:,.10g} are not on Earth",
@@ -97,12 +97,12 @@ def reprojected(longitude: float, latitude: float, crs: str) -> tuple[float, flo
     return reproject_point(longitude, latitude, WGS84, crs)
 
 
-def _is_of_earth(read: Coordinates, system: str) -> bool:
+def _is_of_earth(given: Coordinates, system: str) -> bool:
     """Return whether coordinates are latitude and longitude."""
     if system != AUTOMATIC:
         return system == OF_EARTH
-    can_be = abs(read.first) <= 90.0 and abs(read.second) <= 180.0
-    return read.is_degrees or can_be and read.order != EAST_FIRST
+    can_be = abs(given.first) <= 90.0 and abs(given.second) <= 180.0
+    return given.is_degrees or can_be and given.order != EAST_FIRST
 
 
 def _point_at(ground: WorldGround, local: np.ndarray) -> KnownPoint | None:
@@ -124,13 +124,13 @@ def _distance(ground: WorldGround, local: np.ndarray) -> float:
     return float(np.hypot(max(west - local[0], local[0] - east, 0.0), max(south - local[1], local[1] - north, 0.0)))
 
 
-def _outside(ground: WorldGround, local: np.ndarray, read: Coordinates, system: str) -> TerrainError:
+def _outside(ground: WorldGround, local: np.ndarray, given: Coordinates, system: str) -> TerrainError:
     """Return the error for coordinates where the nearest terrain has no ground. local: position in its space."""
     where = coordinates_text(ground.field.raster.known_place, ground.field.crs, local)
     distance = _distance(ground, local)
     if distance == 0.0:
         return TerrainError(f"The terrain has a hole at {where}", fix="choose another point")
-    exchanged = read._replace(first=read.second, second=read.first)
+    exchanged = given._replace(first=given.second, second=given.first)
     try:
         is_inside = _point_at(ground, _local_position(ground, exchanged, system)) is not None
     except TerrainError:

@@ -61,8 +61,8 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
         if self.options.is_invoke and not self.is_chosen and not self._has_kernels(context):
             invoke_with_file(self, context)  # waits for the kernels, which a dialog cannot
             return {"CANCELLED"}
-        read, depsgraph = parse_coordinates(self.coordinates), context.evaluated_depsgraph_get()
-        point = find_point(chosen_grounds(context, depsgraph), read, self.system)
+        given, depsgraph = parse_coordinates(self.coordinates), context.evaluated_depsgraph_get()
+        point = find_point(chosen_grounds(context, depsgraph), given, self.system)
         objects = _objects_of(context)
         if not objects:
             context.scene.cursor.location = point.position

@@ -209,7 +209,8 @@ def _advance_job(terrain: tuple | None) -> bool:
     graph, object), None if no window shows it any more.
     """
     making, job = _making, _making.job
-    if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _has_new_settings(terrain):
+    depsgraph, obj = terrain or (None, None)
+    if obj is None or not obj.adaptive_terrain.live or job.stopped or _has_new_settings(depsgraph, obj):
         if job.stopped:
             _left.add(making.land.folder)
         _end_job(making)
@@ -219,21 +220,21 @@ def _advance_job(terrain: tuple | None) -> bool:
     _end_job(making)
     if job.error:
         _left.add(making.land.folder)
-        session.record_of(terrain[1]).status.error = job.error
+        session.record_of(obj).status.error = job.error
     elif not job.result:
         _rests[making.uid].done = True
     return bool(job.result)
 
 
-def _has_new_settings(terrain: tuple) -> bool:
+def _has_new_settings(depsgraph, obj) -> bool:
     """Return whether the terrain's settings describe other land than the one that is being made.
 
     Another request for the same land, as of a moved view, becomes the job's.
     """
-    key = session.record_of(terrain[1]).live_key
+    key = session.record_of(obj).live_key
     if key == _making.key:
         return False
-    _making.key, land = key, _current_land(terrain[1], terrain[0])
+    _making.key, land = key, _current_land(obj, depsgraph)
     return land is None or land.of_views_alone.folder != _making.land.folder
 
 

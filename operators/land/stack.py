@@ -80,7 +80,8 @@ def _mask_of(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
         file = land_masks.write_image_mask(mask.image, masks)
     elif mask.kind == BY_OBJECT:
         file = land_masks.write_shadow_mask(mask.object, terrain, _extent_of(terrain), depsgraph, masks)
-    return HeightMask(file, _rules_of(mask) if mask.kind == BY_RULE else (), mask.factor)
+    rules = _rules_of(mask) if mask.kind == BY_RULE else ()
+    return HeightMask(image=file, rules=rules, factor=mask.factor)
 
 
 def _extent_of(terrain) -> tuple[float, float]:
@@ -139,10 +140,11 @@ def preset_of(land) -> Stack:
                     "files",
                     fix="save it with Image > Save As",
                 )
-            mask = HeightMask(image, (), entry.mask.factor)
+            mask = HeightMask(image=image, factor=entry.mask.factor)
         elif kind == BY_RULE:
-            mask = HeightMask("", _rules_of(entry.mask), entry.mask.factor)
-        entries.append(Entry(entry.effect, _changed_parameters(entry), entry.seed, entry.on, mask, entry.name))
+            mask = HeightMask(rules=_rules_of(entry.mask), factor=entry.mask.factor)
+        numbers = _changed_parameters(entry)
+        entries.append(Entry(entry.effect, numbers, entry.seed, on=entry.on, mask=mask, name=entry.name))
     stack = Stack(tuple(entries))
     stack.check()
     return stack

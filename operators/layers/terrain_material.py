@@ -49,4 +49,4 @@ def material_sources(obj, light) -> LayerSources:
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     layers = [] if COLORS in maps else layers  # the map has their colours
     light = [name for name in (SKY, SUN) if name in light or name in maps]
-    return LayerSources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
+    return LayerSources(layers, light, maps, place=lambda tree: map_vector(tree, obj), tile=tile_metres(obj))

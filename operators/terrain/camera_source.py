@@ -40,5 +40,6 @@ def _is_below(camera, obj) -> bool:
         return False
     local = obj.matrix_world.inverted_safe() @ camera.matrix_world.translation
     bottom = min(height * settings.vertical_scale + settings.vertical_offset for height in imported.heights_m)
-    sides = zip(local, settings.anchor, imported.extent_m, strict=False)  # along x and y
+    # Along x and y; a place in the object's space is place + anchor metres from the raster's middle.
+    sides = zip(local, settings.anchor, imported.extent_m, strict=False)
     return local.z < bottom and all(abs(place + anchor) <= extent / 2 for place, anchor, extent in sides)

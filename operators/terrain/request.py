@@ -209,7 +209,7 @@ def _name_terrain_in_errors(obj):
 def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
     """Return the criterion of a DetailSettings, with `overrides` in place of its values.
 
-    Raises TerrainError for invalid values, as if every criterion is off.
+    Raises TerrainError for invalid values, also if every criterion is off.
     """
     return Criterion(**{setting.name: value_of(detail, setting) for setting in SETTINGS} | overrides.criterion)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Child processes that are forked from one process, which has imported their modules, instead of started.
 
-Each child would import numpy, Warp and the engine for a second of a processor: most of the time of the tests of the
-operators and the engine. So do faults that kill a child at a stage of its work. Tests of processes themselves, hard
-cases, other faults and the real program start real children.
+Each child would import numpy, Warp and the engine for a second of a processor, and load kernels for a tenth of one:
+most of the time of the tests of the operators and the engine. So do faults that kill a child at a stage of its work.
+Tests of processes themselves, hard cases, other faults and the real program start real children.
 """
 
 import ctypes
@@ -25,6 +25,7 @@ MODULES = (
     *("height_operators.export", "height_operators.shape_process", "importing.build_store", "importing.import_process"),
     *("importing.placing", "importing.source_info", "mosaic.import_child", "run.idle_process"),
 )
+KERNEL_ROOMS = "field", "land", "mosaic"  # those of an import and of shaping
 BECOME_PARENT_OF_ORPHANS = 36  # PR_SET_CHILD_SUBREAPER
 MAX_REQUEST_BYTES = 100_000
 _lock = threading.Lock()  # one request at a time: tests start children on threads, too
@@ -70,6 +71,27 @@ def start(command: list[str], **how) -> subprocess.Popen:
     return (ForkedChild if forks else subprocess.Popen)(command, **how)
 
 
+def run_script(
+    script: str, *arguments: str, stdout: int | None = None, closed: tuple[int, ...] = (), encoding: str = "utf-8"
+) -> subprocess.CompletedProcess:
+    """Run a script in a new process that has imported the engine already, as `python -c` would; return its end.
+
+    stdout: descriptor that is its standard output instead of a file. closed: standard descriptors that it lacks.
+    encoding: of the standard streams, which Python opens at its start.
+    """
+    request = {"script": script, "arguments": arguments, "folder": os.getcwd(), "environment": dict(os.environ)}
+    request |= {"closed": closed, "encoding": encoding}
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, open(os.devnull) as nothing:
+        streams = [nothing.fileno(), out.fileno() if stdout is None else stdout, err.fileno()]
+        with _lock:
+            socket.send_fds(_nursery(), [json.dumps(request).encode()], streams)
+            pid = int(_nursery().recv(MAX_REQUEST_BYTES))
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        for file in (out, err):
+            file.seek(0)
+        return subprocess.CompletedProcess(arguments, code, out.read().decode(), err.read().decode())
+
+
 @pytest.fixture
 def fork_children(monkeypatch):
     """Fork children of the extension from one process that has imported their modules."""
@@ -83,6 +105,7 @@ def _serve(channel: socket.socket) -> functools.partial:
     gc.disable()
     for module in MODULES:
         importlib.import_module(f"adaptive_terrain.cbt_terrain.{module}")
+    _load_compiled_kernels()
     gc.freeze()
     while True:
         message, streams, _, _ = socket.recv_fds(channel, MAX_REQUEST_BYTES, 3)
@@ -108,6 +131,16 @@ def _serve(channel: socket.socket) -> functools.partial:
             return _work_of(json.loads(message))
 
 
+def _load_compiled_kernels() -> None:
+    """Load the kernels that are compiled already; a child compiles others when it needs them."""
+    from adaptive_terrain.cbt_terrain.run import warmup
+
+    for room in KERNEL_ROOMS:
+        for module in warmup.modules_of(importlib.import_module(f"adaptive_terrain.kernels.{room}")):
+            if warmup.compiled_file(module).exists():
+                warmup.load(module)
+
+
 def _work_of(request: dict) -> functools.partial:
     """Take the folder and the environment of a request, and return its work."""
     os.chdir(request["folder"])
@@ -115,7 +148,26 @@ def _work_of(request: dict) -> functools.partial:
     os.environ.update(request["environment"])
     tempfile.tempdir = None
     gc.enable()
+    if "script" in request:
+        _open_streams(request["closed"], request["encoding"])
+        sys.argv = ["-c", *request["arguments"]]
+        return functools.partial(exec, request["script"], {"__name__": "__main__"})
     return functools.partial(importlib.import_module(request["module"]).child_main, *request["arguments"])
+
+
+def _open_streams(closed: list[int], encoding: str) -> None:
+    """Close standard descriptors, and open the others as Python does at its start: None for one that is closed."""
+    for number, (name, mode, errors) in enumerate(
+        (("stdin", "r", "strict"), ("stdout", "w", "strict"), ("stderr", "w", "backslashreplace"))
+    ):
+        stream = None
+        if number in closed:
+            os.close(number)
+        else:
+            buffering = 1 if number == 2 else -1
+            stream = open(number, mode, buffering, encoding, errors, closefd=False)
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def until(operator, is_reached):
     end = time.monotonic() + 300
     while not is_reached():
         assert turn(operator) == {"PASS_THROUGH"} and time.monotonic() < end
-        time.sleep(0.005)
+        time.sleep(0.02)
 
 
 def store_of(obj):

@@ -27,7 +27,7 @@ def terrain(scene, add_terrain, store, tmp_path):
     return obj
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def first_shaped(tmp_path_factory):
     """Return the folder where the first test that needs it leaves a copy of the shaped land."""
     return tmp_path_factory.mktemp("shaped") / "land"
@@ -67,7 +67,7 @@ def stack_now(terrain, tmp_path):
     return land_stack.stack_of(terrain.evaluated_get(depsgraph), depsgraph, tmp_path / "masks")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wide_store(tmp_path_factory):
     """Build a store with three levels; the finest is made of tiles."""
     return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 1100, 1500)

@@ -35,9 +35,10 @@ FEW = [
 
 @pytest.fixture
 def terrain(scene, add_terrain, tmp_path, monkeypatch):
-    """Add a terrain with a tolerance of 2 px, a report folder and a sweep of two settings."""
+    """Add a terrain with a tolerance of 2 px, a report folder and a sweep of two settings, timed once."""
+    monkeypatch.setattr(engine_sweep, "RUNS", 1)
     monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: FEW[:2])
-    scene.render.resolution_percentage = 25  # looking takes longest
+    scene.render.resolution_percentage = 10  # looking takes longest
     obj = add_terrain()
     obj.adaptive_terrain.render.error_px = 2.0
     obj.adaptive_terrain.reports = str(tmp_path / "reports")
@@ -101,7 +102,7 @@ def test_it_sweeps_every_setting_and_writes_all_files(terrain, scene, every_kind
     folder = sweep_accuracy.report_folder(terrain)
     assert {path.suffix for path in folder.iterdir()} == {".html", ".md", ".csv", ".json", ".svg", ".png"}
     page = (folder / "index.html").read_text()
-    assert "2 px (current)" in page and "through the camera of the scene, 160 x 90 pixels, frame 4." in page
+    assert "2 px (current)" in page and "through the camera of the scene, 64 x 36 pixels, frame 4." in page
 
 
 @pytest.mark.thorough

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
+from adaptive_terrain.cbt_terrain.accuracy import sweep as engine_sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.accuracy.rows import TERMS
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
@@ -52,7 +53,9 @@ def hills(tmp_path_factory):
 
 @pytest.fixture
 def few(monkeypatch):
-    """Limit the sweep to few settings."""
+    """Limit the sweep to few settings, timed once."""
+    monkeypatch.setattr(engine_sweep, "RUNS", 1)
+    monkeypatch.setattr(engine_sweep, "FRAME_RUNS", 1)
     monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: list(FEW))
 
 
@@ -122,7 +125,7 @@ def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy, monkeypatch):
 
 
 def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
-    code, printed, folder = accuracy()
+    code, printed, folder = accuracy("--resolution", "160x90")
     assert code == 0, printed.err
     page = (folder / "index.html").read_text()
     assert re.findall(r'(?:src|href)="(?!data:image/png;base64,)', page) == []
@@ -174,12 +177,12 @@ def test_the_strip_shows_the_same_part_at_four_errors(measured, accuracy):
 
 
 def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight):
-    code, printed, folder = accuracy("--path", flight, "--frames", "2-6:2", "--resolution", "320x180")
+    code, printed, folder = accuracy("--path", flight, "--frames", "2-6:2", "--resolution", "96x54")
     assert code == 0, printed.err
     on_screen = [row for row in rows_of(folder) if row["unit"] == "px"]
     assert all(float(row["popping_px_max"]) > 0 for row in on_screen)
     content = json.loads((folder / "accuracy.json").read_text())["terrains"][0]
-    assert content["frames"] == [2, 4, 6] and content["seen"] == "along flight.json, 320 x 180 pixels"
+    assert content["frames"] == [2, 4, 6] and content["seen"] == "along flight.json, 96 x 54 pixels"
 
 
 def test_frames_of_a_path_are_spread_over_it(hills, flight):
@@ -209,7 +212,7 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     far = add_terrain("Far")
     far.location.y = 1500
     far.adaptive_terrain.render.error_px, far.adaptive_terrain.render.meshlet = 3.0, 2
-    scene.render.resolution_x, scene.render.resolution_y = 160, 90
+    scene.render.resolution_x, scene.render.resolution_y = 96, 54
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     code, printed, folder = accuracy("--frames", "1-2", source=("--scene", tmp_path / "scene.blend"))
     assert code == 0, printed.err
@@ -220,7 +223,7 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     assert {row["popping_px_max"] for row in rows if row["unit"] == "px"} == {"0.0"}  # the camera stands
     terrains = json.loads((folder / "accuracy.json").read_text())["terrains"]
     assert [terrain["current"] for terrain in terrains] == ["3 px, meshlet 2", "1 px"]
-    assert terrains[0]["seen"] == "through the camera of scene.blend, 160 x 90 pixels"
+    assert terrains[0]["seen"] == "through the camera of scene.blend, 96 x 54 pixels"
 
 
 def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNamespace:
@@ -293,7 +296,7 @@ def test_an_unknown_camera_and_a_scene_without_one(scene, add_terrain, accuracy,
 
 
 def test_an_interruption_leaves_the_last_report_as_it_was(measured, accuracy, monkeypatch):
-    assert accuracy()[0] == 0
+    assert accuracy("--resolution", "96x54")[0] == 0
 
     def interrupted(*arguments, **callbacks):
         callbacks["on_progress"](0.3)
@@ -311,7 +314,7 @@ def test_a_bound_that_does_not_hold_is_a_failure(accuracy, monkeypatch):
     first, *rest = known_rows()
     too_proud = [dataclasses.replace(first, bound=2.5), *rest]
     monkeypatch.setattr(accuracy_command, "sweep", lambda *arguments, **options: too_proud)
-    code, printed, folder = accuracy()
+    code, printed, folder = accuracy("--resolution", "96x54")
     assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3:" in printed.err
     assert len(rows_of(folder)) == len(too_proud)
 

@@ -2,8 +2,6 @@
 """The command line: its files, output and failures."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from adaptive_terrain.cbt_terrain.importing import thinning
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from fields import reference_heights
+from forked_children import run_script
 from store_exports import bytes_of
 
 
@@ -199,7 +198,7 @@ common = ["export", "--store", {store!r}, "--path", {str(flight)!r}, "--frames",
 assert main([*common, "--format", "npz"]) == 0
 sys.exit(main([*common, "--format", "ply"]))
 """
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    result = run_script(script)
     assert result.returncode == 1, result.stderr
     assert "This format needs Blender's Python module" in result.stderr.splitlines()[-1]
     assert (out / "terrain_0001.npz").exists()

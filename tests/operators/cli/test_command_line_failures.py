@@ -3,7 +3,6 @@
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.operators.cli import command_line
+from forked_children import run_script
 
 BAKE = ["bake", "--store", "x", "--out", "a.npz"]
-PROGRAM = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line"]
+PROGRAM = "from adaptive_terrain.operators.cli import command_line; command_line.program()"
 EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
 
 
@@ -175,42 +175,43 @@ for number in (signal.SIGINT, signal.SIGTERM):
 
 @posix
 def test_a_signal_after_the_last_step_changes_nothing():
-    ended = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True)
+    ended = run_script(LATE)
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
-def printed(store: str, redirected: str, **environment) -> subprocess.CompletedProcess:
-    """Run `query` with a redirection in a new process that buffers as Python does by default."""
+def printed(store: str, **streams) -> subprocess.CompletedProcess:
+    """Run `query` with other standard streams in a new process that buffers as Python does by default."""
     points = Path(store).parent / "two_points.csv"
     points.write_text("x,y\n0,0\n5,5\n")
-    query = shlex.join([*PROGRAM, "query", "--store", store, "--points", str(points)])
-    known = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    return subprocess.run(f"{query} {redirected}", shell=True, capture_output=True, text=True, env=known | environment)
+    return run_script(PROGRAM, "query", "--store", store, "--points", str(points), **streams)
 
 
 @posix
 def test_stdout_that_takes_no_more_is_one_sentence(store):
-    for redirected, why in (("> /dev/full", "No space left on device"), ("| exit", "Broken pipe")):
-        done = printed(store, redirected)
+    read_end, unread = os.pipe()
+    os.close(read_end)
+    for stdout, why in ((os.open("/dev/full", os.O_WRONLY), "No space left on device"), (unread, "Broken pipe")):
+        done = printed(store, stdout=stdout)
+        os.close(stdout)
         told = done.stderr.splitlines()
         assert len(told) == 2 and told[0].startswith("2 places"), told
         assert told[1].startswith(f"adaptive-terrain: error: stdout cannot be written ({why})"), told
-        assert "|" in redirected or done.returncode == 1
+        assert done.returncode == 1
 
 
 @posix
 def test_closed_streams_lead_nowhere(store):
-    heard = printed(store, ">&-")
+    heard = printed(store, closed=(1,))
     assert heard.returncode == 0 and len(heard.stderr.splitlines()) == 1, heard.stderr
-    table = printed(store, "2>&-")
+    table = printed(store, closed=(2,))
     assert table.returncode == 0 and len(table.stdout.splitlines()) == 3, "the line about it is not in the table"
-    assert printed(store, ">&- 2>&- <&-").returncode == 0
+    assert printed(store, closed=(0, 1, 2)).returncode == 0
 
 
 @posix
 def test_a_name_that_the_terminal_lacks_is_shown_in_escapes(tmp_path):
-    command = [*PROGRAM, "import", "island", "--size", "65", "--store", str(tmp_path / "река")]
-    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    command = ["import", "island", "--size", "65", "--store", str(tmp_path / "река")]
+    done = run_script(PROGRAM, *command, encoding="ascii")
     assert done.returncode == 0 and "\\u0440" in done.stdout.splitlines()[-1], done.stderr
 
 

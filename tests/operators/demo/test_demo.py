@@ -23,10 +23,11 @@ def made(tmp_path_factory):
     """Return the folder of a demo of a coarse island with small pictures of few samples."""
     out = tmp_path_factory.mktemp("demo") / "demo"
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
-        patch.setattr(demo, "SIZE", 257)
-        patch.setattr(demo, "RESOLUTION", (160, 90))
-        patch.setattr(demo, "PLAN_RESOLUTION", (100, 100))
+        patch.setattr(demo, "SIZE", 129)
+        patch.setattr(demo, "RESOLUTION", (96, 54))
+        patch.setattr(demo, "PLAN_RESOLUTION", (64, 64))
         patch.setattr(demo_scene, "SAMPLES", 1)
+        patch.setattr(demo_scene, "MAPS_MB", 0.5)
         assert command_line.main(["demo", "--out", str(out)]) == 0
     assert printed.getvalue().splitlines()[-1].startswith(f"{out / 'index.html'} shows it")
     return out

@@ -56,12 +56,12 @@ def test_the_command_writes_height_tiles(terrain, tmp_path, capsys):
 
 def test_the_operator_and_the_command_write_the_same_tileset(terrain, tmp_path, capsys):
     path = tmp_path / "a.json"
-    options = {"error_m": 2.0, "triangles": 300}
+    options = {"error_m": 6.0, "triangles": 300}
     assert bpy.ops.adaptive_terrain.export_tileset(filepath=str(path), **options) == {"FINISHED"}
     _, tiles = read_tileset(path)
     assert tiles[-1][0] >= 1 and all(mesh is not None for _, _, mesh in tiles)
     (tmp_path / "new").mkdir()
-    argv = ["tileset", "--store", terrain.adaptive_terrain.store, "--max-error", "2", "--triangles", "300", "--out"]
+    argv = ["tileset", "--store", terrain.adaptive_terrain.store, "--max-error", "6", "--triangles", "300", "--out"]
     assert command_line.main([*argv, str(tmp_path / "new" / "a.json")]) == 0
     assert f"{len(tiles)} tiles in " in capsys.readouterr().out
     for file in tmp_path.glob("a*"):
@@ -111,7 +111,7 @@ def test_an_error_after_the_dialog_is_reported(terrain, tmp_path):
 def export(terrain, tmp_path):
     """Return a function that starts the export of a tileset in a window, after its file is chosen."""
     return lambda: running(
-        ExportTileset, terrain, filepath=str(tmp_path / "a.json"), is_chosen=True, error_m=2.0, triangles=300
+        ExportTileset, terrain, filepath=str(tmp_path / "a.json"), is_chosen=True, error_m=6.0, triangles=300
     )
 
 

@@ -58,7 +58,7 @@ def colours(size):
     return np.stack(np.meshgrid(x, y))
 
 
-@pytest.mark.parametrize("location", [(300, -200, 50), (5e5, -3e5, 50)])
+@pytest.mark.parametrize("location", [pytest.param((300, -200, 50), marks=pytest.mark.thorough), (5e5, -3e5, 50)])
 def test_a_map_shows_each_cell_where_its_files_say(scene, mapped, tmp_path, location):
     mapped.location = location
     bpy.context.view_layer.update()
@@ -143,7 +143,10 @@ def test_maps_that_cannot_be_made_are_refused(scene, mapped, tmp_path):
         bpy.ops.adaptive_terrain.map_camera()
 
 
-@pytest.mark.parametrize("change", ["move", "move far out", "widen", "stretch"])
+@pytest.mark.parametrize(
+    "change",
+    [*(pytest.param(name, marks=pytest.mark.thorough) for name in ("move", "widen")), "move far out", "stretch"],
+)
 def test_a_changed_map_camera_renders_no_map(scene, mapped, tmp_path, change):
     if change == "move far out":  # by less than a millionth of its location
         mapped.location = (5e6, 0.0, 0.0)
@@ -172,7 +175,7 @@ def test_the_command_renders_the_map_of_a_scene(scene, mapped, tmp_path, capsys)
         )
 
 
-@pytest.mark.parametrize("name", ["in.png", "in.tif"])
+@pytest.mark.parametrize("name", ["in.png", pytest.param("in.tif", marks=pytest.mark.thorough)])
 def test_a_map_does_not_replace_its_height_map(scene, mapped, tmp_path, name):
     mapped.adaptive_terrain.source_path = f"/{'n' * 300}.tif"  # no file can have this name
     before = (tmp_path / "in.tif").read_bytes()

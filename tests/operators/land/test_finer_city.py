@@ -2,6 +2,7 @@
 """Shaped land of a terrain with finer tiles in Blender: meshes, previews, exports, and the source again."""
 
 import json
+import shutil
 import time
 
 import bpy
@@ -19,11 +20,18 @@ from land_scenes import add
 from live_windows import show_window
 
 
+@pytest.fixture(scope="module")
+def city_store(tmp_path_factory):
+    """Return a store of 33 x 33 samples of 32 m with a finer tile of 2 m in its north-east."""
+    return finer_store(tmp_path_factory.mktemp("finer") / "city", 33, 33, 4, [(1, 1)])
+
+
 @pytest.fixture
-def city(scene, add_terrain, tmp_path):
-    """Return a terrain of 65 x 65 samples of 32 m with a finer tile of 2 m in its north-east, turned and scaled."""
+def city(scene, add_terrain, city_store, tmp_path):
+    """Return a terrain with a private copy of the store, turned and scaled."""
+    shutil.copytree(city_store, tmp_path / "city")
     obj = add_terrain()
-    obj.adaptive_terrain.store = str(finer_store(tmp_path / "city", 65, 65, 4, [(2, 2)]))
+    obj.adaptive_terrain.store = str(tmp_path / "city")
     obj.location, obj.scale, obj.rotation_euler = (300.0, -50.0, 20.0), (2.0, 2.0, 1.5), (0.0, 0.0, 0.7)
     scene.camera.location = (500.0, 300.0, 420.0)
     bpy.context.view_layer.objects.active = obj

@@ -56,7 +56,7 @@ def turns(reached, limit_s: float = 300.0) -> None:
     while not reached():
         assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, jobs.progress_shown())
         live.tick()
-        time.sleep(0.005)
+        time.sleep(0.03)  # a look costs some time of a processor, which a child with a low priority lacks
 
 
 def is_finished(obj) -> bool:
@@ -142,8 +142,15 @@ def test_damaged_land_in_view_is_shaped_again(terrain, capsys):
     assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
 
 
-@pytest.mark.parametrize("fault", ["folder", "rights"])
-@pytest.mark.parametrize("stack", [True, False])
+@pytest.mark.parametrize(
+    ("fault", "stack"),
+    [
+        ("folder", True),
+        ("rights", False),
+        pytest.param("folder", False, marks=pytest.mark.thorough),
+        pytest.param("rights", True, marks=pytest.mark.thorough),
+    ],
+)
 def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatch, fault, stack):
     """A store whose store.json became a folder or unreadable works again once the file is restored unchanged."""
     terrain.adaptive_terrain.live, record = True, session.record_of(terrain)

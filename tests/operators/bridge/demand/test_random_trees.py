@@ -13,7 +13,7 @@ from adaptive_terrain.operators.session import session
 from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, rendered, shader_tree, write
 
 FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
-COUNTED, PICTURES, GEOMETRIES = (500, 500, 500) if FUZZ >= 10_000 else (200, 6, 20)
+COUNTED, PICTURES, GEOMETRIES = (500, 500, 500) if FUZZ >= 10_000 else (70, 6, 20)
 
 
 def asked(found, names):

@@ -47,7 +47,8 @@ def test_the_named_mapping_puts_each_cell_in_its_place(scene, add_terrain, tmp_p
     points, corners = np.empty((len(mesh.vertices), 3)), np.empty(len(mesh.loops), np.int32)
     mesh.vertices.foreach_get("co", points.ravel())
     mesh.loops.foreach_get("vertex_index", corners)
-    uv = np.array([item.vector[:] for item in mesh.uv_layers.active.uv])
+    uv = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers.active.uv.foreach_get("vector", uv.ravel())
     location, scale = numbers_in(picture_note(imported_of(terrain.adaptive_terrain)))
     place = points[corners, :2] + field.origin[:2]
     # Where a picture that reaches from corner to corner of the raster shows a place.

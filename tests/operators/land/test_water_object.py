@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.scatter.tile import tile
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.land.water_object import LEVEL
 from adaptive_terrain.operators.land.water_surface import AddWaterSurface
+from adaptive_terrain.operators.scatter import starter
 from modal_runs import running, to_the_end, turn
 
 
@@ -83,6 +84,7 @@ def test_a_cancelled_click_leaves_the_terrain_dry(scene, add_terrain, click, mon
 def test_the_buttons_of_the_panel_launch_prepared_kernels(scene, add_terrain, monkeypatch):
     """A window compiles nothing at the first click of Set Up Scene, Add Water, Add Scatter and Drop to Ground."""
     tile.cache_clear()  # other tests have launched its kernel
+    monkeypatch.setattr(starter, "KINDS", {"CONIFERS": starter.KINDS["CONIFERS"]})  # all take a second
     terrain, launched, load = add_terrain(), set(), launch._load
     monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
     operators = bpy.ops.adaptive_terrain

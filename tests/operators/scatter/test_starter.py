@@ -7,6 +7,7 @@ from unittest.mock import MagicMock
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.operators.scatter import starter
 from adaptive_terrain.operators.scatter.operators import new_scatter
 from adaptive_terrain.operators.scatter.panel import ScatterPanel
 from adaptive_terrain.operators.scatter.starter import KINDS, ROOT
@@ -21,6 +22,35 @@ MATERIALS = {
     "Grass": {"Grass"},
     "Rocks": {"Stone"},
 }
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """Return the folder where the first test that builds a kind leaves its objects."""
+    return tmp_path_factory.mktemp("starter")
+
+
+@pytest.fixture(autouse=True)
+def built_once(library, monkeypatch):
+    """Build the objects of each kind once, since their trees of hundreds of nodes take a second; then load them."""
+    build = starter._build
+
+    def build_or_load(context, kind, materials):
+        path = str(library / f"{kind}.blend")
+        if not (library / f"{kind}.blend").exists():
+            objects = build(context, kind, materials)
+            bpy.data.libraries.write(path, set(objects))
+            return objects
+        with bpy.data.libraries.load(path) as (there, here):
+            here.objects = there.objects
+        for mesh in (obj.data for obj in here.objects):
+            for number, material in enumerate(list(mesh.materials)):
+                mesh.materials[number] = materials[material.name.partition(".")[0]]
+        for material in [m for m in bpy.data.materials if m not in materials.values()]:
+            bpy.data.materials.remove(material)
+        return here.objects
+
+    monkeypatch.setattr(starter, "_build", build_or_load)
 
 
 def add(kind="CONIFERS"):

@@ -217,7 +217,10 @@ def test_without_a_store_nothing_changes(scene, add_terrain):
     assert set(bpy.data.objects.keys()) == names
 
 
-@pytest.mark.parametrize(("transform", "elevation"), [("AgX", 8.0), ("AgX", 24.0), ("Standard", 60.0)])
+@pytest.mark.parametrize(
+    ("transform", "elevation"),
+    [("AgX", 8.0), pytest.param("AgX", 24.0, marks=pytest.mark.thorough), ("Standard", 60.0)],
+)
 def test_pictures_are_neither_black_nor_burnt(factory, add_terrain, tmp_path, transform, elevation):
     """Cycles renders it; the sky keeps its colour, and the ground has light and shade."""
     terrain = add_terrain()

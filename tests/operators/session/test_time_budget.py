@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -128,6 +129,7 @@ def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
     from adaptive_terrain.operators.accuracy.measure import read_measured
 
     monkeypatch.setattr(measure_accuracy, "PIXELS", (16.0, 4.0, 1.0))
+    monkeypatch.setattr(measure_accuracy, "timed_runs", partial(measure_accuracy.timed_runs, count=1))
     monkeypatch.setattr(rows_of_sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
     assert bpy.ops.adaptive_terrain.measure_accuracy() == {"FINISHED"}
     detail = terrain.adaptive_terrain.viewport

@@ -135,9 +135,10 @@ def test_a_render_shows_the_bicubic_surface_within_its_bound(scene, add_terrain,
     obj.location = place
     obj.adaptive_terrain.render.error_px, obj.adaptive_terrain.render.smooth_transitions = 0.25, False
     scene.camera.location, scene.camera.rotation_euler = (1700.0, 1600.0, 750.0), (1.15, 0.0, -0.7)
+    scene.render.resolution_x, scene.render.resolution_y = 320, 180
     add_position_material(obj)
     positions = rendered_positions(scene, tmp_path / "a.exr") - place
-    assert len(positions) > 100_000
+    assert len(positions) > 25_000
     field = session.record_of(obj).field
     eye = np.array(scene.camera.location) - place
     off = np.abs(positions[:, 2] - reference_heights(field, positions[:, :2]))
@@ -148,7 +149,7 @@ def test_a_render_shows_the_bicubic_surface_within_its_bound(scene, add_terrain,
     from_middle = np.abs(positions[:, :2] - 256.0).max(axis=1)  # of the known tile
     outside = from_middle > 260.0
     flat = reference_heights(interpolated(field, "bilinear"), positions[outside, :2])
-    assert (from_middle < 250.0).sum() > 5000 and np.abs(positions[outside, 2] - flat).max() > 2.0 * off[outside].max()
+    assert (from_middle < 250.0).sum() > 1250 and np.abs(positions[outside, 2] - flat).max() > 2.0 * off[outside].max()
 
 
 def read_pixels(path):
@@ -156,7 +157,7 @@ def read_pixels(path):
         return file.read(1)
 
 
-@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
+@pytest.mark.parametrize("interpolation", [pytest.param("bilinear", marks=pytest.mark.thorough), "bicubic"])
 def test_exported_heights_are_those_of_the_finer_tiles(scene, add_terrain, city, tmp_path, interpolation):
     """A scale, a vertical scale, an anchor and an interpolation are of the object; files have the store's heights."""
     obj = add_terrain()

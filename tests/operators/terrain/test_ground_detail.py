@@ -12,6 +12,7 @@ from blender_meshes import digest_alone
 
 def test_an_amplitude_adds_detail_and_none_takes_it_away(scene, add_terrain):
     obj = add_terrain()
+    obj.adaptive_terrain.viewport.error_px = 4.0
     plain = session.update_object(obj)
     before = digest_alone(obj)
     obj.adaptive_terrain.ground.amplitude, obj.adaptive_terrain.ground.wavelength = 20.0, 50.0

@@ -258,7 +258,7 @@ def _measure_limits(
         missing = []
         for tile in tiles_of(corner, numbers):
             row, column, _number = tile
-            earlier = limits_before(records, (column, row), inputs[row, column])
+            earlier = limits_before(records, (column, row), f"{inputs[row, column]} {steps}")
             if earlier is None:
                 missing.append(tile)
             else:
@@ -269,7 +269,8 @@ def _measure_limits(
         for tile in missing:
             row, column, _number = tile
             limits[row, column] = pair = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
-            records.note(LIMITED, (column, row), inputs=inputs[row, column], limits=[float(value) for value in pair])
+            given = f"{inputs[row, column]} {steps}"
+            records.note(LIMITED, (column, row), inputs=given, limits=[float(value) for value in pair])
     return limits
 
 

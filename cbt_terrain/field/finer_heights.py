@@ -175,15 +175,20 @@ def fill_heights(
 
 
 def _inputs_of_window(plain: HeightField, bits: int, tiles: list[Tile], known: set[Tile], records: FinerRecords) -> str:
-    """Return a digest of all that determines the heights of the known tiles of a window."""
+    """Return a digest of all that determines the heights of the known tiles of a window.
+
+    Places are counted from the window, so that a window is the same in a raster that grows in the west or south.
+    """
     (down, across), lattice = window_of(tiles[0]), plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
     x0, y0 = WINDOW * SIDE * across, WINDOW * SIDE * down
     box = FinerBox(x0, y0, min(x0 + WINDOW * SIDE, last[0]), min(y0 + WINDOW * SIDE, last[1]))
     columns, rows = (range(WINDOW * at - 1, WINDOW * (at + 1) + 1) for at in (across, down))
-    around = [(column, row) for row in rows for column in columns if (column, row) in known]
+    around = [(column - columns[0], row - rows[0]) for row in rows for column in columns if (column, row) in known]
     nodes = raster_nodes(plain, bits, (box.x0, box.x1), (box.y0, box.y1))
-    return digest_of([nodes], repr((bits, box, last, WINDOW, around)), records.inputs_of(box))
+    # Only ends of the raster that the window or its neighbours meet make a difference.
+    ends = [min(across, 1), min(down, 1), *(min(end, WINDOW * SIDE + 1) for end in (last[0] - x0, last[1] - y0))]
+    return digest_of([nodes], repr((bits, WINDOW, ends, around)), records.inputs_of(box))
 
 
 def _is_filled(

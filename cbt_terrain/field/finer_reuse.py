@@ -20,20 +20,21 @@ def inputs_of_tiles(
 ) -> dict[tuple[int, int], str]:
     """Return a digest of all that determines a tile's change, by row and column of the tile.
 
-    These are the heights of the tile and its neighbours, the raster's samples below them, and the raster's ends nearby.
-    bits, numbers, heights: of all tiles (`FinerTiles`).
+    These are the heights of the tile and its neighbours, the raster's samples below them, and the raster's ends nearby;
+    for slopes also the steps in metres, which in degrees change with the extent. bits, numbers, heights: of all tiles
+    (`FinerTiles`).
     """
     lattice, digests = plain.lattice, {}
     for row, column in np.argwhere(numbers >= 0).tolist():
         nodes = raster_nodes(plain, bits, *((SIDE * index, SIDE * (index + 1)) for index in (column, row)))
         digests[row, column] = digest_of([heights[numbers[row, column]], nodes])
-    inputs, steps = {}, (lattice.step_x, lattice.step_y)
+    inputs = {}
     for row, column in digests:
         around = [digests.get((row + down, column + across)) for down, across in product((-1, 0, 1), (-1, 0, 1))]
         ends = (lattice.cells_x << bits) - SIDE * column, (lattice.cells_y << bits) - SIDE * row
         # Only ends that the tile or its neighbours meet make a difference.
         place = [min(column, 1), min(row, 1), *(min(end, 3 * SIDE) for end in ends)]
-        inputs[row, column] = digest_of([], repr((bits, steps, place, around)))
+        inputs[row, column] = digest_of([], repr((bits, place, around)))
     return inputs
 
 

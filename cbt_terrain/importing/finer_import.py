@@ -19,6 +19,7 @@ from ..field import store_folder
 from ..field.finer_build import with_finer_tiles
 from ..field.finer_heights import (
     FILLED,
+    MEASURED,
     WINDOW,
     Arrays,
     FinerBox,
@@ -30,9 +31,9 @@ from ..field.finer_heights import (
 )
 from ..field.finer_tiles import SIDE, FinerTiles, tile_shape
 from ..field.heightfield import HeightField
-from ..field.lattice import Lattice
 from ..field.store import Draft, open_store
 from ..rasters.raster import FinerSource
+from ..tiling.moved_tiles import samples_moved
 from ..tiling.tile_records import FIGURES, FINER, SEAMS
 from ..tiling.tile_work import TileWork, work_in
 from .finer_squares import is_in_squares
@@ -58,7 +59,7 @@ def add_finer_tiles(
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
     windows = _Windows(source, reader, last)
-    earlier = _EarlierTiles(draft.path, lattice, bits) if source.inputs is not None else None
+    earlier = _EarlierTiles(draft.path, work, bits) if source.inputs is not None else None
     records = _WorkRecords(work, windows, earlier)
     if source.keep_seams is not None:  # the source keeps records of the borders of its files
         source.keep_seams(records.find_seams, records.note_seams)
@@ -86,34 +87,47 @@ def add_finer_tiles(
 
 
 class _EarlierTiles:
-    """The finer tiles of the store at a path, before it is replaced, and the records of their import."""
+    """The finer tiles of the store at a path, before it is replaced, and the records of their import.
 
-    def __init__(self, path: Path, lattice: Lattice, bits: int):
-        """Open the store if it has finer tiles of the same `bits` on the same raster; a damaged one counts as none."""
+    Columns and rows of tiles and windows are those of the new raster, which may have grown in the west or south.
+    """
+
+    def __init__(self, path: Path, work: TileWork, bits: int):
+        """Open the store if windows of its finer tiles are windows of the new raster; a damaged one counts as none.
+
+        work: of the new raster, whose finer tiles have `bits`.
+        """
         self._tiles: FinerTiles | None = None
+        self._moved = 0, 0  # columns and rows of windows that the earlier ones have further east and north
         self.work: TileWork | None = None
         with suppress(TerrainError, OSError):
             folder = store_folder.named_folder(path)
-            raster = open_store(path).raster if folder is not None else None
-            if folder is not None and raster is not None and raster.finer is not None:
-                if raster.finer.bits == bits and _same_grid(raster.lattice, lattice):
-                    self._tiles, self.work = raster.finer, work_in(folder)
+            before = work_in(folder) if folder is not None else None
+            samples = samples_moved(before, work) if before is not None else None
+            tiles = open_store(path).raster.finer if samples is not None else None
+            if tiles is None or tiles.bits != bits or samples is None:
+                return
+            columns, rows = (count << bits for count in samples)  # finer ones
+            side = WINDOW * SIDE
+            if columns % side == rows % side == 0:
+                self._tiles, self.work, self._moved = tiles, before, (columns // side, rows // side)
+
+    def place(self, kind: str, place: Tile) -> Tile:
+        """Return column and row in the earlier store of a tile, or of a window, which may be outside of its raster."""
+        times = 1 if kind == FILLED else WINDOW
+        return place[0] - times * self._moved[0], place[1] - times * self._moved[1]
 
     def array(self, name: str, tile: Tile) -> np.ndarray | None:
         """Return the array of a tile by the name of its file, None without the tile."""
-        if self._tiles is None:
+        column, row = self.place(MEASURED, tile)
+        numbers = self._tiles.numbers if self._tiles is not None else np.zeros((0, 0), np.int32)
+        if not (0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]) or numbers[row, column] < 0:
             return None
-        number = int(self._tiles.numbers[tile[1], tile[0]])
-        return getattr(self._tiles, name)[number] if number >= 0 else None
+        return getattr(self._tiles, name)[numbers[row, column]]
 
     def close(self) -> None:
         """Close the arrays, whose files are about to be removed."""
         self._tiles = self.work = None
-
-
-def _same_grid(one: Lattice, other: Lattice) -> bool:
-    """Return whether two lattices have the same samples."""
-    return all(getattr(one, name) == getattr(other, name) for name in ("width", "height", "step_x", "step_y"))
 
 
 class _WorkRecords(FinerRecords):
@@ -131,11 +145,13 @@ class _WorkRecords(FinerRecords):
         Each comes with a function that returns the earlier store's arrays, or None. place: column and row.
         inputs: is not used; the caller compares it.
         """
-        earlier = self._earlier.array if self._earlier is not None else None
-        for records, arrays in ((self._found, None), (self._before, earlier)):
-            record = records[kind].get(_number_of(place))
-            if record is not None:
-                yield record, arrays
+        found = self._found[kind].get(_number_of(place))
+        if found is not None:
+            yield found, None
+        if self._earlier is not None:
+            before = self._before[kind].get(_number_of(self._earlier.place(kind, place)))
+            if before is not None:
+                yield before, self._earlier.array
 
     def note(self, kind: str, place: Tile, array: np.ndarray | None = None, **values: Any) -> None:
         """Write a record of a kind for a tile or window; that of a window also has the figures of its reading.
@@ -185,8 +201,12 @@ class _WorkRecords(FinerRecords):
 
 
 def _number_of(place: Tile) -> int:
-    """Return the number of a record by column and row: it does not change when the raster gets wider."""
-    return (place[1] << 31) + place[0]
+    """Return the number of a record by column and row: it does not change when the raster gets wider.
+
+    Blocks of seams may have negative ones. No raster has so many that two have one number.
+    """
+    column, row = (index % (1 << 31) for index in place)
+    return (row << 31) + column
 
 
 def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tuple[int, int]) -> set[Tile]:

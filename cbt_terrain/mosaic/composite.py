@@ -163,7 +163,7 @@ class Composite:
         """Read the seams (borders between finer and coarser files) of blocks from records, and write records of others.
 
         find(row, column): returns the values of the record of a block of the grid, None for none. note(row, column,
-        **values): writes one. Rows and columns of blocks are counted from the grid's first.
+        **values): writes one. Rows and columns of blocks are counted from the grid's origin (x0, y0).
         """
         if self.insets is None:
             return

@@ -54,8 +54,10 @@ def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: n
     needed = width * height + tiles * SIDE * SIDE
     if bits < 1 or SAVING * needed > grid.width * grid.height or min(width, height) < 3:
         return None
-    x0, y0 = grid.positions(np.array(grid.column), np.array(grid.row))
-    coarse = grid._replace(x0=float(x0), y0=float(y0), column=0, row=0, width=width, height=height)
+    # Samples of the coarse grid have numbers, too, that do not change when the extent grows by whole cells.
+    column, row = grid.column >> bits, grid.row >> bits
+    x0, y0 = grid.positions(np.array(grid.column - (column << bits)), np.array(grid.row - (row << bits)))
+    coarse = grid._replace(x0=float(x0), y0=float(y0), column=column, row=row, width=width, height=height)
     return FinerPlan(
         coarse._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits), bits, file_boxes, tiles
     )

@@ -218,14 +218,12 @@ class InsetBlend:
         """
         key = row, column
         if key not in self._cells:
-            # counted from the grid's first block
-            place = row - self._block_ranges[0][0], column - self._block_ranges[1][0]
             known = None
             if self.records is not None:
-                known = self.records.find(place, key, self._kind, self._side_of)
+                known = self.records.find(key, self._kind, self._side_of)
             self._cells[key] = self._scanned(row, column) if known is None else known
             if known is None and self.records is not None:
-                self.records.note(place, key, self._cells[key])
+                self.records.note(key, self._cells[key])
             self._bytes += sum(marks.nbytes for marks in self._cells[key].values())
             while self._bytes > MAX_CELL_BYTES and len(self._cells) > 1:
                 self._bytes -= sum(marks.nbytes for marks in self._cells.popitem(last=False)[1].values())
@@ -260,10 +258,10 @@ class InsetBlend:
             key = row, column
             if key not in self._digests:
                 marks = self._marks_of_block(row, column)
-                block = hashlib.blake2b(repr(sorted(marks)).encode(), digest_size=16)
+                block = hashlib.blake2b(repr((key, sorted(marks))).encode(), digest_size=16)
                 for level in sorted(marks):
                     block.update(marks[level].tobytes())
-                self._digests[key] = block.digest()
+                self._digests[key] = block.digest() if marks else b""  # also beyond the extent
             content.update(self._digests[key])
         return content.hexdigest()
 

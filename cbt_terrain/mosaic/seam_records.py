@@ -14,8 +14,7 @@ class SeamRecords(NamedTuple):
     """Records of the marks of blocks of a grid.
 
     Attributes:
-        find_record: find_record(row, column) returns the values of a block's record, None without one; rows and columns
-            are counted from the first.
+        find_record: find_record(row, column) returns the values of a block's record, None without one.
         note_record: note_record(row, column, **values) writes one.
         inputs_at: inputs_at(row, column) returns a digest of all that determines the marks of a block of the grid.
     """
@@ -24,13 +23,13 @@ class SeamRecords(NamedTuple):
     note_record: Callable[..., None]
     inputs_at: Callable[[int, int], str]
 
-    def find(self, place: Block, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
+    def find(self, block: Block, kind: np.dtype, side: Callable[[int], int]) -> dict | None:
         """Return the marks of a block's seam cells by level, from its record; None if they are unknown.
 
-        place: row and column of the block, counted from the grid's first one. block: the same, counted from the
-        grid's origin (x0, y0). kind: type of the marks. side(level): cells along a side.
+        block: row and column of the block, counted from the grid's origin (x0, y0). kind: type of the marks.
+        side(level): cells along a side.
         """
-        record = self.find_record(*place)
+        record = self.find_record(*block)
         if record is None or record["inputs"] != self.inputs_at(*block):
             return None
         marks = {}
@@ -44,11 +43,10 @@ class SeamRecords(NamedTuple):
             return None
         return marks
 
-    def note(self, place: Block, block: Block, marks: dict[int, np.ndarray]) -> None:
+    def note(self, block: Block, marks: dict[int, np.ndarray]) -> None:
         """Write the record of a block: the marks of its seam cells by level.
 
-        place: row and column of the block, counted from the grid's first one. block: the same, counted from the
-        grid's origin (x0, y0).
+        block: row and column of the block, counted from the grid's origin (x0, y0).
         """
         texts = {str(level): zlib.compress(level_marks.tobytes()).hex() for level, level_marks in marks.items()}
-        self.note_record(*place, inputs=self.inputs_at(*block), marks=texts)
+        self.note_record(*block, inputs=self.inputs_at(*block), marks=texts)

@@ -8,7 +8,7 @@ from .tile_grid import OwnedArea, TileBox, TileGrid, halved, owned_areas
 from .tile_records import MEASURED, READ
 from .tile_work import STORED, TileWork
 
-TOLERANCE = 0.01  # samples by which the corners of two rasters may miss a whole number of tiles
+TOLERANCE = 0.01  # samples by which the corners of two rasters may miss a whole number of samples
 UNKNOWN: tuple[str, list] = ("", [])  # "above" of a record: errors of large diamonds, which depend on the extent
 
 
@@ -20,11 +20,22 @@ def tiles_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
     tiles = [(each.grid.bits, each.grid.levels, each.steps, each.holes) for each in (before, work)]
     if tiles[0] != tiles[1]:
         return None
+    moved, side = samples_moved(before, work), work.grid.side
+    if moved is None or any(count % side for count in moved):
+        return None
+    return moved[0] // side, moved[1] // side
+
+
+def samples_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
+    """Return the columns and rows that samples of an earlier raster have further east and north in another one.
+
+    None if they are no samples of the other one.
+    """
     if before.corner is None or work.corner is None:
-        return (0, 0) if before.grid == work.grid else None
-    samples = np.subtract(before.corner, work.corner)
-    columns, rows = moved = np.round(samples / work.grid.side)
-    is_whole = np.abs(samples - moved * work.grid.side).max() <= TOLERANCE  # false for NaN
+        return (0, 0) if before.grid.lattice == work.grid.lattice else None
+    exact = np.subtract(before.corner, work.corner)
+    columns, rows = moved = np.round(exact)
+    is_whole = np.abs(exact - moved).max() <= TOLERANCE  # false for NaN
     return (int(columns), int(rows)) if is_whole else None
 
 

@@ -41,21 +41,30 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
     def make() -> np.ndarray:
         """Compute the logarithms, float32 [rows, columns], where none are cached."""
-        heights = level_of(field.raster, level, threads) * np.float32(sign)
-        holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
-        if holes is not None:  # a level may end beyond the border
-            short = rows - holes.shape[0], columns - holes.shape[1]
-            holes = np.pad(holes, ((0, short[0]), (0, short[1])), mode="edge")
-        drainage = route(heights, *steps, holes, threads)
+        heights = level_of(field.raster, level, threads)
+        if sign != 1.0:
+            heights = heights * np.float32(sign)
+        drainage = route(heights, *steps, _holes_of_level(field, level), threads)
         filled = drainage.filled()
         area = drainage.areas(filled)
         drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet
+        del heights, drainage, filled  # read by nothing below
         out = np.empty((rows, columns), np.float32)
         inputs = [steps[0] * steps[1], flat(area, wp.float64), flat(out, wp.float32)]
         launch.spread(catchment.take_logarithms, out.size, inputs, step="routing", threads=threads)
         return out
 
     return whole("flow", VERSION, parameters=(sign,), field=field, lattice=fit(columns, rows, *steps), make=make)
+
+
+def _holes_of_level(field: HeightField, level: int) -> np.ndarray | None:
+    """Return which samples of a level of the height pyramid are holes, bool [rows, columns]; None if none can be."""
+    if field.valid is None:
+        return None
+    holes = field.valid[:: 2**level, :: 2**level] == 0
+    # A level may end beyond the border.
+    rows, columns = samples_by_level(field.lattice)[level]
+    return np.pad(holes, ((0, rows - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

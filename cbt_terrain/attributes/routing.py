@@ -28,8 +28,9 @@ class Drainage:
     """The drainage of a raster; arrays of n samples in C order.
 
     `base`: uint8, 1 where water leaves. `to`: uint8, direction of the receiver, 3 * (dy + 1) + dx + 1, 4 for a root,
-    which is always of `base`. `order`: int32, indices with donors before receivers. `heights`: float32 metres.
-    `catchments`: float64, drainage area in samples by single receivers.
+    which is always of `base`. `order`: int32, indices with donors before receivers; `areas` sorts them by height.
+    `heights`: float32 metres. `catchments`: float64, drainage area in samples by single receivers; empty if `route` got
+    no weights.
     """
 
     grid: kernels.Grid
@@ -56,15 +57,13 @@ class Drainage:
         """Return drainage areas in samples, float64 [n]: each sample's is divided among all lower neighbours.
 
         filled: the lowest surface from which every sample drains, float32 [n] m: that of lakes, elsewhere the ground.
+        Sorts `order` by it, the highest first; donors remain before receivers.
         """
-        count, d = len(self.to), self.packed(filled)
-        key, item = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)  # twice as long, for the radix sort
-        item[:count] = self.order[::-1]  # receivers before donors, and still so at equal heights after the sort
-        np.take(filled, item[:count], out=key[:count])
-        launch.sort_pairs(key, item, count, step="routing")
-        area = np.ones(count)
+        d = self.packed(filled)
+        launch.once(catchment.sort_order, [d, *_scratch_of_sort(len(self.to))], step="routing")
+        area = np.ones(len(self.to))
         d.area = flat(area, wp.float64)
-        launch.once(catchment.gather_area, [d, flat(item, wp.int32)], step="routing")
+        launch.once(catchment.gather_area, [d], step="routing")
         return area
 
     def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:
@@ -91,32 +90,61 @@ def route(
 
     Water leaves at the border and in `holes` (bool, same shape). Depressions drain over their lowest passes, flats
     along the shortest paths. noise: in the choice of receivers. cell_weight: float64 of the same shape, weight of
-    each sample in `catchments`, None for 1. The result does not depend on `threads`. heights: without NaN, at least two
-    rows and columns; they are copied.
+    each sample in `catchments`, None to compute none. The result does not depend on `threads`. heights:
+    without NaN, at least two rows and columns; the result shares their memory if they are contiguous.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
     base[[0, -1]] = 1
     base[:, [0, -1]] = 1
-    base = base.reshape(-1)
-    h = heights.reshape(-1) + np.float32(0.0)  # a sort distinguishes -0 from 0
-    count, pits = len(h), np.zeros(1, np.int32)
-    to, donors, order = (np.empty(count, kind) for kind in (np.uint8, np.uint8, np.int32))
+    base, h = base.reshape(-1), heights.reshape(-1)
+    grid = grid_of(rows, columns, step_x, step_y)
+    to = _find_receivers(grid, h, base, noise, threads)
+    area = np.empty(0) if cell_weight is None else cell_weight.astype(np.float64).reshape(-1)
+    return Drainage(grid, h, base, to, _order_samples(grid, to, area, threads), area)
+
+
+def _find_receivers(
+    grid: kernels.Grid, h: np.ndarray, base: np.ndarray, noise: "routing.ReceiverNoise | None", threads: int
+) -> np.ndarray:
+    """Return the directions of all receivers, uint8 [n], also out of depressions and over flats.
+
+    h: heights, float32 [n] metres. base: uint8 [n], 1 where water leaves. noise: in the choice, None for none.
+    """
+    # The system commits memory of the queue only for samples of flats.
+    to, queue, pits = np.empty(len(h), np.uint8), np.empty(len(h), np.int32), np.zeros(1, np.int32)
     d = kernels.DrainageArrays()
-    d.grid = grid = grid_of(rows, columns, step_x, step_y)
-    d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
-    d.label, d.order = flat(np.zeros(count, np.int32), wp.int32), flat(order, wp.int32)
-    spread = partial(launch.spread, step="routing", threads=threads)
+    d.grid, d.h, d.base, d.to = grid, flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
+    d.label, d.order = flat(np.zeros(len(h), np.int32), wp.int32), flat(queue, wp.int32)
     inputs = [d, _inverse_distances(grid, noise), noise or routing.ReceiverNoise()]
-    spread(routing.find_receivers, rows, inputs, cost=columns / 8)
+    spread = partial(launch.spread, step="routing", threads=threads)
+    spread(routing.find_receivers, grid.height, inputs, cost=grid.width / 8)
     launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
         _link(d, int(pits[0]), threads)
-    spread(routing.count_donors, rows, [d], cost=columns / 16)
-    area = np.ones(count) if cell_weight is None else cell_weight.astype(np.float64).reshape(-1)
-    d.area = flat(area, wp.float64)
+    return to
+
+
+def _order_samples(grid: kernels.Grid, to: np.ndarray, area: np.ndarray, threads: int) -> np.ndarray:
+    """Return indices of samples with donors before receivers, int32 [n], and sum up areas downstream.
+
+    to: directions of receivers, uint8 [n]. area: weights of samples, float64 [n], which become drainage areas in place;
+    empty for none.
+    """
+    donors, order = np.empty(len(to), np.uint8), np.empty(len(to), np.int32)
+    d = kernels.DrainageArrays()
+    d.grid, d.to, d.donors, d.order = grid, flat(to, wp.uint8), flat(donors, wp.uint8), flat(order, wp.int32)
+    if area.size:
+        d.area = flat(area, wp.float64)
+    launch.spread(routing.count_donors, grid.height, [d], step="routing", threads=threads, cost=grid.width / 16)
     launch.once(routing.order_downstream, [d], step="routing")
-    return Drainage(grid, h, base, to, order, area)
+    return order
+
+
+def _scratch_of_sort(count: int) -> "list[wp.array]":
+    """Return memory for a sort of `count` samples or passes: the last arguments `scratch` .. `starts` of its kernel."""
+    halves, starts = np.empty(count, np.uint16), np.zeros(2 << 16, np.int32)
+    return [flat(np.empty(count, np.int32), wp.int32), flat(halves, wp.uint16), flat(starts, wp.int32)]
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
@@ -157,22 +185,21 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK)
     start = np.zeros(height + 1, np.int64)
 
-    def launch_search(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
+    def launch_search(emit: int, edge: np.ndarray) -> None:
         """Find the passes between basins: count them by rows into `start` (emit 0), or list them (emit 1).
 
-        key: their heights, float32. edge: a sample and the direction to the other one as a number, int32 (find_passes).
+        edge: a sample and the direction to the other one as a number, int32 (find_passes).
         """
-        inputs = [emit, d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
+        inputs = [emit, d, flat(start, wp.int64), flat(edge, wp.int32)]
         spread(routing.find_passes, height - 1, inputs, cost=width / 8)
 
-    launch_search(emit=0, key=np.empty(1, np.float32), edge=np.empty(1, np.int32))
+    launch_search(emit=0, edge=np.empty(1, np.int32))
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     count = int(start[-1])
-    # Twice as long as the passes: the second half is scratch memory of the sort.
-    key, edge = np.empty(2 * count, np.float32), np.empty(2 * count, np.int32)
-    launch_search(emit=1, key=key, edge=edge)
-    launch.sort_pairs(key, edge, count, step="routing")
+    edge = np.empty(count, np.int32)
+    launch_search(emit=1, edge=edge)
+    launch.once(routing.sort_passes, [count, d, flat(edge, wp.int32), *_scratch_of_sort(count)], step="routing")
     # Of each basin in the sets of linked basins, at first itself. Label 1 is all outlets; those of pits begin at 2.
     parents = np.arange(pits + 2, dtype=np.int32)
     launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(parents, wp.int32)], step="routing")

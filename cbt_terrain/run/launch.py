@@ -15,11 +15,8 @@ from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..plain_numbers import plain_number
 from . import locks, stopping
-from .buffers import shared
 
 if TYPE_CHECKING:
     import warp as wp
@@ -201,19 +198,6 @@ def spread(
         jobs = [job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))]
         for first in range(0, pieces, at_once):
             together(jobs[first : first + at_once])
-
-
-def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
-    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, in place and stably.
-
-    Both arrays have at least 2 `count` items, of which those after the first `count` are scratch. step: name of the
-    timed step.
-    """
-    from ...kernels import wp
-
-    stopping.check()
-    with timed(step):
-        wp.utils.radix_sort_pairs(shared(keys, wp.float32), shared(values, wp.int32), count)
 
 
 _loaded: set = set()

@@ -8,20 +8,36 @@ import warp as wp
 
 from .logarithm import natural_log
 from .routing import ROOT, DrainageArrays, axis, towards
+from .rows import sort_from_top
 
 
 @wp.kernel
 def fill_lakes(d: DrainageArrays):
     """Compute `filled`, the lowest surface from which every sample drains: no sample is below its receiver.
 
-    One thread; it visits receivers before donors.
+    One thread; it visits receivers before donors. It writes 0 for -0.
     """
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]
-        d.filled[i] = d.h[i]
+        z = d.h[i] + wp.float32(0.0)
         if d.to[i] != ROOT:
-            d.filled[i] = wp.max(d.h[i], d.filled[towards(i, wp.int32(d.to[i]), d.grid.width)])
+            z = wp.max(z, d.filled[towards(i, wp.int32(d.to[i]), d.grid.width)])
+        d.filled[i] = z
+
+
+@wp.kernel
+def sort_order(
+    d: DrainageArrays,
+    scratch: wp.array(dtype=wp.int32),
+    upper_halves: wp.array(dtype=wp.uint16),
+    starts: wp.array(dtype=wp.int32),
+):
+    """Sort `order` by the filled surface, the highest first, serially; level samples keep their order.
+
+    So donors remain before receivers. scratch, upper_halves: [n], overwritten. starts: [2 * 65536] zeros, overwritten.
+    """
+    sort_from_top(d, d.grid.width * d.grid.height, d.order, scratch, upper_halves, starts)
 
 
 @wp.func
@@ -35,15 +51,14 @@ def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
 
 
 @wp.kernel
-def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
+def gather_area(d: DrainageArrays):
     """Pass every sample's area to all lower neighbours by their slopes (Quinn et al. 1991), serially from above.
 
     In lakes and on flats, without a lower neighbour, it goes to the receiver. `area`: first the samples' weights, then
-    the drainage areas. `ascending`: samples by the filled surface, receivers before donors where it is level.
+    the drainage areas. `order`: sorted by `sort_order`.
     """
-    n = d.grid.width * d.grid.height
-    for q in range(n):
-        i = ascending[n - 1 - q]
+    for q in range(d.grid.width * d.grid.height):
+        i = d.order[q]
         if d.to[i] != ROOT:
             total = wp.float64(0.0)
             for k in range(9):

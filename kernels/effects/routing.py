@@ -19,6 +19,7 @@ from .rows import (
     list_passes_of_row,
     next_pit,
     passes_of_row,
+    sort_passes_from_bottom,
     walk_downstream,
 )
 
@@ -157,20 +158,36 @@ def find_passes(
     emit: int,
     d: DrainageArrays,
     start: wp.array(dtype=wp.int64),
-    key: wp.array(dtype=wp.float32),
     edge: wp.array(dtype=wp.int32),
 ):
     """Count or list the passes of row `offset + tid`: pairs of neighbours in different basins, in directions 5 .. 8.
 
     emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on. `start` then has the number of
-    passes of all rows before each row and, as its last entry, of all. key: heights of the passes, metres. edge: 4 *
-    sample + direction - 5. The last row is left out, as both ends of its passes are outlets.
+    passes of all rows before each row and, as its last entry, of all. edge: 4 * sample + direction - 5. The last row
+    is left out, as both ends of its passes are outlets.
     """
     y = offset + wp.tid()
     if emit == 0:
         start[y] = wp.int64(passes_of_row(d, y))
     elif start[y + 1] > start[y]:
-        list_passes_of_row(d, y, start[y], key, edge)
+        list_passes_of_row(d, y, start[y], edge)
+
+
+@wp.kernel
+def sort_passes(
+    count: int,
+    d: DrainageArrays,
+    edge: wp.array(dtype=wp.int32),
+    scratch: wp.array(dtype=wp.int32),
+    upper_halves: wp.array(dtype=wp.uint16),
+    starts: wp.array(dtype=wp.int32),
+):
+    """Sort `count` passes stably by their heights, the lowest first, serially.
+
+    edge: 4 * sample + direction - 5 of each, sorted in place. scratch, upper_halves: [count], overwritten. starts: [2 *
+    65536] zeros, overwritten.
+    """
+    sort_passes_from_bottom(d, count, edge, scratch, upper_halves, starts)
 
 
 @wp.func
@@ -267,6 +284,6 @@ def order_downstream(d: DrainageArrays):
     """Order all samples, donors before receivers, serially (Zhou, Wei and Fu 2019).
 
     It walks down from each spring until another branch is missing. Overwrites `donors`. `area`: first the weights of
-    samples, then their sums over all upstream samples.
+    samples, then their sums over all upstream samples; none if it is empty.
     """
     walk_downstream(d)

@@ -33,7 +33,7 @@ class DrainageArrays:
     label: wp.array(dtype=wp.int32)  # number of the basin
     donors: wp.array(dtype=wp.uint8)  # number of donors
     order: wp.array(dtype=wp.int32)  # samples, donors before receivers
-    area: wp.array(dtype=wp.float64)  # drainage area in samples
+    area: wp.array(dtype=wp.float64)  # drainage area in samples; empty if it is not computed
     filled: wp.array(dtype=wp.float32)  # surface with lakes
 
 
@@ -173,8 +173,6 @@ def passes_of_row(d: DrainageArrays, y: int) -> int:
     const int width = d.grid.width;
     const int* __restrict m = d.label.data + (size_t)y * width;
     const int* __restrict n = m + width;
-    const float* __restrict z = d.h.data + (size_t)y * width;
-    float* __restrict k = key.data;
     int* __restrict e = edge.data;
     const int ahead[4] = {1, width - 1, width, width + 1};
     for (int x = 0; x < width; ++x) {
@@ -193,21 +191,13 @@ def passes_of_row(d: DrainageArrays, y: int) -> int:
         for (; x < end; ++x)
             for (int q = 0; q < 4; ++q) {
                 if ((q == 1 && x == 0) || ((q == 0 || q == 3) && x == width - 1)) continue;
-                if (m[x] == m[x + ahead[q]]) continue;
-                const float a = z[x], b = z[x + ahead[q]];
-                k[at] = a > b ? a : b;
-                e[at++] = (y * width + x) * 4 + q;
+                if (m[x] != m[x + ahead[q]]) e[at++] = (y * width + x) * 4 + q;
             }
         --x;
     }
 """)
-def list_passes_of_row(
-    d: DrainageArrays, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
-):
-    """List the passes of row y from entry `at` on.
-
-    key: height of the pass, metres. edge: 4 * sample + direction - 5, directions 5 - 8.
-    """
+def list_passes_of_row(d: DrainageArrays, y: int, at: wp.int64, edge: wp.array(dtype=wp.int32)):
+    """List the passes of row y from entry `at` on. edge: 4 * sample + direction - 5, directions 5 - 8."""
     ...
 
 
@@ -217,7 +207,7 @@ def list_passes_of_row(
     unsigned char* left = d.donors.data;
     const unsigned char* t = d.to.data;
     int* __restrict out = d.order.data;
-    double* a = d.area.data;
+    double* a = d.area.data;  // null: no areas
     for (int spring = 0; spring < width * d.grid.height; ++spring) {
         int i = spring;
         while (left[i] == 0) {
@@ -225,7 +215,7 @@ def list_passes_of_row(
             *out++ = i;
             if (t[i] != 4) {
                 const int j = i + away[t[i]];
-                a[j] += a[i];
+                if (a) a[j] += a[i];
                 --left[j];
                 i = j;
             }
@@ -233,8 +223,94 @@ def list_passes_of_row(
     }
 """)
 def walk_downstream(d: DrainageArrays):
-    """Fill `order` with donors before receivers, and add the area of each sample to its receiver's.
+    """Fill `order` with donors before receivers, and add the area of each sample, if there are any, to its receiver's.
 
     It walks down from every spring, and stops where another donor is still missing. Overwrites `donors`.
+    """
+    ...
+
+
+# A stable radix sort of numbers by 32-bit keys, the lower half first. It stores only the upper half of a key, between
+# its two passes. KEY: bits of an unsigned key of number `i`, which increase in the order of the sort.
+_SORT = """
+    auto key = [&](int i) {
+        KEY
+    };
+    int* __restrict out = numbers.data;
+    int* __restrict half_sorted = scratch.data;
+    unsigned short* __restrict upper = upper_halves.data;
+    int *by_lower = starts.data, *by_upper = by_lower + 65536;
+    for (int q = 0; q < count; ++q) {
+        const unsigned k = key(out[q]);
+        ++by_lower[k & 65535];
+        ++by_upper[k >> 16];
+    }
+    for (int half = 0; half < 2; ++half) {  // from numbers of keys to the first entry of each
+        int *start = half ? by_upper : by_lower, first = 0;
+        for (int k = 0; k < 65536; ++k) {
+            const int same = start[k];
+            start[k] = first;
+            first += same;
+        }
+    }
+    for (int q = 0; q < count; ++q) {
+        const unsigned k = key(out[q]);
+        const int at = by_lower[k & 65535]++;
+        half_sorted[at] = out[q];
+        upper[at] = (unsigned short)(k >> 16);
+    }
+    for (int q = 0; q < count; ++q) out[by_upper[upper[q]]++] = half_sorted[q];
+"""
+# Bits of a float, which is not -0, as an unsigned number that increases with it.
+_BITS = """unsigned bits;
+        __builtin_memcpy(&bits, &z, 4);
+        bits = bits >> 31 ? ~bits : bits | 0x80000000u;"""
+
+
+@wp.func_native(
+    _SORT.replace(
+        "KEY",
+        f"""const float z = d.filled.data[i] + 0.0f;  // 0 for -0
+        {_BITS}
+        return ~bits;""",
+    )
+)
+def sort_from_top(
+    d: DrainageArrays,
+    count: int,
+    numbers: wp.array(dtype=wp.int32),
+    scratch: wp.array(dtype=wp.int32),
+    upper_halves: wp.array(dtype=wp.uint16),
+    starts: wp.array(dtype=wp.int32),
+):
+    """Sort `count` samples stably by `d.filled`, the highest first.
+
+    numbers: the samples, sorted in place. scratch, upper_halves: [count], overwritten. starts: [2 * 65536] zeros,
+    overwritten.
+    """
+    ...
+
+
+@wp.func_native(
+    _SORT.replace(
+        "KEY",
+        f"""const int width = d.grid.width, q = i & 3, a = i >> 2, b = a + (q ? width + q - 2 : 1);
+        float z = d.h.data[a] > d.h.data[b] ? d.h.data[a] : d.h.data[b];
+        z = z + 0.0f;  // 0 for -0
+        {_BITS}
+        return bits;""",
+    )
+)
+def sort_passes_from_bottom(
+    d: DrainageArrays,
+    count: int,
+    numbers: wp.array(dtype=wp.int32),
+    scratch: wp.array(dtype=wp.int32),
+    upper_halves: wp.array(dtype=wp.uint16),
+    starts: wp.array(dtype=wp.int32),
+):
+    """Sort `count` passes stably by their heights, those of the higher sample in `d.h`, the lowest first.
+
+    numbers: the passes, 4 * sample + direction - 5, sorted in place. The other arguments are as of `sort_from_top`.
     """
     ...

@@ -19,7 +19,7 @@ def case():
     rng = np.random.default_rng(8)
     shape = (53, 121)
     h = (30 * rng.standard_normal(shape) + np.indices(shape)[0] * 2).astype(F)
-    drainage = route(h, *STEPS)
+    drainage = route(h, *STEPS, cell_weight=np.ones(shape))
     found = {name: rng.random(h.size).astype(F) for name in ("weight", "erodibility", "rate")}
     found["weight"][::7], found["rate"][::11] = 0.0, 0.0
     found["rate"] *= F(30)

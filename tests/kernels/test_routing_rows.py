@@ -80,6 +80,7 @@ def test_donors_basins_and_passes_are_those_of_plain_loops():
     shape = height, columns = 37, 150
     h = rng.standard_normal(shape).astype(F)
     h[10:20, 20:100] = np.indices((10, 80))[1] * F(0.01)  # one large basin: blocks without a pass
+    h[30:, :50] = rng.choice(np.array([0.0, -0.0, 0.5, -0.5], F), (7, 50))  # passes of one height
     base = np.zeros(shape, np.uint8)
     to, d = found(h, base, (1.0, 1.0), routing.ReceiverNoise(), 1)
     donors = np.empty(h.size, np.uint8)
@@ -107,11 +108,15 @@ def test_donors_basins_and_passes_are_those_of_plain_loops():
                 if 0 <= x + i < columns and basin[y, x] != basin[y + j, x + i]:
                     edges.append((max(h[y, x], h[y + j, x + i]), (y * columns + x) * 4 + q))
     start = np.zeros(height + 1, np.int64)
-    key, edge = np.empty(len(edges), F), np.empty(len(edges), np.int32)
-    arrays = [d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
+    edge = np.empty(len(edges), np.int32)
+    arrays = [d, flat(start, wp.int64), flat(edge, wp.int32)]
     launch.spread(routing.find_passes, height - 1, [0, *arrays], step="test")
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     assert start[-1] == len(edges)
     launch.spread(routing.find_passes, height - 1, [1, *arrays], step="test", threads=2, cost=1e9)
-    assert list(zip(key, edge, strict=True)) == edges
+    assert list(edge) == [number for _, number in edges]
+    halves, starts = np.empty(len(edges), np.uint16), np.zeros(2 << 16, np.int32)
+    scratch = [flat(np.empty_like(edge), wp.int32), flat(halves, wp.uint16), flat(starts, wp.int32)]
+    launch.once(routing.sort_passes, [len(edges), d, flat(edge, wp.int32), *scratch], step="test")
+    assert list(edge) == [number for _, number in sorted(edges)]

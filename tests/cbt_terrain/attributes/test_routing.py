@@ -86,7 +86,7 @@ def test_every_sample_drains_and_nothing_is_lost(kind, with_holes):
     holes = holes_in(h.shape) if with_holes else np.zeros(h.shape, bool)
     drainage = route(h, 10.0, 7.0, holes)
     filled = drainage.filled()
-    assert np.array_equal(filled.reshape(h.shape), flooded(h, holes))
+    assert np.array_equal(filled.reshape(h.shape), flooded(h, holes)) and not np.signbit(filled[filled == 0.0]).any()
     rank = np.empty(h.size, int)
     rank[drainage.order] = np.arange(h.size)
     assert sorted(drainage.order) == list(range(h.size))
@@ -95,7 +95,10 @@ def test_every_sample_drains_and_nothing_is_lost(kind, with_holes):
     receiver = at + (direction // 3 - 1) * h.shape[1] + direction % 3 - 1
     assert (rank[receiver] > rank[at]).all()
     assert np.array_equal(drainage.base == 1, drainage.to == 4), "no pit is left"
+    before = drainage.order.copy()
     area = drainage.areas(filled)
+    assert np.array_equal(drainage.order, before[np.argsort(-filled[before], kind="stable")])
+    assert np.array_equal(drainage.filled(), filled), "donors are still before receivers"
     assert area[drainage.base == 1].sum() == pytest.approx(h.size, rel=1e-12)
     expected = gathered(drainage, filled.reshape(h.shape), 10.0, 7.0)
     assert np.allclose(area.reshape(h.shape), expected, rtol=1e-12)

@@ -179,7 +179,7 @@ def test_incision_of_a_steady_range_equals_the_uplift(still):
     uplift = np.full(start.shape, 5e-4, np.float32)
     kept = {"hillslope": 5e3, "creep": 0.0, "variety": 0.0, "deposition": 0.0, "steepest": 89.0}
     h = start + grow(start, uplift, spacing, years=30e6, **kept).heights
-    drainage = route(h, spacing, spacing)
+    drainage = route(h, spacing, spacing, cell_weight=np.ones(h.shape))
     area, to = drainage.catchments * spacing**2, drainage.to.astype(int)
     at = np.flatnonzero(to != 4)
     other = at + (to[at] // 3 - 1) * 90 + to[at] % 3 - 1

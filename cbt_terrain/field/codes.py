@@ -34,6 +34,7 @@ PER_OCTAVE = (1,) * 18 + (2,) * 6 + (14,) * 2 + (28,) * 7
 MIN_EXPONENT, MAX_EXPONENT = -93, 112
 BLOCK = 1 << 14
 ROWS = 256  # rows of heights that are numbered together
+DECODED = 1 << 20  # numbers that become heights together
 
 
 def _table_shape() -> np.ndarray:
@@ -181,6 +182,15 @@ class Steps:
 
     def heights(self, numbers: np.ndarray) -> np.ndarray:
         """Return heights, float32: the same bits as an import of floats."""
+        if numbers.size <= DECODED:
+            return self._heights_of_block(numbers)
+        heights, rows = np.empty(numbers.shape, np.float32), max(1, DECODED * len(numbers) // numbers.size)
+        for first in range(0, len(numbers), rows):
+            heights[first : first + rows] = self._heights_of_block(numbers[first : first + rows])
+        return heights
+
+    def _heights_of_block(self, numbers: np.ndarray) -> np.ndarray:
+        """Return heights, float32. Between, it has float64 of each."""
         if self.is_plain:  # all numbers and heights are exact in float32
             return numbers.astype(np.float32) + np.float32(self.first)
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)

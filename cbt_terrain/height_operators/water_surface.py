@@ -28,6 +28,8 @@ SAME = 1e-3
 # m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
 # however shallow they are, since by depth alone they would have gaps wherever they are fast.
 MIN_DISCHARGE = 0.016
+# Rows that are read together.
+ROWS = 256
 # Shares of the ground: from which on ground below 0 m is a sea, and that inland water covers.
 MIN_SEA, INLAND = 0.01, 0.05
 
@@ -38,11 +40,19 @@ def default_sea(field: HeightField) -> float:
     It is 0 m at a coast, OVER_FLAT_SEA if most ground there is at exactly 0, as where a file stores the sea so, and
     inland that of a lake on the lowest ground.
     """
-    heights = field.heights() if field.valid is None else field.heights()[field.valid != 0]
-    sea = heights[heights <= 0.0]
-    if sea.size >= MIN_SEA * heights.size:
-        return OVER_FLAT_SEA if np.mean(sea == 0.0) > 0.5 else 0.0
-    return float(np.quantile(heights, INLAND))
+    count = field.samples.size if field.valid is None else np.count_nonzero(field.valid)
+    ground, filled, below, at_zero = np.empty(count, np.float32), 0, 0, 0  # `filled`: heights so far
+    for first in range(0, field.lattice.height, ROWS):
+        heights = field.heights(slice(first, first + ROWS)).reshape(-1)
+        if field.valid is not None:
+            heights = heights[field.valid[first : first + ROWS].reshape(-1) != 0]
+        ground[filled : filled + heights.size] = heights
+        filled += heights.size
+        below += np.count_nonzero(heights <= 0.0)
+        at_zero += np.count_nonzero(heights == 0.0)
+    if below >= MIN_SEA * count:
+        return OVER_FLAT_SEA if 2 * at_zero > below else 0.0
+    return float(np.quantile(ground, INLAND, overwrite_input=True))
 
 
 def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> Surface:
@@ -59,7 +69,8 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
         """Return each `stride`-th sample along both axes."""
         return np.ascontiguousarray(samples[::stride, ::stride])
 
-    lattice, heights = field.lattice, thin_out(field.heights())
+    every = slice(None, None, stride)
+    lattice, heights = field.lattice, np.ascontiguousarray(field.heights(every, every))
     steps = lattice.step_x * stride, lattice.step_y * stride
     missing = None if field.valid is None else thin_out(field.valid) == 0
     if sea is None and DEPTH.name in field.layers:

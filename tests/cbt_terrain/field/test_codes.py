@@ -226,3 +226,12 @@ def test_heights_that_no_number_stands_for_stay_floats(tmp_path, changed):
     assert codes.number(np.full((4, 4), 3.5, np.float32), steps, numbers) and (numbers == 5).all()
     for height in (3.25, 0.5, 40000.0):
         assert not codes.number(np.full((4, 4), height, np.float32), steps, numbers)
+
+
+@pytest.mark.parametrize("steps", [codes.Steps(-500, 1.0, 0.0), codes.Steps(7, -0.1, 3.3)])
+@pytest.mark.parametrize("shape", [(1_300, 900), (1_200_000,), (3, 600_000)])
+def test_heights_of_many_numbers_are_those_of_one_by_one(steps, shape):
+    numbers = (np.arange(np.prod(shape)) * 40_503 % 65_536).astype(np.uint16).reshape(shape)
+    expected = np.multiply(numbers.astype(np.float64) + steps.first, steps.scale) + steps.offset
+    heights = steps.heights(numbers)
+    assert heights.dtype == np.float32 and np.array_equal(heights, expected.astype(np.float32))

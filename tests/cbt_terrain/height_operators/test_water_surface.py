@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.height_operators.height_operator import Operat
 from adaptive_terrain.cbt_terrain.height_operators.water import WATER
 from adaptive_terrain.cbt_terrain.height_operators.water_surface import default_sea, sea_depth, water_of, water_surface
 from cut_surfaces import areas, assert_welded
-from rasters import hills
+from rasters import hills, imported
 
 STEP_X, STEP_Y = 10.0, 7.0
 
@@ -165,6 +165,16 @@ def test_inland_the_lowest_ground_is_under_water():
     assert np.ptp(lake[:, 0]) == pytest.approx(share * (east - west), rel=0.05)
     assert np.ptp(lake[:, 1]) == pytest.approx(north - south)
     assert default_sea(from_array(np.tile(rows - 600.0, (80, 1)), step_x=STEP_X, step_y=STEP_Y)) == 0.0
+
+
+def test_the_default_sea_of_a_raster_with_holes_is_of_its_ground(tmp_path):
+    """The samples that fill holes do not count; neither do bands of rows, nor the store's 16-bit numbers."""
+    heights = np.random.default_rng(8).integers(500, 900, (700, 60)).astype(np.int16)
+    heights[10:400, 5:50] = -1
+    np.save(tmp_path / "a.npy", heights)
+    field, _ = imported(tmp_path, tmp_path / "a.npy", no_data=-1.0, holes=True)
+    assert field.steps is not None
+    assert default_sea(field) == pytest.approx(np.quantile(heights[heights >= 0].astype(float), 0.05), abs=1e-3)
 
 
 def test_a_sea_stored_as_exactly_0_gets_water():

@@ -90,25 +90,29 @@ def measure(
     covered = slice(None) if mesh.covered is None else mesh.covered.reshape(-1)
     vertical = errors_of(np.concatenate([difference.reshape(-1)[covered], between[owner >= 0]]))
     on_progress(0.2)
-    facet, shading = (np.zeros(difference.size, np.float32) for _ in range(2))
-    mesh.walk(normal_kernels.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
-    facet_deg, shading_deg = errors_of(facet[covered]), errors_of(shading[covered])
+    facet_deg, shading_deg = _angles(mesh, covered)
     on_progress(0.3)
     screen = hidden = outline = None
     if sight is not None:
         # Fill the sight's caches, with progress: the points seen in pixels, and which samples are visible.
         sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
         sight.states(_part_of_progress(on_progress, 0.4, 0.7))
-        # The reference's differences from itself are 0.
+        # The reference's differences from itself are 0; `np.zeros` takes no memory until it is written.
         seen_differences, _ = mesh.differences_at(sight.visible_points())
-        screen, hidden = sight.errors(
-            np.zeros_like(difference), difference, (np.zeros_like(seen_differences), seen_differences)
-        )
+        zeros, seen_zeros = (np.zeros(d.shape, d.dtype) for d in (difference, seen_differences))
+        screen, hidden = sight.errors(zeros, difference, (seen_zeros, seen_differences))
         on_progress(0.8)
         outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
     on_progress(1.0)
     largest = max(float(worst.max()), vertical.max)
     return Measurement(vertical, largest, float(corner_shifts.max()), facet_deg, shading_deg, screen, hidden, outline)
+
+
+def _angles(mesh: MeasuredMesh, covered: np.ndarray | slice) -> tuple[Errors, Errors]:
+    """Return the errors of the triangles' normals and of the vertex normals in degrees at the covered samples."""
+    facet, shading = (np.zeros(mesh.ground.field.samples.size, np.float32) for _ in range(2))
+    mesh.walk(normal_kernels.angles, [shared(facet, wp.float32), shared(shading, wp.float32)])
+    return errors_of(facet[covered]), errors_of(shading[covered])
 
 
 def look(

@@ -21,6 +21,7 @@ from ..run.buffers import shared
 from ..view.linear import add_up, lengths
 
 POINT_BITS = int(point_kernels.POINT_BITS)
+ROWS = 256  # rows of samples that are looked at together
 
 Progress = Callable[[float], None]
 
@@ -69,6 +70,18 @@ def errors_of(values: np.ndarray) -> Errors:
 def _blocks_of(values: np.ndarray) -> Iterator[np.ndarray]:
     """Yield parts of a flat array of at most 2^20 values, so that temporary arrays stay small."""
     return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
+
+
+def _ground_in(valid: np.ndarray, rows: slice) -> np.ndarray:
+    """Return which samples of some rows are ground: those of a cell without a missing corner, bool [rows, columns].
+
+    valid: uint8 [height, width], 0 where a sample is missing. rows: may end beyond the last row.
+    """
+    below = max(rows.start - 1, 0)  # first row of the cells that these rows are corners of
+    corners = np.lib.stride_tricks.sliding_window_view(valid[below : rows.stop + 1], (2, 2))
+    is_whole_cell = np.pad(corners.all(axis=(2, 3)), 1)
+    is_ground = np.lib.stride_tricks.sliding_window_view(is_whole_cell, (2, 2)).any(axis=(2, 3))
+    return is_ground[rows.start - below :][: rows.stop - rows.start]
 
 
 class MeshGround:
@@ -172,11 +185,11 @@ class MeasuredMesh:
         self.walk(kernels.differences, [shared(difference.reshape(-1), wp.float32), shared(worst, wp.float64)])
         valid = self.ground.field.valid
         if valid is not None:
-            # A sample is ground if one of its four cells has no missing corner.
-            is_whole_cell = np.pad(np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).all(axis=(2, 3)), 1)
-            is_ground = np.lib.stride_tricks.sliding_window_view(is_whole_cell, (2, 2)).any(axis=(2, 3))
-            self.covered = ~np.isnan(difference) & is_ground
-            difference[~self.covered] = 0.0
+            self.covered = np.empty(valid.shape, bool)
+            for first in range(0, len(valid), ROWS):
+                rows = slice(first, first + ROWS)
+                self.covered[rows] = _ground_in(valid, rows) & ~np.isnan(difference[rows])
+                difference[rows][~self.covered[rows]] = 0.0
         # a sum is not a number as soon as one part is not, and takes no memory
         if np.isnan(np.sum(difference, dtype=np.float64)):
             missing = int(np.isnan(difference).sum())

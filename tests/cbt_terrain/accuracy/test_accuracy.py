@@ -64,6 +64,24 @@ def test_holes_are_no_part_of_a_distribution():
     assert 17 * 17 - 81 <= found.count - 4000 * (1 - (10 / 16) ** 2) < 17 * 17
 
 
+@pytest.mark.parametrize("rows", [1, 5, 256])
+def test_ground_is_the_corners_of_whole_cells(monkeypatch, rows):
+    """For blocks of any number of rows, against a loop over the cells; as if the mesh covered all samples."""
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.accuracy.mesh.ROWS", rows)
+    monkeypatch.setattr(MeasuredMesh, "walk", lambda _mesh, _kernel, arrays: arrays[0].fill_(3.0))
+    samples = np.zeros((23, 31), np.float32)
+    samples[np.random.default_rng(2).random(samples.shape) < 0.25] = np.nan
+    field = from_array(samples, 8.0, holes=True)
+    mesh = MeasuredMesh(MeshGround(field, 1.0, 0.0, 1), mesh_of(field, 1.0))
+    difference, _ = mesh.differences()
+    expected = np.zeros(samples.shape, bool)
+    for j, i in np.ndindex(22, 30):
+        cell = np.s_[j : j + 2, i : i + 2]
+        expected[cell] |= np.isfinite(samples[cell]).all()
+    assert np.isfinite(samples).sum() > expected.sum() > 400 and np.array_equal(mesh.covered, expected)
+    assert np.array_equal(difference, np.where(expected, 3.0, 0.0))
+
+
 def test_one_spike_is_one_error():
     measured = measure(spiked(), mesh_of(spiked(), 100.0), random_points=0)
     assert measured.vertical_m.__dict__ == {"count": 25, "max": 10.0, "p95": 0.0, "p999": 10.0, "mean": 0.4, "rms": 2.0}

@@ -14,6 +14,7 @@ from adaptive_terrain.kernels.field.cells import on_sample
 from adaptive_terrain.kernels.field.codes import Samples
 from fields import bezier
 
+wp.set_module_options({"enable_backward": False})
 SHAPES = [(2, 2), (2, 5), (3, 9), (9, 25)]
 
 

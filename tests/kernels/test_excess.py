@@ -16,6 +16,8 @@ from adaptive_terrain.cbt_terrain.view.view import View
 from fields import mesh_heights, project, reference_heights, rough, scattered, screen_error
 from twins import load
 
+BOXES = 400
+
 
 @pytest.fixture(scope="module")
 def kernels():
@@ -23,10 +25,10 @@ def kernels():
 
 
 def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):
-    """1,000 boxes near a camera, 4,000 points each; of those whose true height is in the frustum."""
+    """400 boxes near a camera, 4,000 points each; of those whose true height is in the frustum."""
     rng = np.random.default_rng(5)
     known = []
-    for _ in range(1_000):
+    for _ in range(BOXES):
         size = 10.0 ** rng.uniform(-1, 3)
         eye = rng.uniform(-1, 1, 3) * 100.0
         view = View.look(eye, eye + rng.normal(size=3), fov_deg=rng.uniform(20, 110), resolution=(960, 540))
@@ -46,7 +48,7 @@ def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):
         if len(depths) > 100:
             assert depths.min() >= found.numpy()[0]
             known.append(found.numpy()[0] / depths.min())
-    assert len(known) > 60 and np.median(known) > 0.7
+    assert len(known) > 0.06 * BOXES and np.median(known) > 0.7
 
 
 def test_heights_over_a_rectangle_match_the_bilinear_surface(kernels):
@@ -82,8 +84,17 @@ def test_near_the_ground_a_bound_is_at_most_twice_the_truth(seed):
     assert update.limited == "max_depth" and true <= update.bound_px <= 2.0 * true
 
 
-@pytest.mark.parametrize("tilt", [0.0, -0.15, 0.3])
-@pytest.mark.parametrize("source_max", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("tilt", "source_max"),
+    [
+        (-0.15, 0.0),
+        (0.3, 0.5),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.5), (-0.15, 0.5))
+        ),
+    ],
+)
 def test_near_the_ground_a_bound_counts_ground_in_frame_only(tilt, source_max):
     """20 m above ground of 37 degrees (median): ground nearer than all ground in the frame does not count."""
     field = replace(from_array(rough(65, 65, seed=3).samples.astype(np.float64) * 3.0, 30.0), source_max=source_max)

@@ -2,12 +2,13 @@
 """The sweep: its settings, its rows, and that its times are of updates that reuse nothing."""
 
 import dataclasses
+import functools
 import itertools
 import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy.measure import Measurement
+from adaptive_terrain.cbt_terrain.accuracy.measure import Measurement, measure
 from adaptive_terrain.cbt_terrain.accuracy.mesh import Errors
 from adaptive_terrain.cbt_terrain.accuracy.rows import Row, curve_of, median_count, pareto, unsteady_row, worst
 from adaptive_terrain.cbt_terrain.accuracy.sweep import sweep
@@ -34,6 +35,13 @@ from finer_fields import finer_field
 
 SEEN = View.look((0, -700, 500), (0, 0, 0), resolution=(640, 360))
 FURTHER = View.look((300, -1400, 700), (0, 0, 0), resolution=(640, 360))
+
+
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch):
+    """Measure fewer random points; those of the mesh and of the raster are all measured."""
+    path = "adaptive_terrain.cbt_terrain.accuracy.sweep.measure"
+    monkeypatch.setattr(path, functools.partial(measure, random_points=5000))
 
 
 @pytest.fixture(scope="module")

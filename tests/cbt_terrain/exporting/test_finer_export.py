@@ -27,6 +27,7 @@ FOOT = 1200 / 3937  # of EPSG:2263, metres
 EAST, NORTH = 980_000.0, 200_000.0  # feet, as all lengths of the files
 CITY, TOWN = (EAST + 1500.0, NORTH - 1200.0), (EAST + 2300.0, NORTH - 1400.0)  # corners in the north-west
 BITS = 5
+SIZE = 1009  # samples along a side of a tile
 THOROUGH = pytest.mark.thorough
 
 
@@ -48,7 +49,7 @@ def land(tmp_path_factory):
     """Return the folder of the files and of the store of them, whose heights are feet."""
     folder = tmp_path_factory.mktemp("land")
     (folder / "files").mkdir()
-    country = ground(EAST, NORTH, 32.0, 160, 130, 1)
+    country = ground(EAST, NORTH, 32.0, 110, 80, 1)
     country[20:30, 10:25] = np.nan  # nothing is known there
     city = ground(*CITY, 2.0, 800, 500, 2)
     city[60:70, 60:75] = np.nan
@@ -59,6 +60,7 @@ def land(tmp_path_factory):
     write(folder / "files" / "c.tif", TOWN, 1.0, town)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(finer_plan, "FEWEST", 1 << 20)
+        patch.setattr(finer_plan, "SAVING", 1)  # the country is small
         settings = ImportSettings(str(folder / "files"), height_scale=FOOT, holes=True)
         report = run_mosaic_import(settings, folder / "store")
     assert report["finer_step_m"] == pytest.approx([FOOT, FOOT]) and report["finer_tiles"] > 50
@@ -121,7 +123,7 @@ def test_the_finest_raster_has_the_extent_of_the_coarse_one(land, finest):
         assert (column % 1, row % 1) == pytest.approx((0.5, 0.5), abs=1e-4)
 
 
-@pytest.mark.parametrize("part", [1, 4, BITS])
+@pytest.mark.parametrize("part", [pytest.param(1, marks=THOROUGH), 4, BITS])
 def test_coarser_steps_have_the_same_samples(land, finest, part, tmp_path):
     step = FOOT * 2**part if part < BITS else 0.0  # the default is that of the raster
     [file] = export_raster(land / "store", tmp_path / "heights.tif", step=step)
@@ -179,8 +181,8 @@ def test_a_step_between_is_interpolated_by_other_code(land, finest, tmp_path):
     ],
 )
 def test_tiles_hold_the_finest_heights(land, finest, tmp_path, form, flip, monkeypatch):
-    monkeypatch.setattr(height_tiles, "MAX_COLUMNS", 1 << 13)
-    settings = HeightTiles(form, size=2017, step=FOOT, is_flipped=flip)
+    monkeypatch.setattr(height_tiles, "MAX_COLUMNS", 1 << 11)
+    settings = HeightTiles(form, size=SIZE, step=FOOT, is_flipped=flip)
     index = export_height_tiles(open_store(land / "store"), tmp_path, settings)
     assert index == json.loads((tmp_path / "terrain.json").read_text())
     with rasterio.open(finest) as file:
@@ -190,11 +192,11 @@ def test_tiles_hold_the_finest_heights(land, finest, tmp_path, form, flip, monke
     for tile in index["tiles"]:
         path = tmp_path / tile["file"]
         if form.startswith("r"):
-            numbers = np.fromfile(path, "<f4" if form == "r32" else "<u2").reshape(2017, 2017)
+            numbers = np.fromfile(path, "<f4" if form == "r32" else "<u2").reshape(SIZE, SIZE)
         else:
             with rasterio.open(path) as file:
                 numbers = file.read(1)
-        wanted = whole[tile["row"] : tile["row"] + 2017, tile["column"] : tile["column"] + 2017]
+        wanted = whole[tile["row"] : tile["row"] + SIZE, tile["column"] : tile["column"] + SIZE]
         found = numbers[: wanted.shape[0], : wanted.shape[1]]
         if coding["scale"] == 1:
             known = ~np.isnan(wanted)

@@ -22,6 +22,7 @@ from rasterio.transform import Affine
 from rasters import hills, imported, write_raster
 
 UTM = {"crs": "EPSG:32632", "transform": Affine(30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0)}
+EXTENT = 99 * 700.0, 74 * 300.0  # metres
 
 
 @pytest.fixture(scope="module")
@@ -160,8 +161,15 @@ def test_geotiff_tiles_lie_where_their_samples_are(make, tmp_path):
             assert (file.read(1).ravel()[on] == heights[row[on], column[on]]).all() and on.any()
 
 
-@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:4326", None])
-@pytest.mark.parametrize("extent", [None, (99 * 700.0, 74 * 300.0)])
+@pytest.mark.parametrize(
+    ("crs", "extent"),
+    [
+        ("EPSG:4326", None),
+        ("EPSG:32632", EXTENT),
+        *(pytest.param(crs, None, marks=pytest.mark.thorough) for crs in ("EPSG:32632", None)),
+        *(pytest.param(crs, EXTENT, marks=pytest.mark.thorough) for crs in ("EPSG:4326", None)),
+    ],
+)
 def test_an_anchor_does_not_move_the_tiles(tmp_path, crs, extent):
     """rasterio reads the same transform and system from tiles of a field with an anchor as from those of its raster."""
     place = Affine(0.003, 0, 8.0, 0, -0.002, 46.0) if crs == "EPSG:4326" else Affine(300.0, 0, 5e5, 0, -200.0, 5.2e6)

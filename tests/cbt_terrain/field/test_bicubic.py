@@ -65,8 +65,17 @@ def error_at(field, middle, depth):
     return found / 2.0 ** (depth - lattice.cell_depth)
 
 
-@pytest.mark.parametrize("shape", [(5, 9), (3, 3), (2, 4)])
-@pytest.mark.parametrize("kind", KINDS)
+LARGE = "cliff", "twist"  # of two squares
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape"),
+    [
+        *((kind, shape) for kind in KINDS for shape in ((3, 3), (2, 4))),
+        *((kind, (5, 9)) for kind in LARGE),
+        *(pytest.param(kind, (5, 9), marks=pytest.mark.thorough) for kind in KINDS if kind not in LARGE),
+    ],
+)
 def test_all_triangles_are_within_their_errors_and_ranges(kind, shape):
     field = field_of(kind, shape, base=8000.0)
     lattice = field.lattice
@@ -250,7 +259,7 @@ def spikes(shape):
     return from_array(samples)
 
 
-@pytest.mark.parametrize("shape", [(300, 200), (129, 65), (40, 500)])
+@pytest.mark.parametrize("shape", [(150, 100), pytest.param((129, 65), marks=pytest.mark.thorough), (40, 200)])
 @pytest.mark.parametrize("make", [lambda shape: rough(*shape), spikes])
 def test_tiles_do_not_change_the_bytes(shape, make, monkeypatch):
     field = make(shape)
@@ -285,7 +294,7 @@ def test_a_bicubic_surface_takes_the_memory_of_one_tile(monkeypatch):
 
 
 def test_the_same_bytes_for_any_number_of_threads():
-    field = rough(65, 129)
+    field = rough(33, 65)
     view = View.look((0, -400, 120), (0, 0, 0))
     with eager_threads():
         built = [built_bytes(field, threads) for threads in (1, 2, 7)]
@@ -340,7 +349,9 @@ def test_the_outline_of_a_wall_is_where_the_surface_overshoots():
         )
 
 
-@pytest.mark.parametrize("asked", [40.0, 10.0, 4.0, 1.0, 0.25])
+@pytest.mark.parametrize(
+    "asked", [40.0, 4.0, *(pytest.param(metres, marks=pytest.mark.thorough) for metres in (10.0, 1.0, 0.25))]
+)
 def test_the_vertical_bound_is_not_wasteful(asked):
     field = interpolated(from_array(jacksboro()[:65, :97], 30.0), "bicubic")
     found = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))

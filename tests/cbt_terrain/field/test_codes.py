@@ -155,6 +155,9 @@ def test_meshes_of_random_views_have_no_crack(kind, surface):
     assert_invariants(terrain.update(asked).surface, field.lattice)
 
 
+wp.set_module_options({"enable_backward": False})
+
+
 @wp.kernel
 def ranges_in_kernel(domain: Domain, points: wp.array(dtype=wp.vec3i), out: wp.array(dtype=wp.vec2i)):
     p = points[wp.tid()]

@@ -162,10 +162,20 @@ LATTICES += [Lattice(1, 1, 3, cells_x=6, cells_y=5), Lattice(3, 2, 2, cells_x=9,
 KINDS = ["random", "spike", "checkerboard", "cliff", "plane", "constant", "saddle", "hill"]
 
 
+def name_of(k) -> str:
+    """Return a kind, or the squares, levels and cells of a lattice."""
+    return k if isinstance(k, str) else f"{k.columns}x{k.rows}x2^{k.levels}-{k.cells_x}x{k.cells_y}"
+
+
+EVERY = [(kind, lattice) for lattice in LATTICES for kind in KINDS]
+FEW = [(kind, lattice) for kind, lattice in EVERY if kind == "random" or lattice in LATTICES[-1:]]  # all of both
+
+
 @pytest.mark.parametrize(
-    "lattice", LATTICES, ids=lambda k: f"{k.columns}x{k.rows}x2^{k.levels}-{k.cells_x}x{k.cells_y}"
+    ("kind", "lattice"),
+    [*FEW, *(pytest.param(*case, marks=pytest.mark.thorough) for case in EVERY if case not in FEW)],
+    ids=name_of,
 )
-@pytest.mark.parametrize("kind", KINDS)
 def test_errors_and_ranges_equal_brute_force(kind, lattice):
     samples = raster(kind, lattice)
     errors, base, step, ranges = compute(samples, lattice)
@@ -351,7 +361,7 @@ def check_nested(values, lattice, depth):
 
 
 def test_entries_of_no_diamond_are_zero():
-    lattice = Lattice(3, 2, 3)
+    lattice = Lattice(3, 2, 2)
     samples = raster("random", lattice)
     errors, _, _, quantised = compute(samples, lattice)
     used = np.zeros(lattice.node_count, bool)

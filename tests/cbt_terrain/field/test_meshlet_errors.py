@@ -71,8 +71,13 @@ def expanded(field, meshlet):
     return found
 
 
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-@pytest.mark.parametrize("shape", [(33, 17), (9, 40), (70, 100)])
+@pytest.mark.parametrize(
+    ("shape", "interpolation"),
+    [
+        *((shape, name) for shape in ((33, 17), (9, 40)) for name in INTERPOLATIONS),
+        *(pytest.param((70, 100), name, marks=pytest.mark.thorough) for name in INTERPOLATIONS),
+    ],
+)
 def test_codes_are_those_of_the_errors_in_metres(shape, interpolation, monkeypatch):
     monkeypatch.setattr(meshlet_errors, "BAND", 1)
     field = interpolated(rough(*shape), interpolation)

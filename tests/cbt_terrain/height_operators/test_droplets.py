@@ -93,8 +93,18 @@ def test_threads_do_not_change_a_byte(monkeypatch):
     assert made[0].heights.any() and len({change.heights.tobytes() for change in made}) == 1
 
 
-@pytest.mark.parametrize("steps", [(32.0, 32.0), (31.0, 40.0)])
-@pytest.mark.parametrize("corner", [(155, 171), (0, 203), (300, 380)])
+EVEN, UNEVEN = (32.0, 32.0), (31.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("corner", "steps"),
+    [
+        ((155, 171), UNEVEN),
+        ((0, 203), EVEN),
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (((155, 171), EVEN), ((0, 203), UNEVEN))),
+        *(pytest.param((300, 380), steps, marks=pytest.mark.thorough) for steps in (EVEN, UNEVEN)),
+    ],
+)
 def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(steps, corner):
     """At odd offsets and borders, with cuts through droplet tiles, of which only some run."""
     heights, wide = 10.0 * hills(420, 453, seed=1), 96

@@ -154,7 +154,7 @@ def test_valleys_run_down_their_slope_with_uneven_steps():
     y, x = np.indices((351, n)) * np.array([step_y, step_x])[:, None, None]
     inside = (np.minimum(x, 1740 - x) > 400) & (np.minimum(y, 1750 - y) > 400)
     off = []
-    for degrees in range(6, 360, 29):
+    for degrees in range(6, 360, 58):
         turn, noise = np.radians(degrees), 2 * np.random.default_rng(degrees).random(x.shape)
         h = (3000 - x * np.cos(turn) - y * np.sin(turn) + noise).astype(np.float32)
         values = RIVERS.defaults() | {"years": 1e5, "creep": 1e-3, "steepest": 40.0}

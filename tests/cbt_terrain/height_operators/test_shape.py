@@ -32,7 +32,7 @@ def some_tiles(field, *tiles):
     return [dict.fromkeys(tiles, 0.0), *({} for _ in levels_of(field.lattice)[1:])]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("asked", [whole_land, all_tiles])
 def test_smoothing_equals_that_of_the_whole_raster(asked, seed):
     """Tiles with a halo of all sweeps give the same values to a float's last bits, for unequal steps."""
@@ -113,15 +113,11 @@ def inner_of(level, tile):
 
 
 SLOPE = HeightMask(rules=(GroundRule("slope", high=30.0, edge=10.0),))
-LATE_STACKS = {
-    "scree twice": Stack((Entry("scree", {"scree_angle": 40.0}, 3), Entry("scree", {"scree_angle": 24.0}, 5))),
-    "masked by the slope": Stack(
-        (Entry("scree"), Entry("hill", mask=SLOPE), Entry("snow", {"line": -300.0}, mask=SLOPE))
-    ),
-}
+MASKED = Stack((Entry("scree"), Entry("hill", mask=SLOPE), Entry("snow", {"line": -300.0}, mask=SLOPE)))
+TWICE = Stack((Entry("scree", {"scree_angle": 40.0}, 3), Entry("scree", {"scree_angle": 24.0}, 5)))
 
 
-@pytest.mark.parametrize("stack", LATE_STACKS.values(), ids=LATE_STACKS)
+@pytest.mark.parametrize("stack", [MASKED, pytest.param(TWICE, marks=pytest.mark.thorough)])
 def test_a_tile_of_a_stack_has_the_same_bytes_in_every_request(stack):
     """It differs from the level in one piece by 1 % of the finest level's change. Over all tiles scree equals the
     removed rock to 1e-5, and slides of snow balance to 1e-4. Uneven samples, sides that fit no tile, holes."""

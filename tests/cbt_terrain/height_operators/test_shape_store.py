@@ -5,6 +5,7 @@ import dataclasses
 import json
 import os
 import shutil
+from functools import cache
 
 import numpy as np
 import pytest
@@ -46,6 +47,19 @@ def source(tmp_path_factory):
     settings = ImportSettings(str(folder / "land.npy"), extent=(699 * 9.0, 332 * 20.0), holes=True)
     run_import(settings, folder / "store")
     return folder / "store"
+
+
+@cache
+def shaped_with_hill(source, tmp_path_factory):
+    store = tmp_path_factory.mktemp("hilled") / "out"
+    run_shape(source, Stack((HILL,)), store)
+    return store
+
+
+@pytest.fixture
+def hilled(source, tmp_path_factory):
+    """Return the store of the land with the hill alone, which is made once; tests change copies of it."""
+    return shaped_with_hill(source, tmp_path_factory)
 
 
 def test_a_shaped_store_is_an_ordinary_one(source, tmp_path):
@@ -102,8 +116,8 @@ def test_layers_decide_the_key_and_a_shaped_store_can_be_shaped(source, tmp_path
 
 
 @pytest.mark.parametrize("damage", ["bytes", "missing", "short", "link", "nan"])
-def test_a_damaged_layer_is_named(source, tmp_path, damage):
-    run_shape(source, Stack((HILL,)), tmp_path / "out")
+def test_a_damaged_layer_is_named(source, hilled, tmp_path, damage):
+    shutil.copytree(hilled, tmp_path / "out")
     [file] = (tmp_path / "out").glob("data-*/layer_fresh.npy")
     content = bytearray(file.read_bytes())
     if damage == "bytes":
@@ -128,8 +142,8 @@ def test_a_damaged_layer_is_named(source, tmp_path, damage):
 
 
 @pytest.mark.parametrize("layers", [{"../x": "m"}, {"A": "m"}, {"a": 1}, [], {f"a{k}": "m" for k in range(65)}])
-def test_invalid_names_of_layers_are_refused(source, tmp_path, layers):
-    run_shape(source, Stack((HILL,)), tmp_path / "out")
+def test_invalid_names_of_layers_are_refused(hilled, tmp_path, layers):
+    shutil.copytree(hilled, tmp_path / "out")
     file = tmp_path / "out" / "store.json"
     content = json.loads(file.read_text())
     file.write_text(json.dumps(content | {"layers": layers}))

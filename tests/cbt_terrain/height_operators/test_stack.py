@@ -147,7 +147,7 @@ JSON = st.recursive(
             max_size=5,
         )
     ),
-    max_leaves=25,
+    max_leaves=10,
 )
 
 

@@ -141,8 +141,8 @@ def test_nothing_is_lost_with_a_mask_and_holes():
 
 def test_threads_do_not_change_a_byte(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 100)
-    heights = np.ascontiguousarray(mountain(1025)[300:590, 300:431])
-    made = [applied(heights, 8.0, threads=threads) for threads in (1, 2, 3, 5)]
+    heights = np.ascontiguousarray(mountain(1025)[300:490, 300:431])
+    made = [applied(heights, 8.0, threads=threads) for threads in (1, 2, 5)]
     assert made[0].heights.any()
     assert len({change.heights.tobytes() + change.layers["scree"].tobytes() for change in made}) == 1
 

@@ -45,7 +45,7 @@ def wait_until_working(job):
     assert not job.poll().done
 
 
-def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path, monkeypatch):
+def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path, fork_children, monkeypatch):
     source = write_exr(tmp_path / "a.exr", Y=hills(129, 65))
     settings, store, seen = ImportSettings(source=str(source), extent=(1280.0, 640.0)), tmp_path / "store", []
     report = import_source(settings, store, on_progress=lambda fraction, message: seen.append((fraction, message)))
@@ -139,7 +139,7 @@ def test_undeclared_no_data_warns(tmp_path):
     assert run_import(ImportSettings(**settings), tmp_path / "c")["warnings"] == []
 
 
-def test_cancelling_leaves_the_previous_store(previous):
+def test_cancelling_leaves_the_previous_store(previous, fork_children):
     before = snapshot(previous)
     job = ImportJob(LONG, previous)
     wait_until_working(job)
@@ -161,7 +161,7 @@ def test_cancelling_a_first_import_leaves_no_folder(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path):
+def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path, fork_children):
     (tmp_path / "dem.npy").write_bytes(b"damaged")
     with pytest.raises(TerrainError, match="not a whole .npy file"):
         import_source(ImportSettings(source=str(tmp_path / "dem.npy")), tmp_path / "a" / "b" / "store")
@@ -169,7 +169,9 @@ def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "remedy"), [("SIGKILL", "memory"), ("SIGBUS", "make room on the disk")])
-def test_a_killed_import_is_an_error_that_names_the_signal(previous, name, remedy):
+def test_a_killed_import_is_an_error_that_names_the_signal(previous, name, remedy, request):
+    if name == "SIGBUS":
+        request.getfixturevalue("fork_children")
     before = snapshot(previous)
     job = ImportJob(LONG, previous)
     wait_until_working(job)
@@ -234,7 +236,7 @@ def test_two_imports_into_one_store_do_not_corrupt_it(tmp_path):
     assert field.max_height == field.heights().max() and field.error.max() > 0.0
 
 
-def test_errors_of_the_child_come_through_as_one_sentence(previous):
+def test_errors_of_the_child_come_through_as_one_sentence(previous, fork_children):
     before = snapshot(previous)
     source = previous.parent / "a.tif"
     source.write_bytes(b"II*\0" + bytes(range(200)))

@@ -115,7 +115,14 @@ def holed(width, height):
     return heights
 
 
-@pytest.mark.parametrize(("tiles", "heights"), [((9,), rough), ((0, 6, 7), rough), ((15,), rough), ((6, 9), holed)])
+@pytest.mark.parametrize(
+    ("tiles", "heights"),
+    [
+        ((0, 6, 7), rough),
+        ((6, 9), holed),
+        *(pytest.param((tile,), rough, marks=pytest.mark.thorough) for tile in (9, 15)),
+    ],
+)
 def test_bounds_hold_for_the_loaded_surface(tmp_path, small_tiles, tiles, heights):
     holes = heights is holed
     _, store = loaded_store(tmp_path, heights(505, 401), PLACES["north up"], tiles, holes=holes)

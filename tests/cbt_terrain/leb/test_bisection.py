@@ -76,7 +76,7 @@ def test_many_edits_at_once_equal_the_brute_force(grid, threads, eager_threads):
     tree = ConcurrentBinaryTree(MAX_DEPTH + lattice.square_bits, threads)
     bisection.plant(tree, lattice)
     mesh, merged = ReferenceMesh(*grid, 4), 0
-    for _ in range(25):
+    for _ in range(14):
         candidates = sorted(node for node in mesh.leaves if node[1] < 1 << MAX_DEPTH)
         picked = rng.sample(candidates, min(len(candidates), rng.randrange(1, 12)))
         bisection.split_conforming(tree, lattice, ids_of(lattice, picked))

@@ -65,8 +65,15 @@ def test_a_triangle_limit_counts_triangles_of_the_cut_border(limit):
     assert update.leaves > 0.4 * limit
 
 
-@pytest.mark.parametrize("meshlet", [0, 1])
-@pytest.mark.parametrize("size", [(97, 50), (65, 65), (40, 200)])
+@pytest.mark.parametrize(
+    ("size", "meshlet"),
+    [
+        ((97, 50), 0),
+        ((65, 65), 1),
+        *(pytest.param((40, 200), meshlet, marks=pytest.mark.thorough) for meshlet in (0, 1)),
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (((97, 50), 1), ((65, 65), 0))),
+    ],
+)
 def test_holes_are_cells_of_missing_samples_and_the_bound_holds(size, meshlet):
     heights = raster(*size, missing=25)
     field = from_array(heights, 10.0, holes=True)

@@ -119,10 +119,12 @@ def flown(field, meshlet=0, threads=2):
     return terrain, asked, views[3:]
 
 
-@pytest.mark.parametrize(("interpolation", "meshlet"), [("bicubic", 0), ("bilinear", 1), ("bilinear", 3)])
-def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, eager_threads):
+@pytest.mark.parametrize(
+    ("interpolation", "meshlet", "rows"), [("bicubic", 0, 65), ("bilinear", 1, 65), ("bilinear", 3, 129)]
+)
+def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, rows, eager_threads):
     """Positions that change unseen between two frames stay changed where points were taken from the last frame."""
-    field = interpolated(rough(129, 129), interpolation)
+    field = interpolated(rough(rows, 129), interpolation)
     terrain, asked, views = flown(field, meshlet)
     terrain.history.last.arrays.numpy("positions")[:, 2] += 1000.0
     heights = terrain.update(asked, [views[0]]).surface.positions[:, 2]

@@ -24,6 +24,7 @@ from invariants import assert_invariants
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
 CITY = EAST + 4000.0, NORTH - 3000.0  # its corner in the north-west
+STEP = 2.0  # metres, of the city
 QUICK = 8000  # samples
 
 
@@ -42,7 +43,7 @@ def country(tmp_path_factory, small_tiles):
     """Return a folder with two stores in which all tiles are loaded, the sheet of the city, and the import settings."""
     folder = tmp_path_factory.mktemp("country")
     coarse = sheet(UTM32, EAST, NORTH, 32.0, 32.0, 400, 300)
-    city = sheet(UTM32, *CITY, 1.0, 1.0, 900, 700, shift=3.0)
+    city = sheet(UTM32, *CITY, STEP, STEP, 450, 350, shift=3.0)
     coarse.write(folder / "files" / "a_country.tif")
     city.write(folder / "files" / "b_city.tif")
     settings = ImportSettings(source=str(folder / "files"), quick=QUICK)
@@ -73,7 +74,7 @@ def test_a_country_knows_the_squares_of_its_city(country):
     squares = finer_squares(field)
     assert field.raster.finer is None and squares.loaded == frozenset() and squares.is_coarse
     cell = field.lattice.step_x
-    assert 16.0 < cell <= 32.0 and cell / 2**squares.bits <= 1.0 + 1e-3
+    assert 16.0 < cell <= 32.0 and cell / 2**squares.bits <= STEP * (1 + 1e-3)
     side = cell * 2 ** square_bits(squares.bits)
     assert (900 // side) * (700 // side) <= len(squares.there) <= (900 // side + 3) * (700 // side + 3)
     assert read_json(folder / "tiles")["version"] == 6
@@ -111,11 +112,13 @@ def test_loaded_squares_have_the_heights_of_the_city(country, loaded):
     east, north = CITY[0] + 350 + 200 * rng.random(4000), CITY[1] - 300 - 100 * rng.random(4000)
     points = np.stack([middle_of(field, *place) for place in zip(east, north, strict=True)])
     true = city.at(UTM32, east, north)
-    moved = [np.abs(city.at(UTM32, east + x, north + y) - true).max() for x, y in ((0.75, 0.0), (0.0, 0.75))]
+    moved = [
+        np.abs(city.at(UTM32, east + x, north + y) - true).max() for x, y in ((0.75 * STEP, 0.0), (0.0, 0.75 * STEP))
+    ]
     found = ground_at(field, points).heights
     assert np.abs(found - true).max() <= field.source_max + sum(moved), "samples are up to half a step off"
     x, y = middle_of(field, CITY[0] + 450.0, CITY[1] - 350.0)
-    assert refining.loaded_at(field, x, y) == pytest.approx(1.0)
+    assert refining.loaded_at(field, x, y) == pytest.approx(STEP)
     assert refining.loaded_at(field, x - 3000.0, y) == pytest.approx(field.lattice.step_x, rel=1e-3)
 
 

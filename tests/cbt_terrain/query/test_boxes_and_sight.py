@@ -74,12 +74,12 @@ def test_bad_boxes_are_refused(box):
         box_range(ROUGH, *box)
 
 
-SMALL = rough(29, 41, seed=3, step=5.0)
+SMALL = rough(21, 31, seed=3, step=5.0)
 
 
 def with_hole():
     heights = SMALL.samples.copy()
-    heights[8:20, 15:18] = np.nan
+    heights[5:14, 10:13] = np.nan
     return from_array(heights, 5.0, holes=True)
 
 
@@ -91,7 +91,7 @@ def test_an_eye_sees_the_samples_that_nothing_rises_before(name, target, scale):
     eye = np.array([x, y, ground_at(field, [[x, y]], scale, 4.0).heights[0] + 6.0])
     seen = viewshed(field, eye, target, vertical_scale=scale, vertical_offset=4.0)
     j, i = np.indices(seen.shape).reshape(2, -1)
-    places = np.stack([(i - 20) * 5.0, (j - 14) * 5.0], 1)
+    places = np.stack([(i - 15) * 5.0, (j - 10) * 5.0], 1)
     ground = ground_at(field, places, scale, 4.0)
     points = np.c_[places, field.samples.reshape(-1).astype(float) * scale + 4.0 + target]
     clear = np.array([least_clearance(field, point, eye, scale, 4.0) for point in points])

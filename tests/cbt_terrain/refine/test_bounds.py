@@ -22,7 +22,7 @@ from fields import extent, reference_heights, rough, sample_position
 from matplotlib.tri import Triangulation
 from rasters import jacksboro
 
-ROUNDS = max(120, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 5)
+ROUNDS = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 5)
 KINDS = (
     *("rough", "noise", "spike", "cliff", "checkerboard", "plane", "constant", "strip", "real", "vast"),
     *("padded", "padded noise"),
@@ -302,8 +302,16 @@ def test_what_a_depth_limit_leaves_is_found_where_it_is(name, crop):
             assert found.bound_edge_px < 2.5 * edge and found.bound_area_px < 16.0 * area
 
 
-@pytest.mark.parametrize("kind", [PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC])
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+@pytest.mark.parametrize(
+    ("kind", "interpolation"),
+    [
+        (PERSPECTIVE, "bicubic"),
+        (ORTHOGRAPHIC, "bilinear"),
+        (PANORAMIC, "bilinear"),
+        *(pytest.param(kind, "bicubic", marks=pytest.mark.thorough) for kind in (ORTHOGRAPHIC, PANORAMIC)),
+        pytest.param(PERSPECTIVE, "bilinear", marks=pytest.mark.thorough),
+    ],
+)
 def test_bounds_are_finite_where_no_limit_can_be_kept(kind, interpolation):
     rng = np.random.default_rng(7)
     truth = ground("rough", interpolation, rng)

@@ -23,7 +23,9 @@ def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
     return [node for node in nodes if node[0] < lattice.squares]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(5, 12))]
+)
 def test_leaves_equal_forced_splits(seed):
     rng = np.random.default_rng(seed)
     field = rough(*SHAPES[seed % len(SHAPES)], seed=seed, relief=30.0)

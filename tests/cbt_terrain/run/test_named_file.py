@@ -15,6 +15,7 @@ from time_limit import time_limit
 
 ROOT = Path(__file__).resolve().parents[3]
 READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile"}
+NAMES = {"open"} | {name.rpartition(".")[2] for name in READS}
 # Reads of files that no user names: of the system, of the package, or written just before; and a writer.
 OWN = {
     ("cbt_terrain/field/store_arrays.py", "np.load(file, mmap_mode='r+')"),
@@ -79,7 +80,10 @@ def reads_of(path: Path) -> set[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call):
             continue
-        name, method = ast.unparse(node.func), getattr(node.func, "attr", "")
+        method = getattr(node.func, "attr", "")
+        if (method or getattr(node.func, "id", "")) not in NAMES:  # to unparse every call takes seconds
+            continue
+        name = ast.unparse(node.func)
         if name in READS or method in READS:
             found.add(ast.unparse(node))
         elif name == "open" or (

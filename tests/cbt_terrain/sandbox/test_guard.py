@@ -39,7 +39,7 @@ print(sorted({kernel.module.name for kernel in launch._loaded} - before))
 
 
 @pytest.mark.parametrize(
-    "source", ["a.npy", "canyon", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("island", "dunes"))]
+    "source", ["a.npy", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("canyon", "island", "dunes"))]
 )
 def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path):
     heights = hills(70, 50)
@@ -62,7 +62,7 @@ def test_versions_name_everything_and_what_is_given_up():
     assert all(outcomes[name].startswith(("dropped", "kept: ")) for name in outcomes if name != "memory")
 
 
-def test_info_of_an_exr(tmp_path):
+def test_info_of_an_exr(tmp_path, fork_children):
     source = write_exr(tmp_path / "a.exr", Y=hills(9, 7))
     assert describe_source(ImportSettings(str(source)))["raster"] == [9, 7]
 
@@ -79,7 +79,7 @@ def bad_names(tmp_path):
     yield str(longest), "cannot be read as GTiff"
 
 
-def test_odd_files_and_names_are_one_error(tmp_path):
+def test_odd_files_and_names_are_one_error(tmp_path, fork_children):
     reads = [describe_source, lambda settings: import_source(settings, tmp_path / "store")]
     for number, (source, said) in enumerate(bad_names(tmp_path)):
         with pytest.raises(TerrainError, match=said) as caught:

@@ -54,7 +54,10 @@ def arrays(points):
     return [part.tobytes() for part in parts]
 
 
-@pytest.mark.parametrize("placement", [np.eye(4), turned_and_scaled()], ids=["plain", "turned"])
+@pytest.mark.parametrize(
+    "placement",
+    [pytest.param(np.eye(4), marks=pytest.mark.thorough, id="plain"), pytest.param(turned_and_scaled(), id="turned")],
+)
 @pytest.mark.parametrize("views", VIEWS.values(), ids=VIEWS)
 def test_the_points_equal_those_of_a_test_by_hand(field, by_hand, views, placement):
     """Compare ids, positions and sizes; only points within a centimetre of a frame's border or at their first size may
@@ -193,7 +196,7 @@ def test_windows_have_the_ranks_of_their_parts_of_the_tile():
     assert own.windows(np.array([4, 1]), square, shift).tolist() == [2 * 16 + 1, 2 * 8 + 7]
 
 
-@pytest.mark.parametrize("few, tiles", [(1, 24), (4, 16), (64, 6)])
+@pytest.mark.parametrize("few, tiles", [(1, 24), pytest.param(4, 16, marks=pytest.mark.thorough), (64, 6)])
 def test_a_thin_scatter_neither_repeats_nor_has_close_points(few, tiles):
     """In tiles seen from far above, hardly any points coincide with those moved by a tile, by half a tile or by both.
     They keep the distance of points inside a tile, and few are missing."""

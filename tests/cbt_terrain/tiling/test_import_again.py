@@ -132,7 +132,10 @@ AFTER_ALL_TILES = {  # event of Python, and the beginning of the file's name
 }
 
 
-@pytest.mark.parametrize("moment", AFTER_ALL_TILES)
+@pytest.mark.parametrize(
+    "moment",
+    [pytest.param(m, marks=[pytest.mark.thorough] if "checksums" in m else []) for m in AFTER_ALL_TILES],
+)
 def test_a_kill_after_the_last_tile_loses_no_tile(tmp_path, tiled, moment):  # noqa: F811
     heights = hills(160, 140)
     heights[30:60, 50:90] = 0.0
@@ -206,7 +209,12 @@ def damage_work(folder, kind, user_file):
         log.write_text("".join(map(line_of, records)))
 
 
-@pytest.mark.parametrize("kind", ["no marks", "header", "hard link", "other tiles", "figures", "number", "vertices"])
+RARE = "no marks", "other tiles", "number", "vertices"
+
+
+@pytest.mark.parametrize(
+    "kind", ["header", "hard link", "figures", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in RARE)]
+)
 def test_a_damaged_work_is_not_continued(tmp_path, tiled, kind):  # noqa: F811
     np.save(tmp_path / "a.npy", hills(100, 90))
     settings, store = ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store"
@@ -342,7 +350,9 @@ def test_a_flat_file_replaces_a_steep_one(tmp_path, tiled):  # noqa: F811
     import_twice(tmp_path, tiled, lambda: flat.write(tmp_path / "tiles" / "b.tif", kind="float64"))
 
 
-@pytest.mark.parametrize("name", ["tiles.jsonl", "samples.npy", "borders.npy"])
+@pytest.mark.parametrize(
+    "name", ["tiles.jsonl", "samples.npy", pytest.param("borders.npy", marks=pytest.mark.thorough)]
+)
 def test_damaged_parts_of_a_store_are_not_used_again(tmp_path, tiled, name):  # noqa: F811
     write_tiles(tmp_path / "tiles", columns=2, rows=2, gap=None)
 

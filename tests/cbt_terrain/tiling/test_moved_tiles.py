@@ -86,6 +86,7 @@ def test_files_in_the_north_leave_southern_tiles(growth):
     assert (growth.crew.read, sorted(growth.measured)) == (changed, changed)
 
 
+@pytest.mark.thorough
 def test_files_in_the_west_renumber_tiles(growth):
     write_first(growth.files)
     growth.run(lambda: [write_file(growth.files, f"b{row}", -1, row) for row in range(ROWS)])
@@ -170,7 +171,10 @@ def test_a_mosaic_in_degrees_grows_north(growth):
     assert growth.crew.read == numbers(3, [(column, row) for row in (2, 3) for column in range(3)])
 
 
-@pytest.mark.parametrize("name", ["tiles.jsonl", "samples.npy", "error.npy"])
+@pytest.mark.parametrize(
+    "name",
+    ["samples.npy", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("tiles.jsonl", "error.npy"))],
+)
 def test_damaged_stores_give_no_tiles_to_a_larger_one(growth, name):
     write_first(growth.files)
 
@@ -185,7 +189,13 @@ def test_damaged_stores_give_no_tiles_to_a_larger_one(growth, name):
     assert len(growth.crew.read) == len(growth.measured) == 15
 
 
-@pytest.mark.parametrize("corner", ["none", [1.0], [float("nan"), 0.0], [1e300, -1e300], [5.0, 5.0], ["a", 0.0]])
+RARE = "none", [1.0], [1e300, -1e300], ["a", 0.0]
+
+
+@pytest.mark.parametrize(
+    "corner",
+    [[float("nan"), 0.0], [5.0, 5.0], *(pytest.param(corner, marks=pytest.mark.thorough) for corner in RARE)],
+)
 def test_an_impossible_corner_of_a_store_is_harmless(growth, corner):
     write_first(growth.files)
 

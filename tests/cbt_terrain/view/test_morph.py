@@ -22,6 +22,7 @@ from invariants import arrays
 from morphs import mean_of_meshes, mean_ratio, risen_points
 
 POINTS = 120
+RARE = "far", "finer meshlets", "bicubic", "areas", "metres"  # cases for runs of everything
 ROUNDS = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 20)
 SHARP = (4000, 3000)
 AHEAD = View.look((0, -350, 125), (0, 0, 0), resolution=SHARP)
@@ -43,7 +44,8 @@ def ground():
 
 def cases() -> list:
     def case(name, criterion, views=(AHEAD,), field=None, **placed):
-        return pytest.param(field, Criterion(**criterion), views, placed, id=name)
+        marks = [pytest.mark.thorough] if name in RARE else []
+        return pytest.param(field, Criterion(**criterion), views, placed, id=name, marks=marks)
 
     placed = {"placement": TURNED, "vertical_scale": -1.5, "vertical_offset": 7.0}
     tiled = interpolated(finer_field(33, 40, 4, ((0, 0), (1, 0)), relief=20.0), "bicubic")

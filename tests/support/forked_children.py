@@ -107,6 +107,7 @@ def _serve(channel: socket.socket) -> functools.partial:
     gc.disable()
     for module in MODULES:
         importlib.import_module(f"adaptive_terrain.cbt_terrain.{module}")
+    importlib.import_module("rasterio.warp")  # GDAL and PROJ read their settings later
     _load_compiled_kernels()
     gc.freeze()
     while True:

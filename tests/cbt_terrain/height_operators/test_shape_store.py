@@ -5,7 +5,6 @@ import dataclasses
 import json
 import os
 import shutil
-from functools import cache
 
 import numpy as np
 import pytest
@@ -49,17 +48,17 @@ def source(tmp_path_factory):
     return folder / "store"
 
 
-@cache
-def shaped_with_hill(source, tmp_path_factory):
-    store = tmp_path_factory.mktemp("hilled") / "out"
-    run_shape(source, Stack((HILL,)), store)
-    return store
+@pytest.fixture(scope="module")
+def hill_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("hilled")
 
 
 @pytest.fixture
-def hilled(source, tmp_path_factory):
+def hilled(source, hill_folder):
     """Return the store of the land with the hill alone, which is made once; tests change copies of it."""
-    return shaped_with_hill(source, tmp_path_factory)
+    if not (hill_folder / "store").exists():
+        run_shape(source, Stack((HILL,)), hill_folder / "store")
+    return hill_folder / "store"
 
 
 def test_a_shaped_store_is_an_ordinary_one(source, tmp_path):

@@ -45,16 +45,13 @@ test: $(READY)
 smoke: $(READY)
 	$(PY) -m pytest $(SMOKE) $(MARKS)
 
-# The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`. Two processes
-# take the next line that neither has begun, the longest first: the first one has the rooms that no other names.
+# The engine without the rooms that measure accuracy and shape land, and without tests marked `thorough`, in two
+# processes that take about the same time: one has the rooms of files and of child processes, the other one all others.
 ENGINE := tests/cbt_terrain
-CORE_ROOMS := field mosaic importing formats refine
+FILE_ROOMS := mosaic tiling importing exporting rasters formats run sandbox
 define CORE_PARTS
-tests/kernels $(ENGINE) $(addprefix --ignore=$(ENGINE)/,$(CORE_ROOMS) accuracy height_operators)
-$(ENGINE)/mosaic
-$(ENGINE)/field
-$(ENGINE)/importing $(ENGINE)/formats
-$(ENGINE)/refine
+tests/kernels $(ENGINE) $(addprefix --ignore=$(ENGINE)/,$(FILE_ROOMS) accuracy height_operators)
+$(addprefix $(ENGINE)/,$(FILE_ROOMS))
 endef
 export CORE_PARTS
 test-core: $(READY)

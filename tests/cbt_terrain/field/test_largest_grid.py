@@ -24,8 +24,9 @@ if sys.platform != "linux":
     pytest.skip("memory is surely committed by use on Linux only", allow_module_level=True)
 
 HILLS = float(SIDE * KNOWN)  # metres from the far corner that the hills reach
-CELLS = np.mgrid[0 : SIDE * SMALL + 1, 0 : SIDE * SMALL + 1]
-HEIGHTS = hill_heights(CELLS[1], CELLS[0]).astype(np.float64)  # of the last 2^12 x 2^12 finer cells
+HEIGHTS = np.zeros((SIDE * SMALL + 1, SIDE * SMALL + 1))  # of the last 2^12 x 2^12 finer cells
+IN_HILLS = np.arange(SIDE * (SMALL - KNOWN), SIDE * SMALL + 1)  # beyond the hills all is level
+HEIGHTS[IN_HILLS[0] :, IN_HILLS[0] :] = hill_heights(IN_HILLS, IN_HILLS[:, None])
 
 
 @pytest.fixture(scope="module", params=[(1 << 22, 1 << 18), ((1 << 22) - 5, (1 << 18) - 3)], ids=["whole", "padded"])

@@ -134,7 +134,7 @@ AFTER_ALL_TILES = {  # event of Python, and the beginning of the file's name
 
 @pytest.mark.parametrize(
     "moment",
-    [pytest.param(m, marks=[pytest.mark.thorough] if "checksums" in m else []) for m in AFTER_ALL_TILES],
+    [pytest.param(m, marks=[] if "complete" in m else [pytest.mark.thorough]) for m in AFTER_ALL_TILES],
 )
 def test_a_kill_after_the_last_tile_loses_no_tile(tmp_path, tiled, moment):  # noqa: F811
     heights = hills(160, 140)

@@ -61,7 +61,7 @@ def mosaic(tmp_path, tiled):  # noqa: F811
 
 @pytest.mark.parametrize("holes", [False, True])
 def test_tasks_at_once_have_the_bytes_of_one_import(tmp_path, tiled, monkeypatch, holes):  # noqa: F811
-    heights = hills(300, 200).copy()
+    heights = hills(200, 140).copy()
     heights[40:70, 90:180] = np.nan
     np.save(tmp_path / "a.npy", heights)
     settings = ImportSettings(str(tmp_path / "a.npy"), holes=holes)

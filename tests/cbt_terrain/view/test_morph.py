@@ -48,7 +48,7 @@ def cases() -> list:
         return pytest.param(field, Criterion(**criterion), views, placed, id=name, marks=marks)
 
     placed = {"placement": TURNED, "vertical_scale": -1.5, "vertical_offset": 7.0}
-    tiled = interpolated(finer_field(33, 40, 4, ((0, 0), (1, 0)), relief=20.0), "bicubic")
+    tiled = interpolated(finer_field(33, 40, 4, ((0, 0),), relief=20.0), "bicubic")
     detailed = with_detail(rough(9, 9, relief=10.0), Detail(amplitude=1.0, wavelength=16.0))
     return [
         case("error", {"error_px": 12, "morph": 1.5}),

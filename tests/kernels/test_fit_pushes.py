@@ -59,8 +59,17 @@ def expected(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.
     return np.array([np.abs(r).max(), *(f(w) for w in (1 - u - v, u, v) for f in (beyond.dot, over.dot))])
 
 
-@pytest.mark.parametrize("n", [1, 2, 4, 8, 16])
-@pytest.mark.parametrize("left", [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)])
+WAYS = [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
+
+
+@pytest.mark.parametrize(
+    ("n", "left"),
+    [
+        *((n, left) for n in (1, 2, 4, 8) for left in WAYS),
+        *((16, left) for left in WAYS[::4]),
+        *(pytest.param(16, left, marks=pytest.mark.thorough) for left in WAYS if left not in WAYS[::4]),
+    ],
+)
 def test_pushes_are_those_of_every_point(n, left):
     heights = (3.0 * np.random.default_rng(n).standard_normal((33, 35)) + 500.0).astype(np.float32)
     left, right = (n * left[0], n * left[1]), (-n * left[1], n * left[0])

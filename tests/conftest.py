@@ -11,8 +11,8 @@ import pytest
 from hypothesis import settings
 from real_program import bare_program, dem, extension_zip, program, release, scene  # noqa: F401
 
-# Every run has the same examples; `make fuzz` has thirty times as many.
-EXAMPLES = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
+# Every run has the same examples; `make fuzz` has fifty times as many.
+EXAMPLES = max(20, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 settings.register_profile("project", max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
 settings.load_profile("project")
 

@@ -63,15 +63,24 @@ FILES = [path for paths in HOUSES.values() for path in paths]
 
 
 @cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def imports_in(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the imports anywhere in a file; these are statements, so that no expression is looked at."""
+    found, open_nodes = [], [ast.parse(path.read_text(encoding="utf-8"))]
+    while open_nodes:
+        node = open_nodes.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+            inside = getattr(node, name, [])
+            open_nodes += inside if isinstance(inside, list) else []  # that of a lambda is an expression
+    return found
 
 
 @cache
 def modules_imported(path: Path) -> set[tuple[str, ...]]:
     """Return the modules of this package that a file imports anywhere, as the parts of their paths."""
     folder, found = path.relative_to(ROOT).parent.parts, set()
-    for node in ast.walk(tree_of(path)):
+    for node in imports_in(path):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = (*folder[: len(folder) - (node.level - 1)], *(node.module.split(".") if node.module else ()))
             for name in (alias.name for alias in node.names):
@@ -84,12 +93,20 @@ def modules_imported(path: Path) -> set[tuple[str, ...]]:
 def packages_imported(path: Path) -> set[str]:
     """Return the external packages that a file imports."""
     found = set()
-    for node in ast.walk(tree_of(path)):
+    for node in imports_in(path):
         if isinstance(node, ast.Import):
             found.update(alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             found.add(node.module.split(".")[0])
     return found
+
+
+def test_imports_are_found_in_every_statement(tmp_path):
+    lines = ["import a", "if x:", " import b", "else:", " import c", "try:", " import d", "except E:", " import e"]
+    lines += ["finally:", " import f", "match x:", " case 1:", "  import g", "for x in y:", " import h"]
+    lines += ["class C:", " def f(self):", "  with x:", "   from i import j", "   g = lambda: 0", "while x: import k"]
+    (tmp_path / "a.py").write_text("\n".join(lines))
+    assert packages_imported(tmp_path / "a.py") == set("abcdefghik")
 
 
 def layer_of(rooms: list, room: str) -> int:

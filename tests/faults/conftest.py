@@ -3,15 +3,12 @@
 
 import hashlib
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from flights import arguments, undisturbed  # noqa: F401
 from forked_children import fork_children  # noqa: F401
-
-# Only so that a hang ends.
-GUARD_S = 300
+from forked_programs import COMMAND_LINE, run_program
 
 
 @pytest.fixture
@@ -37,13 +34,8 @@ def small_disk(tmp_path):
 
 @pytest.fixture
 def run_command():
-    """Return a function that runs a verb of the command line in a child process, as subprocess.run."""
-
-    def run(*words, **options):
-        command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *map(str, words)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S, **options)
-
-    return run
+    """Return a function that runs a verb of the command line in a forked process, as subprocess.run."""
+    return lambda *words: run_program(COMMAND_LINE, *words)
 
 
 @pytest.fixture

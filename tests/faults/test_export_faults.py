@@ -5,11 +5,11 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 
 import pytest
 from adaptive_terrain.operators.cli import command_line
 from flights import assert_complete, final_meshes
+from forked_programs import COMMAND_LINE, run_program, start_program
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals, mounts and limits are those of POSIX")
 # Kills itself before or after the k-th rename: between two files, or between a file and the summary of its frame.
@@ -29,12 +29,20 @@ sys.exit(main(sys.argv[3:]))
 """
 
 
-@pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("rename", [1, pytest.param(2, marks=pytest.mark.thorough), 16])
+@pytest.mark.parametrize(
+    ("when", "rename"),
+    [
+        ("after", 1),
+        ("before", 16),
+        *(
+            pytest.param(*at, marks=pytest.mark.thorough)
+            for at in (("before", 1), ("before", 2), ("after", 2), ("after", 16))
+        ),
+    ],
+)
 def test_killed_about_a_rename_then_resumed(arguments, undisturbed, tmp_path, capsys, when, rename):
     out = tmp_path / "out"
-    command = [sys.executable, "-c", SUICIDE, when, str(rename), *arguments, "--out", str(out)]
-    assert subprocess.run(command, capture_output=True).returncode == -signal.SIGKILL
+    assert run_program(SUICIDE, when, rename, *arguments, "--out", out).returncode == -signal.SIGKILL
     before = final_meshes(out)
     assert before == {name: undisturbed[name] for name in before}
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
@@ -82,8 +90,7 @@ def test_the_store_is_deleted_while_it_is_exported(arguments, undisturbed, tmp_p
     store, out = tmp_path / "own.store", tmp_path / "out"
     shutil.copytree(arguments[at], store)
     arguments = [*arguments[:at], str(store), *arguments[at + 1 :], "--out", str(out)]
-    command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    child = start_program(COMMAND_LINE, *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     child.stdout.readline()  # the first frame stands
     shutil.rmtree(store)
     _, said = child.communicate()

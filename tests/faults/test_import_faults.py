@@ -15,6 +15,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.operators.cli import command_line
+from forked_programs import COMMAND_LINE, run_program
 from invariants import assert_invariants
 from rasters import hills, write_exr, write_raster
 
@@ -35,11 +36,14 @@ def assert_works(store):
     assert_invariants(Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface, field.lattice)
 
 
-KILLS = [(0.001, signal.SIGKILL), (0.3, signal.SIGTERM), (0.3, signal.SIGSEGV), (0.6, signal.SIGKILL)]
+KILLS = [(0.3, signal.SIGTERM), (0.6, signal.SIGKILL)]
+MORE_KILLS = [(0.001, signal.SIGKILL), (0.3, signal.SIGSEGV)]
 
 
 @pytest.mark.usefixtures("fork_children")
-@pytest.mark.parametrize(("fraction", "killed_by"), KILLS)
+@pytest.mark.parametrize(
+    ("fraction", "killed_by"), [*KILLS, *(pytest.param(*kill, marks=pytest.mark.thorough) for kill in MORE_KILLS)]
+)
 def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
     store = tmp_path / "store"
     run_import(ImportSettings(source="island", size=65), store)
@@ -56,6 +60,7 @@ def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
     assert_works(store)
 
 
+@pytest.mark.usefixtures("fork_children")
 def test_the_child_of_a_first_import_is_killed(tmp_path):
     job = ImportJob(LONG, tmp_path / "store")
     wait_for(job, 0.001)
@@ -125,19 +130,20 @@ def test_a_mesh_is_made_though_its_expanded_errors_find_no_room(small_disk):
     assert sorted(path.name for path in folder.iterdir()) == ["error.npy", "ranges.npy", "samples.npy"]
 
 
-@pytest.mark.parametrize("size", [100, 5000, 300_000])
-def test_no_file_may_be_larger(tmp_path, run_command, contents, size):
+LIMITED = """
+import resource, sys
+size = int(sys.argv.pop(1))
+resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+"""
+
+
+@pytest.mark.parametrize("size", [100, pytest.param(5000, marks=pytest.mark.thorough), 300_000])
+def test_no_file_may_be_larger(tmp_path, contents, size):
     """A limit of the system on the size of files (a quota ends the same way)."""
     store = tmp_path / "store"
     run_import(ImportSettings(source="island", size=65), store)
     before = contents(store)
-
-    import resource
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    done = run_command("import", "island", "--size", "513", "--store", store, preexec_fn=limit)
+    done = run_program(LIMITED + COMMAND_LINE, size, "import", "island", "--size", "513", "--store", store)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert contents(store) == before
 
@@ -151,6 +157,7 @@ SOURCES = {
 }
 
 
+@pytest.mark.usefixtures("fork_children")
 @pytest.mark.parametrize("how", HOW)
 @pytest.mark.parametrize(
     "name", ["a.tif", *(pytest.param(name, marks=pytest.mark.thorough) for name in SOURCES if name != "a.tif")]

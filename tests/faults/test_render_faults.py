@@ -13,7 +13,7 @@ def test_a_full_disk_leaves_the_picture_that_stands(scene, add_terrain, tmp_path
     import bpy
 
     add_terrain("Hills").adaptive_terrain.render.error_px = 8.0
-    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
     scene.render.resolution_x, scene.render.resolution_y = 320, 180
     shot = tmp_path / "shot.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(shot))

@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -21,6 +20,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
+from forked_programs import start_program
 from invariants import arrays, assert_invariants
 from mutants import put_checksums
 
@@ -247,12 +247,8 @@ run_import(ImportSettings(source="island", size=257, seed=int(sys.argv[2])), sys
 
 
 def begin_imports(store, seeds):
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-c", IMPORT, str(store), str(seed)], stdin=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-        for seed in seeds
-    ]
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
+    started = [start_program(IMPORT, store, seed, **pipes) for seed in seeds]
     for child in started:
         child.stdin.write(b"g")
         child.stdin.flush()

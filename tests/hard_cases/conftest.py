@@ -4,6 +4,7 @@
 import pytest
 from blender_scenes import add_terrain, empty, grid_surface, scene, store  # noqa: F401
 from flights import arguments, undisturbed  # noqa: F401
+from forked_children import fork_children  # noqa: F401
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.run.partial_files import new_token, written_beside
 from adaptive_terrain.operators.cli import command_line
 from flights import FRAMES, assert_complete, final_meshes
+from forked_programs import run_program
 from invariants import assert_invariants
 
 # The child kills itself after it wrote the third entry of the third frame's archive.
@@ -60,8 +61,7 @@ def test_case_49_an_undisturbed_export_is_whole(arguments, undisturbed, tmp_path
 def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
     """After a kill within the third frame's file two frames are whole, and a rerun gives the undisturbed bytes."""
     out = tmp_path / "out"
-    child = subprocess.run([sys.executable, "-c", SUICIDE, *arguments, "--out", str(out)], capture_output=True)
-    assert child.returncode == -signal.SIGKILL
+    assert run_program(SUICIDE, *arguments, "--out", out).returncode == -signal.SIGKILL
     assert len(list(out.glob(".partial-*"))) == 1, "the kill interrupted a write"
     assert final_meshes(out) == {name: undisturbed[name] for name in ("terrain_0001.npz", "terrain_0002.npz")}
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0

@@ -207,7 +207,9 @@ def test_case_15_a_spike_of_one_sample_is_found_wherever_it_is():
             assert update.triangles < 4000
 
 
-@pytest.mark.parametrize("shape", [pytest.param((9, 9), marks=pytest.mark.thorough), (5, 17)])
+@pytest.mark.parametrize(
+    "shape", [(5, 9), *(pytest.param(shape, marks=pytest.mark.thorough) for shape in ((9, 9), (5, 17)))]
+)
 def test_case_15_every_sample_as_a_spike_at_every_depth_limit(shape):
     """With a spike at each sample in turn, the reported bound holds at every depth limit."""
     for j in range(shape[0]):

@@ -18,6 +18,7 @@ from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import child, stall
+from forked_programs import run_program
 from hostile_files import PART, damaged, seeds, source, vrt, write_attacks
 from rasters import hills, imported, write_raster
 
@@ -177,6 +178,7 @@ def test_case_63_an_honest_mosaic_reads_as_before(tmp_path):
     assert np.array_equal(field.heights()[::-1], wanted) and wanted[0, 0] == 2.0 * heights[0, 0] + 5.0
 
 
+@pytest.mark.usefixtures("fork_children")
 def test_case_63_a_changed_source_of_a_mosaic_is_noticed(tmp_path):
     """A second import of a mosaic does nothing; a third with other samples runs; the calling process parses nothing."""
     write_raster(tmp_path / PART, hills(65, 33))
@@ -266,8 +268,7 @@ def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path, files):
             (folder / f"{i}{seed.suffix}").write_bytes(damaged(text, random))
         before = snapshot(tmp_path)
         store = tmp_path / f"{folder.name}.store"
-        command = [sys.executable, "-c", READER, str(folder), str(store)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S + 2 * files)
+        done = run_program(READER, folder, store, timeout=GUARD_S + 2 * files)
         lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
         output = {line["file"]: line["said"] for line in lines if "file" in line}
         assert done.returncode == 0 and len(output) == files, (lines[-1:], done.stderr[-2000:])

@@ -184,7 +184,7 @@ def disturb(process: subprocess.Popen, draw: random.Random, seconds: float) -> t
     return number, process.communicate(timeout=STOP_S)[1]
 
 
-@pytest.mark.parametrize("case", [*range(2), *(pytest.param(k, marks=pytest.mark.thorough) for k in range(2, CASES))])
+@pytest.mark.parametrize("case", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in range(1, CASES))])
 def test_case_65_interrupted_at_a_random_time(case, template, undisturbed, tmp_path):
     """After INT, TERM or KILL at a random time the command ends soon, and a rerun gives the same bytes, no leftovers.
 

@@ -84,8 +84,8 @@ class Project:
     def whole(self, kind: str) -> Path:
         return self.folder / kind
 
-    def make(self) -> None:
-        """Write the sources and the stores."""
+    def make(self, kinds: set[str]) -> None:
+        """Write the sources and the stores of these kinds; stores of a mosaic and of a raster in any case."""
         write_tiles(self.folder / "tiles", columns=2, rows=2, side=20)
         run_mosaic_import(self.mosaic, self.whole("changed"))
         part = sheet(UTM32, EAST + 100.0, NORTH - 200.0, 10.0, 10.0, 12, 12, shift=1.0)
@@ -110,13 +110,19 @@ class Project:
                 except KeyboardInterrupt:
                     continue
                 raise AssertionError("an import was not stopped")
+        if kinds.intersection(PARTS):
+            self.make_parts()
+        if kinds.intersection(SQUARES):
+            self.make_squares()
+
+    def make_parts(self) -> None:
+        """Write works with results of a farm's tasks."""
         for name, steps in (("read parts", (BEGIN, READ_TILES)), ("measured parts", (FILL, MEASURE))):
             for step in steps:
                 numbers = ALL_TILES if step in (READ_TILES, MEASURE) else ()
                 run_mosaic_import(self.mosaic, self.whole(name), part=ImportPart(step, numbers))
             if name == "read parts":
                 self.copy(name, "measured parts")
-        self.make_squares()
 
     def copy(self, kind: str, *others: str) -> None:
         """Copy a store to other kinds, which begin like it."""
@@ -392,8 +398,10 @@ def main(folder: str, first: str, count: str) -> None:
     base = Path(folder).resolve()
     base.mkdir(parents=True, exist_ok=True)
     project, ends = Project(base), Counter()
-    project.make()  # in this process, which loads all modules and kernels for its forks
-    for seed in range(int(first), int(first) + int(count)):
+    seeds = range(int(first), int(first) + int(count))
+    # in this process, which loads modules and kernels for its forks
+    project.make({KINDS[seed % len(KINDS)] for seed in seeds})
+    for seed in seeds:
         rng = np.random.default_rng([35, seed])
         kind = KINDS[seed % len(KINDS)]
         work = base / "mutant"

@@ -10,6 +10,7 @@ PROGRAM = """
 import json, os, signal, sys, traceback
 import numpy
 import rasterio  # without registering a driver
+import adaptive_terrain.kernels  # which guards import: 0.6 s in each fork
 from pathlib import Path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.sandbox import guard

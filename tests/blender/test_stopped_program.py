@@ -29,8 +29,15 @@ def store(program, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("verb", ["import", "export"])
+@pytest.mark.parametrize(
+    ("verb", "number"),
+    [
+        ("import", signal.SIGTERM),
+        ("export", signal.SIGINT),
+        pytest.param("import", signal.SIGINT, marks=pytest.mark.thorough),
+        pytest.param("export", signal.SIGTERM, marks=pytest.mark.thorough),
+    ],
+)
 def test_a_command_is_stopped(program, store, tmp_path, verb, number):
     out = tmp_path / "out"
     arguments = {

@@ -32,10 +32,13 @@ class Program:
         self.wrapper, self.user, self.kernels = wrapper, user, user / "kernels"
 
     def environment(self) -> dict[str, str]:
-        home = self.user / "home"
-        home.mkdir(parents=True, exist_ok=True)
+        home, shaders = self.user / "home", self.user / "shaders"
+        for folder in (home, shaders):
+            folder.mkdir(parents=True, exist_ok=True)
         paths = {"BLENDER_USER_RESOURCES": str(self.user), "HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
         paths |= {"BIND": str(self.user), "WARP_CACHE_PATH": str(self.kernels)}
+        # Mesa compiles the shaders of a window by software for eight seconds of a processor: once.
+        paths |= {"MESA_SHADER_CACHE_DIR": str(shaders)}
         return {**os.environ, **paths, "LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONPATH": ""}
 
     def command(self, *arguments: str) -> list[str]:

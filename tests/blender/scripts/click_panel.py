@@ -163,7 +163,7 @@ def write_a_report():
     meshes = len(bpy.data.meshes)
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.sweep_accuracy("INVOKE_DEFAULT")
-    yield 4.0
+    yield 1.0
     yield from picture("sweeping")
     operators.cancel_job(kind="MEASURE")
     yield from until(operators.sweep_accuracy.poll)
@@ -281,7 +281,7 @@ def follow_the_viewport():
 def cancel_an_import():
     """Stop a background import, after which the terrain has not changed."""
     settings = terrain().adaptive_terrain
-    before, settings.island_size = settings.island_size, 8193
+    before, settings.island_size = settings.island_size, 4097
     result["store"] = settings.store
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")

@@ -149,7 +149,7 @@ def quit_importing(step, count):
     """End Blender while a large import runs."""
     obj = terrain()
     bpy.context.view_layer.objects.active = obj
-    obj.adaptive_terrain.island_size = 8193
+    obj.adaptive_terrain.island_size = 4097
     with viewport():
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
     yield from until(lambda: jobs.find(jobs.IMPORT, terrain()).fraction > 0.02)

@@ -15,7 +15,6 @@ from mathutils import Vector
 
 SIZE = 400
 
-bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)  # as it was before any other script
 folder = sys.argv[sys.argv.index("--") + 1] + "/seams"
 tiling = importlib.import_module("bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.tiling")
 tiling.SINGLE_CELLS, tiling.TILE_CELLS = 64, 100

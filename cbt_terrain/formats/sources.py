@@ -101,7 +101,7 @@ def check_named(path: Path, kind: str = "height map") -> None:
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
     if path.stat().st_size == 0:
-        raise TerrainError(f"{path} is empty", expected=expected)
+        raise TerrainError(f"{path} is empty", expected=expected, fix="get the file again, or leave it out")
 
 
 def check_neighbours(path: Path) -> None:

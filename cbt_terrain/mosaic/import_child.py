@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from ..field import store_folder
@@ -12,6 +13,7 @@ from ..importing.build_store import import_raster
 from ..importing.earlier_import import finished_import
 from ..importing.import_process import import_one, part_of
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives, may_name_several, names_several
+from ..importing.thinning import stride_of
 from ..importing.tile_crew import serve_tasks, start_crew
 from ..importing.tile_import import Crew, ImportPart
 from ..rasters.raster import ImportSettings, Raster
@@ -86,15 +88,16 @@ def run_mosaic_import(
     def open_mosaic(settings: ImportSettings) -> Raster:
         """Return the composite of the sources as a raster.
 
-        Report on it first, unless this process does a part of the import, the import is quick, or the store has it
-        already.
+        Report on it first, unless this process does a part of the import, the import leaves samples out, or the store
+        has it already.
         """
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)  # may raise, which cancels the import
         raster = mosaic_raster(composite, settings)
         raster.earlier_paths = lambda: earlier_paths(path, settings)
-        is_new = part is None and not settings.quick
-        if is_new and finished_import(path, settings, raster) is None:
+        whole = replace(settings, quick=0)  # a quick import of few samples is complete, too
+        is_whole = not settings.quick or stride_of(raster.width, raster.height, settings.quick) == 1
+        if part is None and is_whole and finished_import(path, whole, raster) is None:
             details = describe_mosaic(composite, settings)
             raster.warnings += details["warnings"]
             on_progress(SCANNED, READING, details | {"warnings": raster.warnings})

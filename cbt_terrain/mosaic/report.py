@@ -28,6 +28,8 @@ COVERAGE_POINTS = 256  # along each axis
 FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the one whose reading and building is timed
 MEASURED_POINTS = 64  # along each axis; a window's middle is one of them
 MAX_KINDS = 12
+# Of the samples' distance: a larger median step between files that meet is no relief along a whole border.
+STEP_PART = 0.2
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
 EDGE_NAMES = ("s", "s_compared", "_median_m", "_max_m", "_max_at", "_max_between")
@@ -45,6 +47,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
     last = grid.positions(np.array([grid.column + grid.width - 1]), np.array([grid.row + grid.height - 1]))
     overlap, gap = coverage(composite)
     scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)
+    edges = find_edges(composite)
     return {
         "files": len(composite.tiles),
         "kinds": _kinds(composite),
@@ -57,12 +60,12 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gap_percent": round(100.0 * gap, 2),
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
-        **_edges(find_edges(composite), scale),
+        **_edges(edges, scale),
         **_finer_tiles(composite),
         **({"blend_m": float(f"{blend_metres(composite):.4g}")} if composite.insets else {}),
         "expected_seconds": _expected_seconds(composite),
         "expected_disk_mb": round(_expected_bytes(composite) / 1e6, 1),
-        "warnings": datum_warnings(composite),
+        "warnings": [*datum_warnings(composite), *edge_warnings(edges, scale, max(place.step_x, place.step_y))],
     }
 
 
@@ -102,6 +105,26 @@ def datum_warnings(composite: Composite) -> list[str]:
         f"{text}, which may be tens of metres apart. They were not converted, because a grid of PROJ is missing: get "
         "the grids (projsync, or the package proj-data) and name their folder in PROJ_DATA, or convert the files first "
         "(gdalwarp with -s_srs and -t_srs)."
+    ]
+
+
+def edge_warnings(edges: EdgeReport, scale: float, step: float) -> list[str]:
+    """Return a warning about files that meet with a step, which is a cliff in the terrain; [] without any.
+
+    scale: factor on the heights, by the settings. step: distance between samples, metres.
+    """
+    sizes = np.abs(edges.steps) * scale
+    is_large = sizes > STEP_PART * step
+    if not is_large.any():
+        return []
+    worst, count = int(np.argmax(sizes)), int(is_large.sum())
+    first, second = (shown(Path(path).name) for path in edges.names[worst])
+    where = ", ".join(f"{coordinate:.10g}" for coordinate in edges.places[worst])
+    others = f", and {count - 1:,} more pairs have a step of this kind" if count > 1 else ""
+    return [
+        f"{first} and {second} meet with a step of {sizes[worst]:.3g} m along their border, near {where}{others}. "
+        "Their units or zero heights may differ: add a constant to one of them (QGIS: Raster Calculator), and import "
+        "again."
     ]
 
 

@@ -9,6 +9,7 @@ import rasterio
 from adaptive_terrain.cbt_terrain.mosaic import report
 from adaptive_terrain.cbt_terrain.mosaic.composite import Composite
 from adaptive_terrain.cbt_terrain.mosaic.edges import find_edges
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import (
     _expected_seconds,
@@ -85,6 +86,23 @@ def test_coverage_counts_cells(tmp_path, pair):
     assert coverage(opened(*pair)) == (pytest.approx(10 / 580, abs=0.01), 0.0)
     far = sheet(UTM32, EAST + 800, NORTH, 10.0, 10.0, 40, 59).write(tmp_path / "far.tif")
     assert coverage(opened(*pair, far))[1] == pytest.approx(400 / 1190, abs=0.01)
+
+
+@pytest.mark.parametrize("quick", [0, 1_000_000])
+def test_a_step_between_files_is_a_warning_of_the_import(tmp_path, quick):
+    """Also of a quick import that reads all samples, which is the first one in Blender's window."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 60, 30)
+    for shift, expected in ((1.5, 0), (5.0, 1)):
+        files = []
+        for column in (0, 30):
+            whole.heights[:, 30:] += shift if column else 0.0
+            files.append(whole.write(tmp_path / f"{shift}_{column}.tif", 0, 30, column, 30))
+        report = run_mosaic_import(settings_of(*files, quick=quick), tmp_path / f"store_{shift}_{quick}")
+        warnings = [text for text in report["warnings"] if "meet with a step" in text]
+        assert len(warnings) == expected and report["edge_max_m"] > 0.0
+        whole.heights[:, 30:] -= shift
+    assert "5.0_0.tif and 5.0_30.tif" in warnings[0]
+    assert f"near {EAST + 300:.10g}, {NORTH - 150:.10g}." in warnings[0]
 
 
 def test_differing_vertical_datums_are_warned_about(tmp_path):

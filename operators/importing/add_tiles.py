@@ -55,7 +55,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
 
     bl_idname = "adaptive_terrain.add_tiles"
     bl_label = "Add Tiles"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER"}  # ImportTiles makes the step for Undo, with the files and their store
 
     @classmethod
     def poll(cls, context):
@@ -106,6 +106,7 @@ class ImportTiles(ImportOperator, bpy.types.Operator):
     """Add files to those of the terrain and import all as one"""
 
     bl_idname = "adaptive_terrain.import_tiles"
+    bl_label = AddTiles.bl_label
     bl_options = {"INTERNAL", "UNDO"}
 
     tiles: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
@@ -124,6 +125,15 @@ class ImportTiles(ImportOperator, bpy.types.Operator):
                     if sources[number].path in added:
                         sources.remove(number)
             raise
+
+    def finish(self, context, obj, result: tuple[dict, str]) -> None:
+        """Also list the tiles again that an undo during the import has removed: the store has them."""
+        sources = obj.adaptive_terrain.more_sources
+        listed = {item.path for item in sources}
+        for tile in self.tiles:
+            if tile.name not in listed:
+                sources.add().path = tile.name
+        ImportOperator.finish(self, context, obj, result)
 
 
 def name_of(paths: list[str]) -> str:

@@ -37,11 +37,12 @@ def draw_source(column, obj) -> None:
 
 
 def _draw_more(column, settings) -> None:
-    """Draw the further files; of more than SHOWN_FILES the last ones, below the number of the others."""
+    """Draw the further files; of many the last SHOWN_FILES, below the number of the others, which is at least 2."""
     count = len(settings.more_sources)
-    if count > SHOWN_FILES:
-        column.label(text=phrase("{} more files", count - SHOWN_FILES))
-    for item in settings.more_sources[max(0, count - SHOWN_FILES) :]:
+    hidden = count - SHOWN_FILES if count > SHOWN_FILES + 1 else 0  # one file takes the room of its number
+    if hidden:
+        column.label(text=phrase("{} more files", hidden))
+    for item in settings.more_sources[hidden:]:
         _draw_path(column, item, "path")
 
 

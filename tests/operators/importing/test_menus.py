@@ -17,7 +17,7 @@ from adaptive_terrain.operators.importing.add_terrain import AddTerrain
 from adaptive_terrain.operators.importing.add_tiles import AddTiles, ImportTiles
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, info_lines
-from adaptive_terrain.operators.importing.panel import SourcePanel
+from adaptive_terrain.operators.importing.panel import SourcePanel, draw_source
 from adaptive_terrain.operators.session.polls import remember_object
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
 from drawn_panels import DrawnLayout
@@ -197,6 +197,35 @@ def test_tiles_are_removed_if_their_later_import_stops(scene, tmp_path, end):
     assert to_the_end(operator) == {"CANCELLED"}
     assert [item.path for item in settings.more_sources] == [str(files[1])]
     assert settings.store == store and imported_of(settings).raster == (20, 20)
+
+
+def test_tiles_that_an_undo_removes_meanwhile_are_listed(scene, tmp_path):
+    """Adding is one step for Undo, at the end of the import; an earlier step restores the list without the tiles."""
+    assert "UNDO" in ImportTiles.bl_options and "UNDO" not in AddTiles.bl_options
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    files = write_tiles(tmp_path / "tiles")
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
+    terrain = bpy.context.object
+    settings = terrain.adaptive_terrain
+    operator = running(ImportTiles, terrain, tiles=[SimpleNamespace(name=str(files[1]))])
+    settings.more_sources.clear()
+    assert to_the_end(operator) == {"FINISHED"}
+    assert [item.path for item in settings.more_sources] == [str(files[1])]
+    assert changed_settings(settings_of(terrain), imported_of(settings)) == []
+
+
+@pytest.mark.parametrize(("count", "expected"), [(5, []), (6, ["2 more files"])])
+def test_the_number_of_hidden_files_is_at_least_two(scene, count, expected):
+    obj = bpy.data.objects.new("Terrain", bpy.data.meshes.new("Terrain"))
+    scene.collection.objects.link(obj)
+    settings = obj.adaptive_terrain
+    settings.enabled, settings.source, settings.source_path = True, "FILE", "/tiles/t.tif"
+    for number in range(count):
+        settings.more_sources.add().path = f"/tiles/{number}.tif"
+    layout = DrawnLayout()
+    draw_source(layout, obj)
+    assert [text for text in layout.texts if "more files" in text] == expected
+    assert layout.texts.count("<path>") == (5 if count == 5 else 4)
 
 
 def test_a_dialog_adds_tiles_to_the_terrain_of_its_button(scene, tmp_path):

@@ -20,6 +20,7 @@ from ..bridge.evaluated import anchor_of
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
+from ..maps.images import outdated_note
 from ..session import live, session
 from ..session.polls import run_nested
 from ..terrain import frame_terrain, request, sidebar
@@ -27,7 +28,7 @@ from ..terrain.camera_source import follows_viewport
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
-from .placement_notes import neighbour_notes, picture_note
+from .placement_notes import neighbour_notes, picture_note, scatter_note
 from .store_location import location_warnings, store_folder
 
 RESIZED = 2.0  # ratio of sizes from which on the terrain is framed again
@@ -254,13 +255,15 @@ class ImportOperator(JobOperator):
         if follows:
             if before is None and shared_origin.forget_left_origin(obj, context.scene, found):
                 self.report({"INFO"}, "The scene's origin is now here, since no terrain is left at the earlier one")
+            if before is not None:
+                shared_origin.adopt_system(obj, context.scene, found)
             for note in shared_origin.place_terrain(obj, context.scene, found):
                 self.report({"WARNING"}, note)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
         self.before = found  # for the next call of a quick import
         context.view_layer.update()
         self._show_in_viewports(context, obj, before)
-        self._report_and_update(obj, report)
+        self._report_and_update(obj, report, before)
         if self.baked not in ("", folder):
             self.report(
                 {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
@@ -296,16 +299,17 @@ class ImportOperator(JobOperator):
         if done:
             self.report({"INFO"}, frame_terrain.to_sentence(done))
 
-    def _report_and_update(self, obj, report: dict) -> None:
+    def _report_and_update(self, obj, report: dict, before: imported.Imported | None) -> None:
         """Report figures and warnings of an import, and update the mesh or let the live update do it.
 
-        report: of the import. Warnings are last, because the status bar shows only the last message of an operator. An
-        error of the update is a warning, too.
+        Warnings are last, because the status bar shows only the last message of an operator. An error of the update is
+        a warning, too. report: of the import. before: facts of the earlier raster, None without one.
         """
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
         notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
+        notes += [note for note in (outdated_note(obj), scatter_note(obj, before)) if note]
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         try:

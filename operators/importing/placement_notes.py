@@ -4,10 +4,13 @@
 import math
 from pathlib import Path
 
+import numpy as np
+
 from ...cbt_terrain.errors import shown
-from ...cbt_terrain.field.georeference import degree_lengths
+from ...cbt_terrain.field.georeference import degree_lengths, from_crs, to_crs
 from ...cbt_terrain.field.lands import LANDS
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
+from ..scatter.request import scatters_of
 from .imported import Imported, imported_of
 
 FOOT = 0.3048
@@ -80,6 +83,28 @@ def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> floa
         cell = (first.step_m[axis] + second.step_m[axis]) / 2
         gaps.append((distance - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
     return max(gaps) if min(gaps) < -MAX_GAP_ERROR else math.inf
+
+
+def scatter_note(obj, before: Imported | None) -> str:
+    """Return a note if an import has moved the points of a terrain's scatters; "" otherwise, or without any.
+
+    Points belong to squares that are counted from the raster's corner in the south-west. before: facts of the earlier
+    raster, None without one.
+    """
+    now = imported_of(obj.adaptive_terrain)
+    if not scatters_of(obj) or before is None or now is None or None in (before.place, now.place):
+        return ""
+    corners = [
+        to_crs(raster.place, -np.array([raster.extent_m]) / 2) if raster.crs == now.crs else np.full((1, 2), np.inf)
+        for raster in (before, now)
+    ]
+    steps = from_crs(now.place, corners[0]) - from_crs(now.place, corners[1])
+    if np.abs(steps).max() < MAX_GAP_ERROR * min(now.step_m):
+        return ""
+    return (
+        "The raster now begins further west or south, or elsewhere, and scatters count from its corner: their points "
+        "stand at new places."
+    )
 
 
 def picture_note(imported: Imported | None) -> str:

@@ -96,6 +96,25 @@ def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
     return True
 
 
+def adopt_system(obj, scene, imported: Imported | None) -> None:
+    """Give the scene's origin the system in which its only terrain was imported again; its place on Earth stays.
+
+    Nothing changes if another add-on has written the origin or another object has coordinates.
+    """
+    origin = origin_of(scene)
+    if imported is None or not imported.crs or imported.place is None or not _is_straight(imported.place):
+        return
+    if origin is None or origin.crs == imported.crs or not is_claimed(scene):
+        return
+    if any(other.get(SRID) for other in scene.objects if other != obj):
+        return
+    try:
+        x, y = reproject_point(origin.x, origin.y, origin.crs, imported.crs)
+    except TerrainError:
+        return
+    _claim_new_origin(scene, SceneOrigin(imported.crs, x, y, unit_lengths(imported.place)))
+
+
 def _covers_origin(imported: Imported, origin: SceneOrigin) -> bool:
     """Return whether a scene's origin is inside a raster; False if its coordinates cannot be converted."""
     point = origin.x, origin.y
@@ -161,10 +180,14 @@ def _begin_origin(obj, scene, imported: Imported) -> None:
         return
     world_origin = np.array([anchor_of(obj)]) - np.array([obj.location[:2]])  # metres from the raster's middle
     ((x, y),) = to_crs(imported.place, world_origin).tolist()
-    origin = SceneOrigin(imported.crs, x, y, unit_lengths(imported.place))
+    _claim_new_origin(scene, SceneOrigin(imported.crs, x, y, unit_lengths(imported.place)))
+
+
+def _claim_new_origin(scene, origin: SceneOrigin) -> None:
+    """Give a scene an origin of this add-on, with latitude and longitude if its system can be converted."""
     lengths = [1.0 if abs(metres - 1.0) < SAME else metres for metres in origin.metres]
     try:
-        longitude, latitude = reproject_point(x, y, imported.crs, WGS84)
+        longitude, latitude = reproject_point(origin.x, origin.y, origin.crs, WGS84)
     except TerrainError:
         set_origin(scene, origin._replace(metres=tuple(lengths)), None)
     else:

@@ -15,6 +15,7 @@ import bpy
 
 from ...cbt_terrain.attributes.folder import UDIM, read_index
 from ...cbt_terrain.attributes.tiling import MARGIN
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writer import UV_LAYER
@@ -23,6 +24,10 @@ from ..session.session import all_terrains, open_field
 from .properties import map_folder
 
 GROUP = "Terrain Map UV"
+OUTDATED = (
+    "The material shows maps of earlier heights, which are stretched over the present ones: press Bake Maps, then "
+    "Terrain Material."
+)
 _marks: dict[int, str] = {}  # names of terrains' own folders, as in `maps.mark`, by session_uid
 
 
@@ -84,6 +89,37 @@ def reload(folder: Path, files: set[str]) -> None:
         path = Path(absolute_path(image.filepath)) if image.filepath else None
         if path is not None and path.parent == folder and path.name in files:
             image.reload()
+
+
+def images_of_materials(obj) -> set[Path]:
+    """Return the files of all image textures in a terrain's materials, also in node groups."""
+    waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
+    seen, found = set(), set()
+    while waiting:
+        tree = waiting.pop()
+        if tree in seen:
+            continue
+        seen.add(tree)
+        for node in tree.nodes:
+            inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
+            waiting += [inner] if inner is not None else []
+            found |= {Path(absolute_path(image.filepath))} if image is not None and image.filepath else set()
+    return found
+
+
+def outdated_note(obj) -> str:
+    """Return a note if a terrain's materials show maps that were baked from other heights; "" otherwise.
+
+    An import may have given the terrain another store, and with it another folder of the same name for new maps.
+    """
+    name = map_folder(obj).name
+    if not obj.adaptive_terrain.maps.mark or all(path.parent.name != name for path in images_of_materials(obj)):
+        return ""
+    try:
+        is_current = index_of(obj) is not None
+    except TerrainError:  # the update reports a damaged store
+        return ""
+    return "" if is_current else OUTDATED
 
 
 def map_vector(tree, obj) -> bpy.types.NodeSocket:

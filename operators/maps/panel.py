@@ -3,7 +3,8 @@
 
 from .. import jobs
 from ..session import session
-from ..ui.panel_parts import TerrainSubpanel, draw_switched
+from ..ui.panel_parts import TerrainSubpanel, draw_message, draw_switched
+from .images import outdated_note
 from .properties import CHOSEN
 
 
@@ -15,7 +16,8 @@ class MapsPanel(TerrainSubpanel):
     def draw(self, context):
         """Draw which maps are baked, how fine and where, and the button or the progress of baking."""
         column = self._columns()
-        settings = session.shown_terrain(context).adaptive_terrain.maps
+        obj = session.shown_terrain(context)
+        settings = obj.adaptive_terrain.maps
         column.row().prop(settings, "frames", expand=True)
         column.row().prop(settings, "which", expand=True)
         if settings.which == CHOSEN:
@@ -30,3 +32,5 @@ class MapsPanel(TerrainSubpanel):
             column.operator("adaptive_terrain.bake_maps", icon="RENDER_STILL")
         else:
             jobs.draw_progress(column, job)
+        if note := outdated_note(obj):
+            draw_message(column, note, "INFO")

@@ -2,7 +2,6 @@
 """The request for a bake of maps, in plain numbers, from a scene and its settings."""
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import bpy
 
@@ -11,7 +10,6 @@ from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.view.criterion import Criterion
-from ..bridge.scene_paths import absolute_path
 from ..session.shot import frames_of, visit_views
 from ..terrain.overrides import Overrides
 from ..terrain.request import RENDER, gather
@@ -43,18 +41,7 @@ def chosen_maps(obj, depsgraph) -> set[str]:
 def maps_shown_by_materials(obj) -> set[str]:
     """Return the names of the maps, baked or not, that image textures of a terrain's materials show."""
     folder = map_folder(obj)
-    waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
-    seen, found = set(), set()
-    while waiting:
-        tree = waiting.pop()
-        if tree in seen:
-            continue
-        seen.add(tree)
-        for node in tree.nodes:
-            inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
-            waiting += [inner] if inner is not None else []
-            path = Path(absolute_path(image.filepath)) if image is not None and image.filepath else None
-            found |= {path.name.partition(".")[0]} if path is not None and path.parent == folder else set()
+    found = {path.name.partition(".")[0] for path in map_images.images_of_materials(obj) if path.parent == folder}
     return found & set(ATTRIBUTES)
 
 

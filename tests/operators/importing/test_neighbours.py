@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A second raster of the same coordinate system is not silently put on the first, or beside an open cell."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.operators.importing.imported import tag_object
+from adaptive_terrain.operators.importing import placement_notes
+from adaptive_terrain.operators.importing.imported import Imported, tag_object
 from adaptive_terrain.operators.importing.placement_notes import neighbour_notes
 from rasters import hills, write_raster
 
@@ -97,3 +100,26 @@ def test_tiles_imported_together_have_the_ground_between_them(scene, tmp_path):
     field = open_store(tmp_path / "store")
     between = np.array([[600400.0 - field.origin[0], 5199855.0 - field.origin[1]]])  # in row 14, between the tiles
     assert ground_at(field, between).heights[0] == pytest.approx(heights[14, 39:41].mean(), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("first_x", "first_y", "is_noted"), [(0, 0, False), (-10, 0, True), (0, -10, True), (100, 0, True)]
+)
+def test_moved_scatter_points_are_noted(monkeypatch, first_x, first_y, is_noted):
+    """Points are counted from the south-west. The raster always grows in the north and the east."""
+    step, rasters = 10.0, []
+    for x, y in ((0, 0), (first_x, first_y)):  # column and row of the sample in the south-west
+        columns, rows = (41, 31) if not rasters else (60 - x, 50 - y)
+        extent = step * (columns - 1), step * (rows - 1)
+        middle = 6e5 + step * x + extent[0] / 2, 5.2e6 + step * y + extent[1] / 2
+        place = (1.0, 0.0, middle[0], 0.0, 1.0, middle[1])
+        rasters.append(
+            Imported({}, "EPSG:32632", middle, (columns, rows), extent, (step, step), (0.0, 1.0), place=place)
+        )
+    monkeypatch.setattr(placement_notes, "imported_of", lambda _settings: rasters[1])
+    monkeypatch.setattr(placement_notes, "scatters_of", lambda obj: obj.scatters)
+    obj = SimpleNamespace(adaptive_terrain=None, scatters=["trees"])
+    assert ("new places" in placement_notes.scatter_note(obj, rasters[0])) == is_noted
+    assert placement_notes.scatter_note(obj, None) == ""
+    obj.scatters = []
+    assert placement_notes.scatter_note(obj, rasters[0]) == ""

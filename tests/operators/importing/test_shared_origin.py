@@ -119,6 +119,26 @@ def test_another_system_is_placed_by_its_middle(saved):
     assert "only the terrain's origin is in the right place. To place all of it exactly, import it with" in note
 
 
+def test_a_reprojected_only_terrain_takes_the_origin_along(saved):
+    """The warning about degrees recommends it: the next file in UTM is then in the scene's system."""
+    scene, path = saved
+    terrain = add(path, "EPSG:4326", Affine(1e-4, 0, 10.0, 0, -1e-4, 46.0), "a")
+    assert scene["SRID"] == "EPSG:4326"
+    terrain.adaptive_terrain.project = "EPSG:32632"
+    bpy.ops.adaptive_terrain.import_source()
+    (x,), (y,) = warp("EPSG:4326", "EPSG:32632", [10.0 + 20e-4], [46.0 - 15e-4])
+    assert (scene["SRID"], scene["crs x"], scene["crs y"]) == ("EPSG:32632", pytest.approx(x), pytest.approx(y))
+    assert (scene["longitude"], scene["latitude"]) == pytest.approx((10.0 + 20e-4, 46.0 - 15e-4), abs=1e-9)
+    assert "crs metres" not in scene
+    middle = [terrain["crs x"] - x, terrain["crs y"] - y]
+    assert terrain.location[:2] == pytest.approx(middle, abs=1e-3)
+    other = add(path, "EPSG:32632", Affine(10, 0, x + 5000, 0, -10, y), "b")
+    assert list(other.location[:2]) == pytest.approx([5200.0, -150.0], abs=1e-2)
+    other.adaptive_terrain.project = "EPSG:32633"
+    bpy.ops.adaptive_terrain.import_source()
+    assert scene["SRID"] == "EPSG:32632", "another terrain has coordinates in it"
+
+
 def test_a_terrain_that_was_moved_stays(saved):
     scene, path = saved
     first = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Maps in Blender: baked for a camera, found again as images, and shading as the full mesh does."""
 
+import json
+
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import sizing, tiling
-from adaptive_terrain.cbt_terrain.attributes.folder import read_index
+from adaptive_terrain.cbt_terrain.attributes.folder import JSON_NAME, read_index
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
@@ -131,6 +133,22 @@ def test_a_terrain_of_another_name_keeps_its_maps(terrain):
     assert map_images.map_folder(terrain) == folder and map_images.map_image(terrain, "detail_normal") == image
     wear(terrain)
     assert map_request.maps_shown_by_materials(terrain) == {"detail_normal"}, "a farm's job takes them along"
+
+
+def test_a_material_with_maps_of_other_heights_is_noted(terrain):
+    assert map_images.outdated_note(terrain) == ""
+    bake(terrain)
+    wear(terrain)
+    assert map_images.outdated_note(terrain) == ""
+    index = map_images.map_folder(terrain) / JSON_NAME
+    content = json.loads(index.read_text())
+    index.write_text(json.dumps(content | {"height_field": "of other heights"}))
+    assert map_images.outdated_note(terrain) == map_images.OUTDATED
+    index.write_text(json.dumps(content))
+    terrain.adaptive_terrain.maps.folder += "_moved"  # as another folder of stores
+    assert map_images.outdated_note(terrain) == map_images.OUTDATED
+    wear(terrain, None)
+    assert map_images.outdated_note(terrain) == ""
 
 
 def test_maps_of_several_terrains_are_apart(terrain, add_terrain):

@@ -102,8 +102,8 @@ def scatter_note(obj, before: Imported | None) -> str:
     if np.abs(steps).max() < MAX_GAP_ERROR * min(now.step_m):
         return ""
     return (
-        "The raster now begins further west or south, or elsewhere, and scatters count from its corner: their points "
-        "stand at new places."
+        "The raster's corner in the south-west has moved, and scatters count from there: their points stand at new "
+        "places."
     )
 
 

@@ -107,8 +107,9 @@ def draw_message(layout, text: str, icon: str) -> None:
     """Draw a sentence in a box, wrapped; red if `icon` is "ERROR"."""
     box = layout.box()
     box.alert = icon == "ERROR"
+    column = box.column(align=True)  # lines of one text without the space between rows; alert like the box
     for number, line in enumerate(wrap_words(text, LINE_LENGTH)):
-        box.label(text=line, icon=icon if number == 0 else "NONE")
+        column.label(text=line, icon=icon if number == 0 else "NONE")
 
 
 def error_lines(status: session.Status) -> list[tuple[str, str]]:

@@ -119,7 +119,7 @@ def test_moved_scatter_points_are_noted(monkeypatch, first_x, first_y, is_noted)
     monkeypatch.setattr(placement_notes, "imported_of", lambda _settings: rasters[1])
     monkeypatch.setattr(placement_notes, "scatters_of", lambda obj: obj.scatters)
     obj = SimpleNamespace(adaptive_terrain=None, scatters=["trees"])
-    assert ("new places" in placement_notes.scatter_note(obj, rasters[0])) == is_noted
+    assert ("stand at new places" in placement_notes.scatter_note(obj, rasters[0])) == is_noted
     assert placement_notes.scatter_note(obj, None) == ""
     obj.scatters = []
     assert placement_notes.scatter_note(obj, rasters[0]) == ""

@@ -66,8 +66,6 @@ VERSION = 6
 FINER_VERSION = 7  # of stores with finer tiles, which older versions of this program cannot show
 REMEDY = "import it again"
 
-# Temporary arrays of an import.
-_SCRATCH = ("raster", "errors")
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
     *("source_max", "filled", "exponents"),
@@ -252,24 +250,17 @@ class Draft:
         del self._arrays[name]
         owned_files.remove_file(self.folder / f"{name}.npy")
 
-    def rename(self, name: str, new: str) -> None:
-        """Rename an allocated array and its file."""
-        self._arrays[new] = self._arrays.pop(name)
-        os.replace(self.folder / f"{name}.npy", self.folder / f"{new}.npy")
-
     def publish(self, field: HeightField, digest: str, report: dict, layers: Mapping[str, str] | None = None) -> None:
         """Make this version the store's content, and remove the arrays of the version before.
 
         Args:
-            field: made of the allocated arrays; those of an import's work, _SCRATCH, are removed.
+            field: made of the allocated arrays.
             digest: identifies the source and settings.
             report: for the user.
             layers: units of the allocated layers, by name.
 
         Raises TerrainError if the result could not be opened; the store is then as it was.
         """
-        for name in [name for name in self._arrays if name in _SCRATCH]:
-            self.remove(name)
         for name, array in self._arrays.items():
             append_checksums(self.folder / f"{name}.npy", array)
         content = {

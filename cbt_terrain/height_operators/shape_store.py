@@ -16,7 +16,7 @@ from ..field import store, store_folder
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..field.store_layers import layer_name
-from ..importing.drafts import open_draft, store_bytes
+from ..importing.drafts import open_draft, shaped_bytes
 from ..importing.earlier_import import finished_before
 from ..importing.finer_import import finer_entries
 from ..importing.import_report import common_report_entries
@@ -77,10 +77,9 @@ def run_shape(
     everywhere = wanted is None
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
-    size = heights.lattice, len(units)  # of the store: lattice, and number of layers
     num_finer = len(heights.raster.finer.heights) if heights.raster.finer is not None else 0
-    with open_draft(path, folder, *size, ROOM_ELSEWHERE, finer_tiles=num_finer) as draft:
-        room = store_bytes(*size, num_finer)  # bytes that the cache of tiles leaves free for the store
+    room = shaped_bytes(heights.lattice, len(units), num_finer)  # bytes that the cache of tiles leaves for the store
+    with open_draft(path, folder, heights.lattice, room, ROOM_ELSEWHERE) as draft:
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
         images = {file: load_image(file, tiles) for file in mask_files(stack)}
@@ -178,7 +177,7 @@ def _build(
             samples[rows][holes] = np.nan
             missing += int(holes.sum())
     lattice = heights.lattice
-    return build(
+    field = build(
         samples,
         lattice.step_x,
         lattice.step_y,
@@ -190,6 +189,8 @@ def _build(
         threads=threads,
         on_progress=on_progress,
     )
+    draft.remove("errors")
+    return field
 
 
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import codes, store, store_folder
-from ..field.build import build
+from ..field import store, store_folder
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
@@ -37,13 +36,10 @@ from .refining import coarse_land, first_picture, refined
 from .source_list import absolute_source
 from .thinning import LOADED, REFINED, loaded_steps, thinned
 from .tile_import import (
-    MEASURING,
     Crew,
     ImportPart,
     build_by_tile,
-    check_tiled,
     do_part,
-    is_tiled,
     read_ahead,
 )
 from .tile_tasks import TileSource
@@ -68,7 +64,7 @@ def run_import(
 
     on_progress: gets a fraction and a message; an exception from it stops the import. folder: name of the folder for
     the new arrays; None for a random one. crew: processes that read and measure a large raster, which the caller
-    closes; None for this process. part: the part to do of an import by tile, which has the report of `do_part`; None
+    closes; None for this process. part: the part to do of an import, which has the report of `do_part`; None
     for all that is not done yet. Raises TerrainError.
     """
     store_folder.check_target(path)
@@ -95,7 +91,7 @@ def import_raster(
     If the store has the same mosaic already, its report is returned. file: the source, or its unpacked height map.
     folder: name of the folder for the new arrays. on_progress: gets a fraction and a message; may raise to stop.
     open_raster: opens the source of the settings; its raster is closed here. crew: processes that read and measure,
-    None for this one alone. part: the part of an import by tile to do, None for all.
+    None for this one alone. part: the part of an import to do, None for all.
     """
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
@@ -126,14 +122,12 @@ def import_raster(
         if part is not None and land is not None:
             return read_ahead(part, path, source, lattice, digest, on_progress)
         if part is not None:
-            check_tiled(raster, lattice, settings.name)
             return do_part(part, path, folder, source, lattice, digest, doubt)
         reader, crew = HeightReader(raster, settings), crew or Crew()
-        by_tile = land is not None or is_tiled(raster, lattice)
-        with open_work(path, folder, source, lattice, digest, by_tile, doubt) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, doubt) as (draft, work):
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
-            field = _build_coarse(reader, source, lattice, digest, draft, work, by_tile, crew, on_progress)
+            field = _build_coarse(reader, source, lattice, digest, draft, work, crew, on_progress)
             field = field.with_raster(
                 origin=np.array([*place.middle, 0.0]),
                 crs=place.crs,
@@ -163,14 +157,13 @@ def _build_coarse(
     digest: str,
     draft: store.Draft,
     work: TileWork | None,
-    by_tile: bool,
     crew: Crew,
     on_progress: Tell,
 ) -> HeightField:
     """Check and build the height field of a raster, without its finer tiles, in the arrays of a draft.
 
     reader: gets the figures of the heights that are read. digest: of the settings and sources. work: of an unfinished
-    import by tile, None without one. on_progress: gets the fraction of the whole import.
+    import, None without one. on_progress: gets the fraction of the whole import.
     """
     raster = reader.raster
     begin = _check_original(raster, reader.check, on_progress)
@@ -180,9 +173,7 @@ def _build_coarse(
         """Report a fraction of this step as one of the whole import."""
         on_progress(begin + (end - begin) * share, message)
 
-    if by_tile:
-        return build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
-    return _build(reader, source.place, draft, lattice, tell)
+    return build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
 
 
 def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> float:
@@ -206,7 +197,7 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
     source = reader.raster.finer
     assert source is not None, "the raster has finer files"
     work = work_in(draft.folder)
-    assert work is not None, "a raster with finer files is imported by tile"
+    assert work is not None, "its tiles were made there"
 
     def tell(done: float) -> None:
         """Report a fraction of this step as one of the whole import."""
@@ -214,33 +205,6 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
 
     field = add_finer_tiles(field, source, reader, draft, work, tell)
     return dataclasses.replace(field, source_max=max(field.source_max, _source_max(reader)))
-
-
-def _build(
-    reader: HeightReader, place: Georeference, draft: store.Draft, lattice: Lattice, on_progress: Tell
-) -> HeightField:
-    """Build the height field of a raster in one piece, in the arrays of a draft.
-
-    place: georeference. on_progress: gets 0 to 0.99 and a message. reader: gets the figures of the heights that are
-    read. Raises TerrainError, for example if all samples are missing.
-    """
-    raster, settings = reader.raster, reader.settings
-    steps = codes.steps_of(np.dtype(raster.stored), *scaling_of(raster, settings))
-    shape = lattice.height, lattice.width
-    heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
-    _read_heights(reader, place, heights, lambda f: on_progress(0.5 * f, READING))
-    field = build(
-        heights,
-        place.step_x,
-        place.step_y,
-        missing=reader.missing,
-        holes=settings.holes,
-        source_max=_source_max(reader),
-        name=settings.name,
-        allocate=draft.allocate,
-        on_progress=lambda f: on_progress(0.5 + 0.49 * f, MEASURING),
-    )
-    return field if steps is None else field.with_raster(**_encode_samples(field, draft, steps))
 
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
@@ -301,35 +265,6 @@ def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
 def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
     """Return the numbers of a raster's samples along x and y of the terrain."""
     return (raster.height, raster.width) if georeference.transposed else (raster.width, raster.height)
-
-
-def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:
-    """Store the samples as uint16 codes if these decode to bit-identical heights.
-
-    Otherwise keep the float32 array "raster" under the name "samples". Return the raster's new `samples` and `steps`,
-    or {}.
-    """
-    numbers = draft.allocate("samples", field.samples.shape, np.dtype(np.uint16))
-    if codes.number(field.samples, steps, numbers):
-        return {"samples": numbers, "steps": steps}
-    del numbers
-    draft.remove("samples")
-    draft.rename("raster", "samples")
-    return {}
-
-
-def _read_heights(reader: HeightReader, place: Georeference, heights: np.ndarray, on_progress: Callable) -> None:
-    """Fill `heights` (row 0 south) from a raster.
-
-    reader: converts the values, and collects figures of them. on_progress: gets the fraction of rows.
-    """
-    first = 0
-    in_file_order = place.in_file_order(heights)
-    for share, values in reader.raster.blocks():
-        rows = reader.heights(values)
-        in_file_order[first : first + len(rows)] = rows
-        first += len(rows)
-        on_progress(share)
 
 
 def _source_max(reader: HeightReader) -> float:

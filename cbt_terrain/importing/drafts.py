@@ -17,13 +17,10 @@ def open_draft(
     path: Path,
     folder: str | None,
     lattice: Lattice,
-    layers: int = 0,
+    needed: int | None,
     elsewhere: str = "choose another folder",
     doubt: str = "",
-    is_begun: bool = False,
-    by_tile: bool = False,
-    sample_bytes: int = 4,
-    finer_tiles: int = 0,
+    keeps_work: bool = False,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
 
@@ -31,43 +28,38 @@ def open_draft(
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
-        layers: number of layers that will be written.
+        needed: bytes that the store takes on the disk while it is made; None if the folder is there, with all arrays.
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
-        is_begun: whether the folder is there, with all arrays.
-        by_tile: whether the store is made by tile: this takes less room, and a block that fails leaves what can be
-            completed later, unless the disk is the reason.
-        sample_bytes: bytes of a sample of a store that is made by tile.
-        finer_tiles: number of finer tiles (field/finer_tiles.py) of a store that is made in one piece.
+        keeps_work: whether a block that fails leaves what can be completed later, unless the disk is the reason.
     """
     draft = None
     try:
-        if not is_begun:
-            needed = work_bytes(lattice, sample_bytes) if by_tile else store_bytes(lattice, layers, finer_tiles)
+        if needed is not None:
             _check_room(path, lattice, needed, elsewhere + doubt)
-        draft = store.Draft(path, folder, is_begun)
+        draft = store.Draft(path, folder, may_exist=needed is None)
         yield draft
     except OSError as reason:
-        by_tile = False  # no work is left on a disk that fails
+        keeps_work = False  # no work is left on a disk that fails
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
-            draft.discard_unless_published(with_work=not by_tile)
+            draft.discard_unless_published(with_work=not keeps_work)
 
 
 def work_bytes(lattice: Lattice, sample_bytes: int) -> int:
-    """Return the bytes that a store takes on the disk while it is made by tile, with marks of missing samples."""
+    """Return the bytes that an import's store takes on the disk while it is made, with marks of missing samples."""
     samples = (sample_bytes + 1) * lattice.width * lattice.height
     return samples + lattice.node_count * 9 // 8 + 4 * lattice.range_count
 
 
-def store_bytes(lattice: Lattice, layers: int, finer_tiles: int = 0) -> int:
-    """Return the bytes that a store takes on the disk while it is made in one piece.
+def shaped_bytes(lattice: Lattice, layers: int, finer_tiles: int) -> int:
+    """Return the bytes that a store of shaped land takes on the disk while it is made.
 
     layers, finer_tiles: numbers of its layers and finer tiles.
     """
-    # Heights are there as float32 and as 16-bit numbers, errors as float32 and as codes.
-    raster = (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
+    # Heights are there as float32 with marks of holes, errors as float32 and as codes.
+    raster = (5 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
     return raster + TILE_BYTES * finer_tiles
 
 

@@ -32,7 +32,7 @@ class ImportJob(StoreJob):
         """Start importing into `store` in a child process, and remove what ended processes have left there.
 
         No process starts if the store has the content of one file already; for several files the child looks. part: the
-        part to do of an import by tile, None for all.
+        part to do, None for all.
         """
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
@@ -68,7 +68,7 @@ def import_source(
         source: settings, or a path or the name of a built-in terrain ("island") to import with default settings.
         on_progress: is called repeatedly with a fraction and a message; an exception from it stops the import.
         on_preview: is called with the report on several files before the long work.
-        part: the part to do of a large import, for a farm; an import without one then does the rest.
+        part: the part to do of the import, for a farm; an import without one then does the rest.
 
     Raises TerrainError. The store is then as it was before.
     """

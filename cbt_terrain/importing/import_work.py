@@ -17,28 +17,29 @@ from ..tiling.moved_tiles import copy_moved, tiles_moved
 from ..tiling.tile_grid import TILE_BITS, TileGrid
 from ..tiling.tile_work import TileWork, work_in
 from . import refining
-from .drafts import open_draft
+from .drafts import open_draft, work_bytes
 from .height_reader import scaling_of
-from .tile_tasks import MOSAIC, TileSource, unit_count
+from .tile_tasks import TileSource, unit_count
 
 
 @contextmanager
 def open_work(
-    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, by_tile: bool, doubt: str
+    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str, is_part: bool = False
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
 
-    That work is moved into the new folder. path: the store's folder. folder: name of the new folder of arrays in it.
-    by_tile: whether work is continued, and left by a block that fails or does not publish. doubt: a further remedy in
-    errors if the store is implausibly large. Raises TerrainError as `open_draft`.
+    That work is moved into the new folder. A block that fails or does not publish leaves the work of several tiles, of
+    finer ones or of a part of an import. path: the store's folder. folder: name of the new folder of arrays in it.
+    doubt: a further remedy in errors if the store is implausibly large. is_part: whether the block does a part of an
+    import. Raises TerrainError as `open_draft`.
     """
-    work = _continued(work_of(path / folder, source, lattice, digest)) if by_tile else None
-    if by_tile and path.exists():
+    wanted = work_of(path / folder, source, lattice, digest)
+    work = _continued(wanted)
+    if path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
-    begun = work is not None
-    with open_draft(
-        path, folder, lattice, doubt=doubt, is_begun=begun, by_tile=by_tile, sample_bytes=_sample_bytes_of(source)
-    ) as draft:
+    needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
+    keeps_work = is_part or len(wanted.grid) > 1 or source.raster.finer is not None
+    with open_draft(path, folder, lattice, needed, doubt=doubt, keeps_work=keeps_work) as draft:
         yield draft, work
 
 
@@ -52,10 +53,10 @@ def work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> 
 def _corner_of(source: TileSource, lattice: Lattice) -> tuple[float, float] | None:
     """Return the samples from the origin of a mosaic's coordinate system to its south-western sample; None for others.
 
-    A quick import around loaded tiles has None: its samples depend on the whole coarse land.
+    A quick import has None: its samples depend on the whole extent.
     """
     place = source.place
-    if source.raster.format != MOSAIC or source.coarse is not None or place.across is None or place.up is None:
+    if source.raster.inputs is None or place.across is None or place.up is None:
         return None
     x, y = place.middle[0] / place.across[0], place.middle[1] / place.up[1]
     return x - 0.5 * lattice.cells_x, y - 0.5 * lattice.cells_y
@@ -100,11 +101,6 @@ def start_work(work: TileWork | None, draft: Draft, source: TileSource, lattice:
         work.attach(draft)
     source.raster.finish(draft.folder)  # other processes read the catalogue of a mosaic there
     return work
-
-
-def _sample_bytes_of(source: TileSource) -> int:
-    """Return the bytes of a sample as it will probably be stored."""
-    return 4 if _steps_of(source) is None else 2
 
 
 def _steps_of(source: TileSource) -> codes.Steps | None:

@@ -92,6 +92,7 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         window=None,
         pick=None,
         original=None,
+        inputs=None,
         block_rows=1,
         georeference=place.with_steps_times(ratio_x, ratio_y),
         full_size=(raster.width, raster.height),

@@ -33,10 +33,11 @@ from ..tiling.tile_work import TileWork, work_in
 from .build_store import place_of
 from .refining import coarse_land, refined
 from .source_list import INDEX_SUFFIXES, files_of, names_several
-from .tile_import import TILED_SAMPLES, Crew
+from .tile_import import Crew
 from .tile_tasks import TileSource, TileTask, perform
 
 MIN_BYTES = 1 << 22  # of the files of an import, for which processes are started
+MIN_SAMPLES = 1 << 25  # of a raster for which they work: they take a second to begin
 POLL_S = 0.1
 
 
@@ -61,7 +62,7 @@ def _may_be_large(settings: ImportSettings) -> bool:
     A tile index counts, whose files are not known yet. A missing file does not.
     """
     if settings.source in LANDS:
-        return settings.size**2 > TILED_SAMPLES
+        return settings.size**2 > MIN_SAMPLES
     files = files_of(settings) if names_several(settings) else [Path(settings.source)]
     try:
         return (
@@ -73,7 +74,7 @@ def _may_be_large(settings: ImportSettings) -> bool:
 
 
 class ProcessCrew(Crew):
-    """Processes that do the tasks of one import, one task at a time each."""
+    """Processes that do the tasks of one import, one task at a time each; the calling process does a small one."""
 
     def __init__(self, module: str, count: int) -> None:
         """Start `count` processes that each call the `idle_main` of the module named `module`. Raises OSError."""
@@ -91,6 +92,9 @@ class ProcessCrew(Crew):
         on_progress: called with the fraction of finished tasks. Raises TerrainError for a task that fails. No process
         works on a task when this returns or raises.
         """
+        lattice = work.grid.lattice
+        if lattice.width * lattice.height <= MIN_SAMPLES:
+            return super().run(work, source, tasks, on_progress)
         if tasks and not self._has_begun:
             self._has_begun = True
             for process in self._processes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import of a large raster by tile, in several processes; the result has the bytes of an import in one piece.
+"""Import of a raster by tile, of a large one in several processes.
 
 Steps: the samples are read in units (tiles of a mosaic, rows of any other raster), missing ones are filled, the tiles
 are measured, and their borders are joined. A unit or a tile that was finished before is not made again: after a killed
@@ -19,7 +19,6 @@ from ..field.heightfield import HeightField, HeightRaster
 from ..field.holes import holes_leave_ground
 from ..field.lattice import Lattice
 from ..field.store import Draft
-from ..rasters.raster import Raster
 from ..run import launch, owned_files
 from ..sandbox.store_job import READING
 from ..tiling import part_files, tile_steps
@@ -40,7 +39,6 @@ from .tile_tasks import (
     write_read_parts,
 )
 
-TILED_SAMPLES = 1 << 25  # rasters with more are imported by tile
 MEASURING = "Measuring errors"
 PARTS = BEGIN, READ_TILES, FILL, MEASURE = "begin", "read", "fill", "measure"
 TILED_PARTS = READ_TILES, MEASURE  # of some tiles each
@@ -56,22 +54,6 @@ class ImportPart(NamedTuple):
 
     step: str
     numbers: Collection[int] = ()
-
-
-def is_tiled(raster: Raster, lattice: Lattice) -> bool:
-    """Return whether a raster is imported by tile: a large one, or one with finer tiles, which take longer."""
-    is_long = lattice.width * lattice.height > TILED_SAMPLES or raster.finer is not None
-    return is_long and min(raster.width, raster.height) > 1
-
-
-def check_tiled(raster: Raster, lattice: Lattice, name: str) -> None:
-    """Raise TerrainError for a raster, of the source `name`, that is imported in one piece, and so has no parts."""
-    if not is_tiled(raster, lattice):
-        raise TerrainError(
-            f"{name} has {lattice.width} x {lattice.height} samples, too few for an import in parts",
-            expected=f"more than {TILED_SAMPLES:,} samples",
-            fix="import it as a whole",
-        )
 
 
 class Crew:
@@ -107,7 +89,7 @@ def do_part(
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, source, lattice, digest, by_tile=True, doubt=doubt) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, doubt, is_part=True) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = start_work(work, draft, source, lattice, digest)

@@ -18,7 +18,6 @@ from ..tiling.tile_work import NotNumberedError, TileWork
 from .height_reader import HeightReader
 from .read_ahead import find_ahead, write_ahead
 
-MOSAIC = "mosaic"  # format of a raster whose windows are pure functions of their place
 STRIP_ROWS = 512  # of a tile that are read together, to save memory
 
 
@@ -198,7 +197,7 @@ def unit_count(grid: TileGrid, source: TileSource) -> int:
 
 def _is_by_tile(source: TileSource) -> bool:
     """Return whether a unit is a tile; rows otherwise."""
-    return source.raster.format == MOSAIC or source.coarse is not None
+    return source.raster.inputs is not None or source.coarse is not None
 
 
 def _unit_rows(grid: TileGrid, raster: Raster) -> int:
@@ -222,8 +221,9 @@ def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[T
         return
     unit_rows, at_once = _unit_rows(grid, raster), raster.rows_at_once
     for first in range(number * unit_rows, min((number + 1) * unit_rows, raster.height), at_once):
-        rows = min(at_once, raster.height - first)
-        yield _in_terrain(grid.lattice, place, first, rows), raster.read(first, rows)
+        values = raster.read(first, min(at_once, raster.height - first))
+        rows = 2 if raster.height == 1 else len(values)  # a single row is repeated
+        yield _in_terrain(grid.lattice, place, first, rows), values
 
 
 def in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, int, int, int]:

@@ -105,7 +105,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         details=_surface_entry(composite),
         sources=(*(archive_of(Path(entry[0])) for tile in composite.tiles for entry in tile.files), *grids),
         method=BLENDING if composite.insets else 0,
-        inputs=composite.inputs_of,
+        inputs=composite.inputs_of if min(grid.width, grid.height) > 1 else None,  # a single line is read by rows
         close=composite.close,
     )
 

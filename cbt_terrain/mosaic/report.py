@@ -13,8 +13,7 @@ from ..field.codes import steps_of
 from ..field.finer_tiles import TILE_BYTES
 from ..field.lattice import fit
 from ..formats.archives import MAX_UNPACKED_BYTES, is_packed
-from ..importing.drafts import store_bytes, work_bytes
-from ..importing.tile_import import TILED_SAMPLES
+from ..importing.drafts import work_bytes
 from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings
 from ..view.linear import add_up
@@ -192,15 +191,13 @@ def _finer_tiles(composite: Composite) -> dict:
 def _expected_bytes(composite: Composite) -> int:
     """Return the room that an import takes on the disk, bytes, with that of unpacked files."""
     lattice = fit(max(composite.grid.width, 2), max(composite.grid.height, 2))
-    is_large = lattice.width * lattice.height > TILED_SAMPLES
     unpacked = sum(
         int(tile.width * tile.height * np.dtype(tile.stored).itemsize)
         for tile in composite.tiles
         if is_packed(Path(tile.path))
     )
     steps = steps_of(np.dtype(composite.stored), composite.scale, composite.offset)
-    sample_bytes = 4 if steps is None else 2  # float32, or codes of 16 bits
-    needed = work_bytes(lattice, sample_bytes) if is_large else store_bytes(lattice, layers=0)
+    needed = work_bytes(lattice, 4 if steps is None else 2)  # bytes of a sample: float32, or codes of 16 bits
     finer_tiles = 0 if composite.finer is None else composite.finer[0].tiles  # [0]: the plan
     return needed + finer_tiles * TILE_BYTES + min(unpacked, MAX_UNPACKED_BYTES)
 

@@ -20,12 +20,13 @@ Opened = Callable[[], np.ndarray]  # maps an array anew: its pages count as memo
 
 
 def pass_depths(grid: TileGrid) -> Iterator[tuple[int, bool]]:
-    """Yield (level, is_centre) of each depth of vertices that depend on several tiles, the deepest first.
+    """Yield (level, is_centre) of each depth of vertices that depend on several tiles, the deepest first, if any.
 
     level: log2 of half the side of a cell, samples. is_centre: the vertices are centres of cells, otherwise middles of
     their sides.
     """
-    return ((level, is_centre) for level in range(grid.lattice.levels) for is_centre in (False, True))
+    levels = range(grid.lattice.levels if len(grid) > 1 else 0)
+    return ((level, is_centre) for level in levels for is_centre in (False, True))
 
 
 def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[LatticeVertices]:

@@ -17,7 +17,7 @@ def tiles_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
 
     None if its tiles are not tiles of the other one, or its samples are stored in another way.
     """
-    tiles = [(each.grid.bits, each.grid.levels, each.steps, each.holes) for each in (before, work)]
+    tiles = [(each.grid.bits, each.grid.levels, each.steps, each.holes, len(each.grid) > 1) for each in (before, work)]
     if tiles[0] != tiles[1]:
         return None
     moved, side = samples_moved(before, work), work.grid.side

@@ -123,9 +123,12 @@ class TileGrid:
 
     @cached_property
     def near_border(self) -> LatticeVertices:
-        """Return the vertices of a tile whose errors depend on its neighbours, in samples from its first one."""
-        by_level = []
-        for level in range(self.levels):
+        """Return the vertices of a tile whose errors depend on its neighbours, in samples from its first one.
+
+        A single tile has none.
+        """
+        by_level = [np.zeros((3, 0), np.int64)]
+        for level in range(self.levels if len(self) > 1 else 0):
             half = 1 << level
             # A last tile of the raster also has vertices at side + half, in the padding.
             along = np.arange(0, self.side + half + 1, half)
@@ -133,8 +136,9 @@ class TileGrid:
             x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
             # one number for x and y, so that each vertex comes once
             chosen = np.unique((y * (4 * self.side) + x)[((x >> level) | (y >> level)) & 1 == 1])
-            by_level.append((chosen % (4 * self.side), chosen // (4 * self.side), np.full(len(chosen), level)))
-        return LatticeVertices(*map(np.concatenate, zip(*by_level, strict=True)))
+            y, x = divmod(chosen, 4 * self.side)
+            by_level.append(np.stack([x, y, np.full_like(x, level)]))
+        return LatticeVertices(*np.concatenate(by_level, axis=1))
 
 
 def _pairs(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

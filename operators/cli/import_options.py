@@ -67,7 +67,7 @@ def _add_parts(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_frames
 
     part = verb.add_mutually_exclusive_group()
-    part.add_argument("--only", choices=PARTS, help="one part of a large import; without, all that is not done yet")
+    part.add_argument("--only", choices=PARTS, help="one part of an import; without, all that is not done yet")
     part.add_argument("--job", type=path, metavar="DIR", help="write a job that a render farm runs, and import nothing")
     tiles = {"type": argparse_type(parse_frames), "metavar": "A-B", "default": ()}
     verb.add_argument("--tiles", **tiles, help="numbers of the tiles to read or measure, from 0")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job of Open Job Description that imports large height maps: begin, read, fill, measure, publish."""
+"""A job of Open Job Description that imports height maps: begin, read, fill, measure, publish."""
 
 import dataclasses
 import json
@@ -12,7 +12,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.field.lattice import lattice_for
 from ...cbt_terrain.importing.source_list import files_of
-from ...cbt_terrain.importing.tile_import import TILED_PARTS, TILED_SAMPLES
+from ...cbt_terrain.importing.tile_import import TILED_PARTS
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.tiling.tile_grid import TileGrid
 from ..export.exporting import make_folder, write_files
@@ -28,16 +28,9 @@ def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path,
     """Write the job of an import into `folder`, and return lines about it for the user.
 
     size: columns and rows of the raster. store: folder that the job writes. chunk: tiles of one task. Raises
-    TerrainError for a raster that needs no farm, and for files that cannot be written.
+    TerrainError for files that cannot be written.
     """
-    width, height = size
-    if width * height <= TILED_SAMPLES:
-        raise TerrainError(
-            f"The terrain has {width} x {height} samples, too few for a farm",
-            expected=f"more than {TILED_SAMPLES:,} samples",
-            fix="import it here",
-        )
-    tiles = len(TileGrid(lattice_for(width, height)))
+    tiles = len(TileGrid(lattice_for(*(max(count, 2) for count in size))))
     values = {"StoreDir": str(store.absolute()), "Tiles": range_text(range(tiles)), "ChunkSize": str(chunk)}
     make_folder(folder)
     write_files(folder, {TEMPLATE: import_template(settings), OPENJD_VALUES: to_yaml_json(values)})

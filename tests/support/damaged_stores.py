@@ -56,17 +56,18 @@ def whole_stores(folder: Path) -> list[Path]:
         if path.exists():
             continue
         draft = Draft(path)
-        samples = draft.allocate("raster", (rows, columns), np.float32)
+        samples = draft.allocate("samples", (rows, columns), np.float32)
         y, x = np.mgrid[0:rows, 0:columns]
         noise = np.random.default_rng(seed).standard_normal((rows, columns))
         samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 2 * noise
         built = build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate)
+        draft.remove("errors")
         if seed == 2:  # numbers of steps of a centimetre
-            numbers = draft.allocate("samples", samples.shape, np.uint16)
-            numbers[:] = np.rint((built.samples + 300.0) * 100.0)
+            heights = samples.copy()
+            draft.remove("samples")
+            numbers = draft.allocate("samples", heights.shape, np.uint16)
+            numbers[:] = np.rint((heights + 300.0) * 100.0)
             built = built.with_raster(samples=numbers, steps=Steps(0, 0.01, -300.0))
-        else:
-            draft.rename("raster", "samples")
         if seed == FINER:
             built = with_finer_tiles(built, FINER_BITS, [(0, 0), (1, 1)], waves, allocate=draft.allocate)
         draft.publish(built, "mutants", {})

@@ -134,9 +134,7 @@ class Project:
         sheet(UTM32, EAST, NORTH, 32.0, 32.0, 200, 150).write(self.folder / "country" / "a.tif")
         city = sheet(UTM32, EAST + 2000.0, NORTH - 1500.0, 1.0, 1.0, 300, 260, shift=3.0)
         city.write(self.folder / "country" / "b.tif")
-        tile_import.TILED_SAMPLES = 1 << 60  # a first picture is imported in one piece
         run_mosaic_import(self.country, self.whole("squares"))
-        tile_import.TILED_SAMPLES = 1
         run_mosaic_import(replace(self.country, loaded_tiles=LOADED), self.whole("squares"))
         self.copy("squares", "further squares")
         squares = finer_squares(open_store(self.whole("squares")))
@@ -387,7 +385,7 @@ def contents(folder: Path, store: Path) -> dict:
 
 def switch_to_tiles() -> None:
     """Make tiles of 32 x 32 cells, and let this process's kernels run in one thread."""
-    tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
+    import_work.TILE_BITS = 5
     refining.BITS, refining.FACTOR, refining.FEWEST = 5, 4, 1
     finer_plan.FEWEST = 1 << 20
     launch.default_threads = lambda: 1

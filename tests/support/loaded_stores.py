@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.importing import refining, tile_import
+from adaptive_terrain.cbt_terrain.importing import refining, tile_crew
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasters import hills, write_raster
@@ -17,7 +17,7 @@ def make_small_tiles(monkeypatch):
     monkeypatch.setattr(refining, "BITS", 6)
     monkeypatch.setattr(refining, "FACTOR", 4)
     monkeypatch.setattr(refining, "FEWEST", 1)
-    monkeypatch.setattr(tile_import, "TILED_SAMPLES", 10_000)
+    monkeypatch.setattr(tile_crew, "MIN_SAMPLES", 1)
 
 
 def rough(width, height):

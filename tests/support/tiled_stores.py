@@ -1,25 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stores that are imported by tile and in one piece, and their comparison."""
+"""Stores of many tiles and of one, and their comparison with each other and with fields that are built in memory."""
 
 import json
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.field.verification import verify
-from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
+from adaptive_terrain.cbt_terrain.importing import import_work, tile_crew, tile_import
 from adaptive_terrain.cbt_terrain.tiling.tile_records import READ
+from adaptive_terrain.cbt_terrain.tiling.tile_work import work_in
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
 ARRAYS = "samples", "error", "ranges", "valid"
+NUMBERS = "exponents", "range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"
 
 
 @pytest.fixture
 def tiled(monkeypatch):
-    """Return a function that switches to tiles of 2**bits cells, and for None to imports in one piece."""
+    """Return a function that switches to tiles of 2**bits cells, and for None to those that hold a whole raster."""
 
     def switch(bits):
-        monkeypatch.setattr(tile_import, "TILED_SAMPLES", 1 if bits else 1 << 60)
+        monkeypatch.setattr(tile_crew, "MIN_SAMPLES", 1)
         monkeypatch.setattr(import_work, "TILE_BITS", bits or 11)
 
     return switch
@@ -36,13 +40,31 @@ def content(store):
 
 
 def assert_same(store, other):
-    assert len(list(store.glob("data-*/borders.npy"))) == 1 and not list(other.glob("data-*/borders.npy"))
+    """Compare a store of many tiles with one of one tile, and that with a field that is built in memory."""
+    assert len(work_in(named_folder(store)).grid) > 1 == len(work_in(named_folder(other)).grid)
     (arrays, text), (wanted, wanted_text) = content(store), content(other)
     assert text == wanted_text
     assert arrays.keys() == wanted.keys()
     for name in wanted:
         assert arrays[name].dtype == wanted[name].dtype
         assert np.array_equal(arrays[name], wanted[name]), name
+    field = open_store(other)
+    assert_built(
+        field, np.where(field.valid == 0, np.nan, field.heights()) if field.valid is not None else field.heights()
+    )
+
+
+def assert_built(field, heights):
+    """Compare a field with one that is built in memory of its heights, [rows, columns] with NaN for missing ones."""
+    heights, lattice, holes = np.array(heights, np.float32), field.lattice, field.valid is not None
+    missing = int(np.isnan(heights).sum())
+    built = build(
+        heights, lattice.step_x, lattice.step_y, missing=missing, holes=holes, source_max=field.source_max, threads=1
+    )
+    assert np.array_equal(field.heights(), built.samples) and field.raster.digest == built.raster.digest
+    assert np.array_equal(field.error, built.error) and np.array_equal(field.ranges, built.ranges)
+    assert np.array_equal(field.valid, built.valid) if holes else field.valid is None
+    assert all(getattr(field, name) == getattr(built, name) for name in NUMBERS)
 
 
 def write_tiles(folder, columns=4, rows=3, side=40, gap=(1, 1)):

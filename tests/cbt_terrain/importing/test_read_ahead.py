@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
-from adaptive_terrain.cbt_terrain.importing import read_ahead, refining, tile_import, tile_tasks
+from adaptive_terrain.cbt_terrain.importing import read_ahead, refining, tile_tasks
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.read_ahead import find_ahead, share_of
 from adaptive_terrain.cbt_terrain.importing.tile_import import FILL, READ_TILES, ImportPart
@@ -28,7 +28,6 @@ def small_tiles(monkeypatch):
     """Make tiles of 64 x 64 cells, and four cells of one of the first picture along each side."""
     for name, value in (("BITS", 6), ("FACTOR", 4), ("FEWEST", 1)):
         monkeypatch.setattr(refining, name, value)
-    monkeypatch.setattr(tile_import, "TILED_SAMPLES", 10_000)
 
 
 def one_file(folder):

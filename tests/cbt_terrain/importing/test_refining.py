@@ -176,7 +176,6 @@ def test_processes_load_the_same_bytes(tmp_path, small_tiles, monkeypatch):
 
 def test_a_complete_import_has_no_trace_of_loaded_tiles(tmp_path, small_tiles, monkeypatch):
     settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0, 9))
-    monkeypatch.setattr(tile_import, "TILED_SAMPLES", 1 << 60)
     for target in (store, tmp_path / "plain"):
         run_import(replace(settings, quick=0), target)
     (arrays, text), (wanted, wanted_text) = content(store), content(tmp_path / "plain")

@@ -30,7 +30,7 @@ MODULES = {"file": "cbt_terrain.importing.tile_crew", "mosaic": "cbt_terrain.mos
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "count"), [("file", 3), ("mosaic", 2)])
-def test_processes_give_the_bytes_of_one_piece(tmp_path, tiled, kind, count):  # noqa: F811
+def test_processes_give_the_bytes_of_one_tile(tmp_path, tiled, kind, count):  # noqa: F811
     run = run_import if kind == "file" else run_mosaic_import
     if kind == "file":
         np.save(tmp_path / "a.npy", hills(200, 150))
@@ -74,7 +74,7 @@ from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 raster.BLOCK_SAMPLES = 2000
-tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
+import_work.TILE_BITS = 5
 class Crew(tile_import.Crew):
     left = int(sys.argv[3])
     def run(self, work, source, tasks, on_progress):
@@ -114,10 +114,10 @@ def test_a_killed_import_goes_on_where_it_was(tmp_path, tiled, monkeypatch, done
 
 KILLED_AFTER_ALL_TILES = """
 import os, sys
-from adaptive_terrain.cbt_terrain.importing import import_work, tile_import
+from adaptive_terrain.cbt_terrain.importing import import_work
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
+import_work.TILE_BITS = 5
 event, name = sys.argv[3:]
 def kill(found, values):
     if found == event and os.path.basename(str(values[0])).startswith(name) and values[1] not in (None, "r", "rb"):

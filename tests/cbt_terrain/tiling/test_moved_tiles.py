@@ -57,8 +57,10 @@ class Growth:
         change()
         self.measured.clear()
         run_mosaic_import(settings, self.store, crew=self.crew)
+        measured = [*self.measured]
         self._switch(None)
         run_mosaic_import(settings, self.whole)
+        self.measured = measured  # without the tile of the whole raster
         assert_same(self.store, self.whole)
 
 
@@ -93,6 +95,17 @@ def test_files_in_the_west_renumber_tiles(growth):
     # the last column is measured: its padding is different
     assert growth.crew.read == numbers(5, [(column, row) for row in range(3) for column in (0, 1)])
     assert sorted(growth.measured) == numbers(5, [(column, row) for row in range(3) for column in (0, 1, 4)])
+
+
+def test_a_single_tile_becomes_one_of_two(growth):
+    side = 1 << BITS
+    sheet(UTM32, EAST, NORTH, 10.0, 10.0, side + 1, side + 1).write(growth.files / "a.tif")
+
+    def change():
+        sheet(UTM32, EAST + 10.0 * (side + 1), NORTH, 10.0, 10.0, side, side + 1).write(growth.files / "b.tif")
+
+    growth.run(change)
+    assert (growth.crew.read, growth.measured) == ([0, 1], [0, 1])
 
 
 INNER = (2, 2), (3, 2)

@@ -49,7 +49,7 @@ def do_at_once(store, tasks):
 
 @pytest.fixture
 def mosaic(tmp_path, tiled):  # noqa: F811
-    """Return settings of a mosaic with gaps, and the store of its import in one piece."""
+    """Return settings of a mosaic with gaps, and the store of its import in one tile."""
     (tmp_path / "tiles").mkdir()
     write_tiles(tmp_path / "tiles")
     settings = ImportSettings(str(tmp_path / "tiles"), step=10.0)

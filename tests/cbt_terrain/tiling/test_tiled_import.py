@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import by tile: the bytes of an import in one piece, for every kind of source."""
+"""Import by tile: the bytes of a field that is built in memory, for every kind of source."""
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import cleaning
 from adaptive_terrain.cbt_terrain.field.lattice import lattice_for
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
 from adaptive_terrain.cbt_terrain.importing import drafts
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -13,11 +15,12 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.rasters.resampled_file import ResampledFile
 from adaptive_terrain.cbt_terrain.tiling import borders, tile_work
 from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
+from adaptive_terrain.cbt_terrain.tiling.tile_work import work_in
 from mosaic_files import EAST, NORTH, UTM32
 from rasterio import Affine
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
-from tiled_stores import assert_same, tiled, write_tiles  # noqa: F401
+from tiled_stores import assert_built, assert_same, tiled, write_tiles  # noqa: F401
 
 
 def with_gaps(heights):
@@ -58,7 +61,7 @@ FEW = "a tall strip", "filled", "holes", "no data in whole numbers"
 @pytest.mark.parametrize(
     "name", [*FEW, *(pytest.param(name, marks=pytest.mark.thorough) for name in SOURCES if name not in FEW)]
 )
-def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name):  # noqa: F811
+def test_tiles_give_the_bytes_of_a_built_field(tmp_path, tiled, monkeypatch, name):  # noqa: F811
     heights, bits, more = SOURCES[name]
     monkeypatch.setattr(cleaning, "FILLED_ROWS", 32)
     np.save(tmp_path / "a.npy", heights)
@@ -67,6 +70,43 @@ def test_tiles_give_the_bytes_of_one_piece(tmp_path, tiled, monkeypatch, name): 
         tiled(cut)
         run_import(settings, tmp_path / store)
     assert_same(tmp_path / "tiled", tmp_path / "whole")
+    wanted = np.where(heights == more.get("no_data"), np.nan, heights)[::-1].astype(np.float64)
+    wanted = wanted * more.get("height_scale", 1.0) + more.get("height_offset", 0.0)
+    assert_built(open_store(tmp_path / "tiled"), wanted)
+
+
+LINES = {
+    (1, 1): 1,
+    (2, 1): 1,
+    (1, 2): 1,
+    (300, 1): 10,
+    (1, 300): 10,
+    (300, 2): 10,
+    (3, 300): 10,
+}  # columns, rows: tiles
+
+
+@pytest.mark.parametrize("size", LINES)
+@pytest.mark.parametrize("holes", [False, pytest.param(True, marks=pytest.mark.thorough)])
+def test_rasters_of_a_line_are_imported_by_tile(tmp_path, tiled, size, holes):  # noqa: F811
+    tiled(5)
+    heights = np.random.default_rng(3).normal(0.0, 50.0, size[::-1]).astype(np.float32)
+    heights[20:24, 150:160] = np.nan
+    np.save(tmp_path / "a.npy", heights)
+    run_import(ImportSettings(str(tmp_path / "a.npy"), extent=(900.0, 500.0), holes=holes), tmp_path / "store")
+    repeats = [2 if count == 1 else 1 for count in size]
+    assert_built(open_store(tmp_path / "store"), heights[::-1].repeat(repeats[1], 0).repeat(repeats[0], 1))
+    assert len(work_in(named_folder(tmp_path / "store")).grid) == LINES[size]
+
+
+def test_a_failed_import_of_one_tile_leaves_nothing(tmp_path, tiled):  # noqa: F811
+    np.save(tmp_path / "a.npy", np.where(MOUNTAINS == MOUNTAINS.max(), 1e35, MOUNTAINS))
+    settings, store = ImportSettings(str(tmp_path / "a.npy"), extent=(9000.0, 5000.0)), tmp_path / "store"
+    for bits in (None, 5):
+        tiled(bits)
+        with pytest.raises(TerrainError, match="expected less than 1e30 m"):
+            run_import(settings, store)
+        assert store.exists() == (bits == 5), "a larger import goes on after an error"
 
 
 @pytest.mark.thorough
@@ -111,7 +151,7 @@ def test_rows_of_any_direction_are_read_by_unit(tmp_path, tiled, monkeypatch, na
 
 
 def test_a_reprojected_raster_is_read_by_unit(tmp_path, tiled, monkeypatch):  # noqa: F811
-    """A killed import reads only the units that it lacks, and has the bytes of one piece."""
+    """A killed import reads only the units that it lacks, and has the bytes of one tile."""
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.formats.gdal_source.BLOCK_ROWS", 8)
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.rasters.raster.BLOCK_SAMPLES", 1000)
     source = write_raster(tmp_path / "a.tif", MOUNTAINS, crs="EPSG:4326", transform=from_origin(10.0, 50.0, 1e-4, 1e-4))
@@ -143,7 +183,7 @@ def test_a_reprojected_raster_is_read_by_unit(tmp_path, tiled, monkeypatch):  # 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("more", [{}, {"holes": True}, {"step": 7.0}])
-def test_a_mosaic_by_tile_has_the_bytes_of_one_piece(tmp_path, tiled, more):  # noqa: F811
+def test_a_mosaic_by_tile_has_the_bytes_of_one_tile(tmp_path, tiled, more):  # noqa: F811
     write_tiles(tmp_path / "tiles")
     settings = ImportSettings(str(tmp_path / "tiles"), **more)
     for store, cut in ("whole", None), ("tiled", 5):

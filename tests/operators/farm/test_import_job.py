@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line, parser
@@ -15,14 +16,14 @@ from adaptive_terrain.operators.farm import import_job
 from openjd.model import decode_job_template
 from rasters import hills
 from store_exports import run
-from tiled_stores import assert_same, tiled  # noqa: F401
+from tiled_stores import assert_built, assert_same, tiled  # noqa: F401
 from worker_program import worker_program
 
 # Stands for Blender: imports in its own process, with small tiles.
 WORKER = """
-from adaptive_terrain.cbt_terrain.importing import build_store, import_process, import_work, tile_import
+from adaptive_terrain.cbt_terrain.importing import build_store, import_process, import_work
 from adaptive_terrain.operators.cli import command_line
-tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 5
+import_work.TILE_BITS = 5
 
 def import_source(settings, store, on_progress, _on_preview, part):
     return build_store.run_import(settings, store, on_progress, part=part)
@@ -42,7 +43,6 @@ def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatc
     settings = ImportSettings(str(tmp_path / "a.npy"), extent=(1190.0, 890.0), holes=True)
     tiled(None)
     run_import(settings, tmp_path / "whole")
-    monkeypatch.setattr(import_job, "TILED_SAMPLES", 1)
     monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
     lines = import_job.write_import_job(settings, (120, 90), tmp_path / "store", tmp_path / "job", 6)
     assert lines[0].endswith("is a job of 12 tiles, 6 a task")
@@ -57,7 +57,6 @@ def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatc
 
 def test_a_task_has_twelve_tiles_by_default(tmp_path, capsys, monkeypatch):
     np.save(tmp_path / "a.npy", hills(120, 90))
-    monkeypatch.setattr(import_job, "TILED_SAMPLES", 1)
     monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
     job = "import", tmp_path / "a.npy", "--store", tmp_path / "store", "--job", tmp_path / "job"
     assert run(*job) == 0 and "a job of 12 tiles, 12 a task" in capsys.readouterr().out
@@ -102,23 +101,31 @@ def test_a_job_repeats_all_options(tmp_path):
     decode_job_template(template=yaml.safe_load(template), supported_extensions=["TASK_CHUNKING"])
 
 
-def test_small_terrains_and_strange_names_have_no_job(tmp_path):
-    settings = ImportSettings(str(tmp_path / "a.npy"))
-    with pytest.raises(TerrainError, match="9 x 9 samples, too few for a farm; .*: import it here"):
-        import_job.write_import_job(settings, (9, 9), tmp_path / "s", tmp_path / "job", 4)
+def test_strange_names_have_no_job(tmp_path):
     with pytest.raises(TerrainError, match="rename it"):
         import_job.import_template(ImportSettings(str(tmp_path / "{{a}}.npy")))
     assert not (tmp_path / "job").exists()
 
 
-def test_parts_of_a_small_import_are_refused(tmp_path, capsys):
+def test_a_small_raster_is_imported_in_parts(tmp_path, capsys):
+    heights = hills(9, 1)
+    np.save(tmp_path / "a.npy", heights)
+    where = tmp_path / "a.npy", "--store", tmp_path / "store"
+    for part in (["begin"], ["read", "--tiles", "0"], ["fill"], ["measure", "--tiles", "0"]):
+        assert run("import", *where, "--only", *part) == 0
+        assert "tiles: 1" in capsys.readouterr().out and not (tmp_path / "store" / "store.json").exists()
+    assert run("import", *where) == 0
+    assert_built(open_store(tmp_path / "store"), np.repeat(heights, 2, 0))
+    assert len(list((tmp_path / "store").glob("data-*"))) == 1
+    assert run("import", *where, "--job", tmp_path / "job") == 0
+    assert "a job of 1 tiles, 12 a task" in capsys.readouterr().out
+
+
+def test_contradicting_options_of_parts_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", hills(9, 9))
     where = tmp_path / "a.npy", "--store", tmp_path / "store"
-    assert run("import", *where, "--only", "begin") == 1
-    assert "9 x 9 samples, too few for an import in parts" in capsys.readouterr().err
     assert run("import", *where, "--only", "read") == run("import", *where, "--tiles", "0-3") == 2
     assert run("import", *where, "--only", "begin", "--tiles", "0-3") == run("import", *where, "--chunk", "3") == 2
     assert run("import", *where, "--job", tmp_path / "job", "--quick") == 2
     assert run("import", *where, "--only", "begin", "--quick") == 2
-    assert run("import", *where, "--job", tmp_path / "job") == 1
-    assert "too few for a farm" in capsys.readouterr().err and not (tmp_path / "store").exists()
+    assert not (tmp_path / "store").exists() and not (tmp_path / "job").exists()

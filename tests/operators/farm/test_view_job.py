@@ -30,12 +30,12 @@ from worker_program import worker_program
 # Stands for Blender: runs verbs with small tiles, and imports in its own process. It dies after its first tile if told.
 WORKER = """
 import contextlib, os
-from adaptive_terrain.cbt_terrain.importing import build_store, import_work, refining, tile_import, tile_tasks
+from adaptive_terrain.cbt_terrain.importing import build_store, import_work, refining, tile_tasks
 from adaptive_terrain.cbt_terrain.rasters import raster
 from adaptive_terrain.cbt_terrain.tiling import part_files
 from adaptive_terrain.operators.cli import command_line
 refining.FEWEST, refining.FACTOR, refining.BITS = 1, 2, 4
-tile_import.TILED_SAMPLES, import_work.TILE_BITS = 1, 4
+import_work.TILE_BITS = 4
 raster.BLOCK_SAMPLES = 1
 write_ahead, writing_part = tile_tasks.write_ahead, part_files.writing_part
 
@@ -173,7 +173,7 @@ def num_parts(store, kind):
 
 
 def whole_store(shot, name="whole.store"):
-    """Import all samples into another store, in one piece."""
+    """Import all samples into another store, in one tile."""
     run_import(import_terrain.settings_of(bpy.data.objects["Terrain"]), shot / name)
     return shot / name
 

@@ -20,9 +20,10 @@ def open_draft(
     needed: int | None,
     elsewhere: str = "choose another folder",
     doubt: str = "",
-    keeps_work: bool = False,
 ) -> Iterator[store.Draft]:
     """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
+
+    Work of an import that can be continued stays, unless the disk has failed.
 
     Raises TerrainError for a disk with too little room, before a byte is written, and for any OSError of the block.
 
@@ -31,20 +32,19 @@ def open_draft(
         needed: bytes that the store takes on the disk while it is made; None if the folder is there, with all arrays.
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
-        keeps_work: whether a block that fails leaves what can be completed later, unless the disk is the reason.
     """
-    draft = None
+    draft, with_work = None, False
     try:
         if needed is not None:
             _check_room(path, lattice, needed, elsewhere + doubt)
         draft = store.Draft(path, folder, may_exist=needed is None)
         yield draft
     except OSError as reason:
-        keeps_work = False  # no work is left on a disk that fails
+        with_work = True
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
-            draft.discard_unless_published(with_work=not keeps_work)
+            draft.discard_unless_published(with_work)
 
 
 def work_bytes(lattice: Lattice, sample_bytes: int) -> int:

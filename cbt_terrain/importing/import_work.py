@@ -24,22 +24,20 @@ from .tile_tasks import TileSource, unit_count
 
 @contextmanager
 def open_work(
-    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str, is_part: bool = False
+    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
 ) -> Iterator[tuple[Draft, TileWork | None]]:
     """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
 
-    That work is moved into the new folder. A block that fails or does not publish leaves the work of several tiles, of
-    finer ones or of a part of an import. path: the store's folder. folder: name of the new folder of arrays in it.
-    doubt: a further remedy in errors if the store is implausibly large. is_part: whether the block does a part of an
-    import. Raises TerrainError as `open_draft`.
+    That work is moved into the new folder. A block that fails or does not publish leaves work that can be continued.
+    path: the store's folder. folder: name of the new folder of arrays in it. doubt: a further remedy in errors if the
+    store is implausibly large. Raises TerrainError as `open_draft`.
     """
     wanted = work_of(path / folder, source, lattice, digest)
     work = _continued(wanted)
     if path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
     needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
-    keeps_work = is_part or len(wanted.grid) > 1 or source.raster.finer is not None
-    with open_draft(path, folder, lattice, needed, doubt=doubt, keeps_work=keeps_work) as draft:
+    with open_draft(path, folder, lattice, needed, doubt=doubt) as draft:
         yield draft, work
 
 
@@ -132,5 +130,6 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
         with suppress(OSError, TerrainError):
             copy_moved(before, work, moved)
     work.make_sparse("missing")
-    work.describe()  # from now on it can be continued
+    if len(work.grid) > 1 or source.raster.finer is not None:
+        work.describe()  # from now on it can be continued
     return work

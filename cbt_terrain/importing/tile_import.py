@@ -89,10 +89,11 @@ def do_part(
     """
     numbers, crew = part.numbers, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, source, lattice, digest, doubt, is_part=True) as (draft, work):
+        with open_work(path, folder, source, lattice, digest, doubt) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = start_work(work, draft, source, lattice, digest)
+            work.describe()  # also a single tile, which has no description otherwise
             if part.step == FILL:
                 while not _read_all(work, source, crew, lambda _share: None):
                     work.start_again(draft)  # with heights as floats
@@ -310,7 +311,10 @@ def _completed(
         valid = work.allocate(draft, "valid", (lattice.height, lattice.width), np.dtype(np.uint8))
         for row in range(0, lattice.height, CHECKED_ROWS):
             valid[row : row + CHECKED_ROWS] = work.open("missing")[row : row + CHECKED_ROWS] ^ 1
-    if source.raster.finer is None:
+    if not work.is_described:
+        work.remove_records()
+        draft.remove("borders")
+    elif source.raster.finer is None:
         work.keep_records()
     key = content_key(StoredHeights(work), lattice, source_max, valid)
     on_progress(0.99, MEASURING)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The arrays of a store while they are made by tile, by several processes and in several attempts.
 
-    work.json             the terrain, its digest and its tiles
+    work.json             the terrain, its digest and its tiles; without it the work cannot be continued
     samples.npy, error.npy, ranges.npy    as in a store (store.py)
     missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed after publishing
-    borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it
+    borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it with work.json
     finer_*.npy           of finer tiles, if the source has some
     read-*.part, measured-*.part    results of a farm's tasks until they are joined (part_files.py)
     tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
-    tiles.jsonl           all records of a store
+    tiles.jsonl           all records of a store with work.json
 
 A part is finished when its record is written, so a killed process loses one part. Every array is mapped anew for each
 part, because its pages count as memory of the process.
@@ -110,15 +110,27 @@ class TileWork:
         }
         self._write(store_folder.WORK_NAME, json.dumps(content | {"sum": _sum_of(content)}))
 
+    @property
+    def is_described(self) -> bool:
+        """Return whether the folder has that description. An import of a single tile has none, since it is short."""
+        return os.path.lexists(self.folder / store_folder.WORK_NAME)
+
     def start_again(self, draft: Draft) -> None:
         """Forget all records and the stored samples, and store heights as floats from now on."""
-        for file in [self.folder / store_folder.WORK_NAME, *self.folder.glob(f"{PREFIX[:-1]}*.jsonl")]:
-            owned_files.remove_file(file)
+        was_described = self.is_described
+        owned_files.remove_file(self.folder / store_folder.WORK_NAME)
+        self.remove_records()
         draft.remove("samples")
         self.steps = None
         self.attach(draft)  # allocates the samples again
         self.make_sparse("missing")
-        self.describe()
+        if was_described:
+            self.describe()
+
+    def remove_records(self) -> None:
+        """Remove the records of all parts."""
+        for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
+            owned_files.remove_file(file)
 
     def copy(self, before: "TileWork", units: int) -> None:
         """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.

@@ -41,7 +41,7 @@ def content(store):
 
 def assert_same(store, other):
     """Compare a store of many tiles with one of one tile, and that with a field that is built in memory."""
-    assert len(work_in(named_folder(store)).grid) > 1 == len(work_in(named_folder(other)).grid)
+    assert len(work_in(named_folder(store)).grid) > 1 and work_in(named_folder(other)) is None
     (arrays, text), (wanted, wanted_text) = content(store), content(other)
     assert text == wanted_text
     assert arrays.keys() == wanted.keys()

@@ -50,6 +50,17 @@ def test_processes_give_the_bytes_of_one_tile(tmp_path, tiled, kind, count):  # 
     assert_same(tmp_path / "tiled", tmp_path / "whole")
 
 
+def test_a_small_import_uses_no_other_process(tmp_path):
+    np.save(tmp_path / "a.npy", hills(200, 150))
+    crew = ProcessCrew(MODULES["file"], 1)
+    try:
+        run_import(ImportSettings(str(tmp_path / "a.npy")), tmp_path / "store", crew=crew)
+        assert not crew._has_begun and crew._processes[0].poll() is None
+    finally:
+        crew.close()
+    assert crew._processes[0].wait(60) == 0
+
+
 def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled):  # noqa: F811
     write_tiles(tmp_path / "tiles")
     tiled(6)

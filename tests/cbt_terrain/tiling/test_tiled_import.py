@@ -20,7 +20,7 @@ from mosaic_files import EAST, NORTH, UTM32
 from rasterio import Affine
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
-from tiled_stores import assert_built, assert_same, tiled, write_tiles  # noqa: F401
+from tiled_stores import CountingCrew, assert_built, assert_same, tiled, write_tiles  # noqa: F401
 
 
 def with_gaps(heights):
@@ -96,7 +96,8 @@ def test_rasters_of_a_line_are_imported_by_tile(tmp_path, tiled, size, holes):  
     run_import(ImportSettings(str(tmp_path / "a.npy"), extent=(900.0, 500.0), holes=holes), tmp_path / "store")
     repeats = [2 if count == 1 else 1 for count in size]
     assert_built(open_store(tmp_path / "store"), heights[::-1].repeat(repeats[1], 0).repeat(repeats[0], 1))
-    assert len(work_in(named_folder(tmp_path / "store")).grid) == LINES[size]
+    work = work_in(named_folder(tmp_path / "store"))
+    assert (len(work.grid) if work else 1) == LINES[size]
 
 
 def test_a_failed_import_of_one_tile_leaves_nothing(tmp_path, tiled):  # noqa: F811
@@ -107,6 +108,18 @@ def test_a_failed_import_of_one_tile_leaves_nothing(tmp_path, tiled):  # noqa: F
         with pytest.raises(TerrainError, match="expected less than 1e30 m"):
             run_import(settings, store)
         assert store.exists() == (bits == 5), "a larger import goes on after an error"
+
+
+@pytest.mark.parametrize("tasks", [0, 1])
+def test_a_stopped_import_of_one_tile_leaves_nothing(tmp_path, tasks):
+    np.save(tmp_path / "a.npy", MOUNTAINS)
+    settings, store = ImportSettings(str(tmp_path / "a.npy"), extent=(9000.0, 5000.0)), tmp_path / "store"
+    with pytest.raises(KeyboardInterrupt):
+        run_import(settings, store, crew=CountingCrew(tasks))
+    assert not store.exists()
+    run_import(settings, store)
+    [folder] = store.glob("data-*")
+    assert sorted(file.name for file in folder.iterdir()) == ["error.npy", "ranges.npy", "samples.npy"]
 
 
 @pytest.mark.thorough

@@ -4,11 +4,11 @@
     work.json             the terrain, its digest and its tiles; without it the work cannot be continued
     samples.npy, error.npy, ranges.npy    as in a store (store.py)
     missing.npy           uint8 [height, width], 1 at missing samples; a sparse file, removed after publishing
-    borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; a store keeps it with work.json
+    borders.npy           uint8 [tiles, 2, n]: codes near the tiles' borders, and kinds of cells; kept with work.json
     finer_*.npy           of finer tiles, if the source has some
     read-*.part, measured-*.part    results of a farm's tasks until they are joined (part_files.py)
     tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
-    tiles.jsonl           all records of a store with work.json
+    tiles.jsonl           all records, kept with work.json
 
 A part is finished when its record is written, so a killed process loses one part. Every array is mapped anew for each
 part, because its pages count as memory of the process.

@@ -73,27 +73,6 @@ def start(command: list[str], **how) -> subprocess.Popen:
     return (ForkedChild if forks else subprocess.Popen)(command, **how)
 
 
-def run_script(
-    script: str, *arguments: str, stdout: int | None = None, closed: tuple[int, ...] = (), encoding: str = "utf-8"
-) -> subprocess.CompletedProcess:
-    """Run a script in a new process that has imported the engine already, as `python -c` would; return its end.
-
-    stdout: descriptor that is its standard output instead of a file. closed: standard descriptors that it lacks.
-    encoding: of the standard streams, which Python opens at its start.
-    """
-    request = {"script": script, "arguments": arguments, "folder": os.getcwd(), "environment": dict(os.environ)}
-    request |= {"closed": closed, "encoding": encoding}
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, open(os.devnull) as nothing:
-        streams = [nothing.fileno(), out.fileno() if stdout is None else stdout, err.fileno()]
-        with _lock:
-            socket.send_fds(_nursery(), [json.dumps(request).encode()], streams)
-            pid = int(_nursery().recv(MAX_REQUEST_BYTES))
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        for file in (out, err):
-            file.seek(0)
-        return subprocess.CompletedProcess(arguments, code, out.read().decode(), err.read().decode())
-
-
 @pytest.fixture
 def fork_children(monkeypatch):
     """Fork children of the extension from one process that has imported their modules."""
@@ -151,10 +130,6 @@ def _work_of(request: dict) -> functools.partial:
     os.environ.update(request["environment"])
     tempfile.tempdir = None
     gc.enable()
-    if "script" in request:
-        _open_streams(request["closed"], request["encoding"])
-        sys.argv = ["-c", *request["arguments"]]
-        return functools.partial(exec, request["script"], {"__name__": "__main__"})
     main = functools.partial(importlib.import_module(request["module"]).child_main, *request["arguments"])
     return functools.partial(_end_after, main)
 
@@ -172,24 +147,9 @@ def _end_after(main: functools.partial) -> None:
     finally:
         threading._shutdown()  # waits for threads
         atexit._run_exitfuncs()
-        for stream in (sys.stdout, sys.stderr):
+        for stream in filter(None, (sys.stdout, sys.stderr)):  # None where a program began with it closed
             stream.flush()
         os._exit(code)
-
-
-def _open_streams(closed: list[int], encoding: str) -> None:
-    """Close standard descriptors, and open the others as Python does at its start: None for one that is closed."""
-    for number, (name, mode, errors) in enumerate(
-        (("stdin", "r", "strict"), ("stdout", "w", "strict"), ("stderr", "w", "backslashreplace"))
-    ):
-        stream = None
-        if number in closed:
-            os.close(number)
-        else:
-            buffering = 1 if number == 2 else -1
-            stream = open(number, mode, buffering, encoding, errors, closefd=False)
-        setattr(sys, name, stream)
-        setattr(sys, f"__{name}__", stream)
 
 
 if __name__ == "__main__":

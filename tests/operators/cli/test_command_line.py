@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.importing import thinning
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
 from fields import reference_heights
-from forked_children import run_script
+from forked_programs import run_program
 from store_exports import bytes_of
 
 
@@ -198,7 +198,7 @@ common = ["export", "--store", {store!r}, "--path", {str(flight)!r}, "--frames",
 assert main([*common, "--format", "npz"]) == 0
 sys.exit(main([*common, "--format", "ply"]))
 """
-    result = run_script(script)
+    result = run_program(script)
     assert result.returncode == 1, result.stderr
     assert "This format needs Blender's Python module" in result.stderr.splitlines()[-1]
     assert (out / "terrain_0001.npz").exists()

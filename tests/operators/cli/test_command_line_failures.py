@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.operators.cli import command_line
-from forked_children import run_script
+from forked_programs import COMMAND_LINE, run_program
 
 BAKE = ["bake", "--store", "x", "--out", "a.npz"]
-PROGRAM = "from adaptive_terrain.operators.cli import command_line; command_line.program()"
 EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
 
 
@@ -175,7 +174,7 @@ for number in (signal.SIGINT, signal.SIGTERM):
 
 @posix
 def test_a_signal_after_the_last_step_changes_nothing():
-    ended = run_script(LATE)
+    ended = run_program(LATE)
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
@@ -183,7 +182,7 @@ def printed(store: str, **streams) -> subprocess.CompletedProcess:
     """Run `query` with other standard streams in a new process that buffers as Python does by default."""
     points = Path(store).parent / "two_points.csv"
     points.write_text("x,y\n0,0\n5,5\n")
-    return run_script(PROGRAM, "query", "--store", store, "--points", str(points), **streams)
+    return run_program(COMMAND_LINE, "query", "--store", store, "--points", str(points), **streams)
 
 
 @posix
@@ -211,7 +210,7 @@ def test_closed_streams_lead_nowhere(store):
 @posix
 def test_a_name_that_the_terminal_lacks_is_shown_in_escapes(tmp_path):
     command = ["import", "island", "--size", "65", "--store", str(tmp_path / "река")]
-    done = run_script(PROGRAM, *command, encoding="ascii")
+    done = run_program(COMMAND_LINE, *command, encoding="ascii")
     assert done.returncode == 0 and "\\u0440" in done.stdout.splitlines()[-1], done.stderr
 
 

@@ -269,7 +269,7 @@ def test_runs_that_disagree_leave_no_curve_and_say_why(terrain, short, monkeypat
     assert status.request.criterion.error_px == 4.0 and "Measure Accuracy again" in status.request.note
     measured = read_measured(terrain.adaptive_terrain.viewport)
     assert measured["digest"] == status.digest and 0.0 < measured["screen_px"]["max"] <= update.bound_px == 4.0
-    labels = " ".join(call.kwargs["text"] for call in draw(terrain).box().label.mock_calls)
+    labels = " ".join(call.kwargs["text"] for call in draw(terrain).box().column().label.mock_calls)
     assert reason in labels and "Time budget needs a curve, but times differed: Measure Accuracy again" in labels
     # A later measurement that is not disturbed takes all of that back.
     disturbed(monkeypatch, [1.0])

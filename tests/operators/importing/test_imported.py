@@ -81,7 +81,7 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     assert warnings[0] == "Heights are in feet." and max(map(len, warnings)) < 600 and len(warnings) < 10
     context, column = SimpleNamespace(object=terrain), Mock()
     ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), context)
-    labels = [call.kwargs.get("text") for call in column.box().label.mock_calls]
+    labels = [call.kwargs.get("text") for call in column.box().column().label.mock_calls]
     assert "Heights are in feet." in labels
 
 

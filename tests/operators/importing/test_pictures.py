@@ -63,7 +63,7 @@ def test_the_panel_names_the_mapping_where_it_applies(scene, add_terrain, tmp_pa
     terrain, _ = terrain_of(add_terrain, tmp_path, file)
     column = Mock()
     ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), SimpleNamespace(object=terrain))
-    labels = " ".join(call.kwargs["text"] for call in column.box().label.mock_calls)
+    labels = " ".join(call.kwargs["text"] for call in column.box().column().label.mock_calls)
     np.testing.assert_allclose(numbers_in(labels), [[0.5 / 40, 0.5 / 30], [39 / 40, 29 / 30]], rtol=1e-6)
     terrain.adaptive_terrain.store = ""
     assert picture_note(imported_of(terrain.adaptive_terrain)) == "", "nothing is imported"

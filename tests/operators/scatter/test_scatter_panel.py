@@ -71,5 +71,5 @@ def test_a_scatter_whose_terrain_is_gone_says_so(terrain, scatter):
     bpy.data.objects.remove(terrain)
     assert ScatterPanel.poll(context)
     ScatterPanel.draw(SimpleNamespace(layout=shown), context)
-    said = [call.kwargs["text"] for call in shown.box().label.call_args_list]
+    said = [call.kwargs["text"] for call in shown.box().column().label.call_args_list]
     assert " ".join(said) == ORPHAN and all(len(line) <= LINE_LENGTH for line in said)

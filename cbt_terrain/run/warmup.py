@@ -37,7 +37,7 @@ HOUSE = f"{child.PACKAGE}.kernels."  # of kernels, in this process
 # Blender has a terrain.
 FRAME = "field", "tree", "refine", "budget", "mesh"
 OVERLAY = ("accuracy",)
-OTHERS = "effects", "land", "leb", "detail", "morph", "query", "scatter", "bicubic", "fitting"
+OTHERS = "effects", "land", "leb", "detail", "morph", "query", "scatter", "bicubic", "fitting", "mosaic"
 RARE = {f"{HOUSE}refine.horizon_map", f"{HOUSE}refine.split_merge", f"{HOUSE}tree.edits"}  # in rooms of a frame
 # Modules that Import, Set Up Scene, Add Water, Add Scatter and Drop to Ground need. After an installation the children
 # compile them last, so that these buttons seldom wait. They are loaded when a scene first uses them.

@@ -180,6 +180,11 @@ def test_without_a_child_the_thread_compiles(monkeypatch):
     assert set(loaded[: len(OF_A_FRAME)]) == OF_A_FRAME, "those of a frame come first"
 
 
+def test_every_room_of_kernels_is_in_one_list():
+    rooms = [folder.parent.name for folder in (ROOT / "kernels").glob("*/__init__.py")]
+    assert sorted((*warmup.FRAME, *warmup.OVERLAY, *warmup.OTHERS)) == sorted(rooms)
+
+
 def test_what_a_scene_asks_for_is_prepared_once_with_a_bar(no_modules, monkeypatch):
     monkeypatch.setattr(warmup, "_tried", set())
     wanted = warmup.other_modules()[:2]

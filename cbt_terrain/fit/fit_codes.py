@@ -52,9 +52,10 @@ def make_codes(
     values = np.concatenate([[0.0], np.ldexp(first * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
     code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])  # geometric means with the next code
     diamond_codes = np.empty_like(field.error)
+    # Of each group of depths: the errors of its old codes, float32 [256], and its slice of the array of codes.
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
         new = np.searchsorted(code_ends, group_errors / START)
-        # `has_finer` is 1 with finer tiles, the first code.
+        # With finer tiles `has_finer` is 1, which is also the first code: none is 0.
         codes.translate(field.error[part], np.maximum(new, plain.has_finer), diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:

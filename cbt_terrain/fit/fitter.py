@@ -34,7 +34,15 @@ from ..mesh.builder import SurfaceRequest, build_surface
 from ..mesh.surface import Surface
 from ..refine.refinement import MAX_TRIANGLES, refine
 from ..refine.request import RefinementRequest, refinable_domain
-from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, position_rounding, rounding
+from ..refine.terms import (
+    DISPLACEMENT_ERROR,
+    SINGLE_BITS,
+    Rounding,
+    Terms,
+    error_without_source,
+    position_rounding,
+    rounding,
+)
 from ..run import launch
 from ..run.buffers import Buffers, shared
 from ..terrain import Update
@@ -65,7 +73,7 @@ class FittedMesh:
 
     @property
     def triangles(self) -> int:
-        """Number of triangles of the fitted surface."""
+        """Return the number of triangles of the surface, of whole leaves."""
         return len(self.surface.triangles)
 
 
@@ -164,7 +172,13 @@ class Fitter:
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:  # flat, so there is nothing to measure
             return FittedMesh(
-                update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed
+                update.surface,
+                update.bound_m,
+                worst_m=0.0,
+                terms=update.terms_m,
+                limited=update.limited,
+                rounds=0,
+                relaxed=update.relaxed,
             )
         buffers, m = Buffers(), self._mesh(error_m)
         Sweeps(self, m, buffers).bind(update.surface, self._nothing_known())
@@ -180,7 +194,7 @@ class Fitter:
 
     def within(self, error_m: float) -> float:
         """Return the largest bound of a mesh that holds an error as far as the source's rounding allows."""
-        return max(error_m, left_of(error_m, self.source) + self.source)
+        return max(error_m, error_without_source(error_m, self.source) + self.source)
 
     def _mesh(self, error_m: float) -> mesh_kernels.FitMesh:
         """Return an empty mesh for the kernels, with its error and its bound in metres.
@@ -191,7 +205,7 @@ class Fitter:
         m = mesh_kernels.FitMesh()
         # Vertices are multiples of 2^snap units; a cell's side is 2^(unit_bits - levels) units.
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
-        remaining = left_of(error_m, self.source)
+        remaining = error_without_source(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
         m.error, m.bound, m.raised = error_m, remaining - min(rounded, remaining / 2), self.raised
         return m

@@ -136,9 +136,9 @@ class Sweeps:
     def refine(self, min_share: float) -> dict[str, int]:
         """Split triangles beyond the bound, or pin them to the surface; return counts by the names below.
 
-        They are all splits, pins, those splits that wait for the next walk, and triangles too coarse at the deepest
-        level.
-        min_share: part of the largest excess around that a triangle must have: LOCAL, or 0 to split all of them.
+        They are all splits, vertices that were pinned, those splits that wait for the next walk, and triangles too
+        coarse at the deepest level. min_share: part of the largest excess around that a triangle must have: LOCAL, or 0
+        to split all of them.
         """
         self.found_np[1:3] = self.triangles, self.vertices  # before the splits; the kernel replaces them
         inputs = [self.count, self.fitter.depth, wp.float64(min_share), self.m, self.found]

@@ -107,7 +107,7 @@ def replay(
     the leaves, and the largest error of one, metres before scaling.
     """
     lattice = field.lattice
-    history.need_tree(lattice.square_bits + cell_bits, 1)
+    history.need_tree(lattice.square_bits + cell_bits, threads=1)
     history.replace_leaves()
     history.hints.step = None
     history.hints.make_room(len(depths))
@@ -209,5 +209,5 @@ def _tree_parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list
     parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
     if unused and history.tree:  # each unused number of a square, up to a power of two, is a leaf
         codes = shared(np.zeros(unused, np.uint16), wp.uint16)
-        parts.append(LeafPart(codes, 0, unused, history.tree.cell_count))
+        parts.append(LeafPart(codes, first=0, count=unused, end=history.tree.cell_count))
     return parts

@@ -60,7 +60,7 @@ class Rounding:
     near: tuple[float, float] = (0.0, 0.0)
 
 
-def left_of(error_m: float, source: float) -> float:
+def error_without_source(error_m: float, source: float) -> float:
     """Return the part of a height error, metres, that remains for everything but the source's rounding.
 
     error_m: the requested error. source: largest error of the source's heights by rounding, metres. If the source takes
@@ -74,8 +74,9 @@ def weighed_as(error_m: float, source: float, mean: float) -> float:
 
     mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
     """
-    remaining = left_of(error_m, source)
-    # The largest w with w * mean <= remaining + source and w * (mean - 0.2) <= remaining.
+    remaining = error_without_source(error_m, source)
+    # Weighed as w, an error without the source's is at most w - source or 0.8 w, whichever is more; geomorphing adds
+    # (mean - 1) w. So w is the largest with w * mean <= remaining + source and w * (mean - 0.2) <= remaining.
     return min((remaining + source) / mean, remaining * (1.25 / (1.25 * mean - 0.25)))
 
 

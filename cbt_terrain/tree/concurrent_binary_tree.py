@@ -200,7 +200,7 @@ class ConcurrentBinaryTree:
     def set_depths(self, depths: np.ndarray) -> bool:
         """Replace the leaves by those of these depths, which leave no gap; return the result of `set_leaves`."""
         codes = shared(np.ascontiguousarray(depths, np.uint16), wp.uint16)
-        return self.set_leaves([LeafPart(codes, 0, len(depths), self.cell_count)])
+        return self.set_leaves([LeafPart(codes, first=0, count=len(depths), end=self.cell_count)])
 
     def reset(self, depth: int = 0) -> None:
         """Replace the leaves by all the nodes at `depth`, bisections below the root."""
@@ -265,7 +265,7 @@ class ConcurrentBinaryTree:
 
     def _resize(self, num_pages: int) -> None:
         """Give the pool room for `num_pages` pages, no fewer than it has; they keep their content."""
-        # the count went on when the pool was full
+        # A kernel that finds the pool full has counted pages that it did not get.
         self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:

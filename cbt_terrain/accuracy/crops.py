@@ -58,13 +58,13 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
     # The first and the last picture, SMALL times smaller, show where to look.
-    whole = [picture.shade(0, 0, width, height, 1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
+    whole = [picture.shade(0, 0, width, height, scale=1 / SMALL, lines=False) for picture in (drawn[0], drawn[-1])]
     x, y = _max_square(np.abs(whole[0] - whole[1]).sum(axis=2), side)
     box = SMALL * x, SMALL * y, SMALL * side, SMALL * side  # x, y, width and height in the frame, pixels
     results = []
     for error, picture in zip(errors_px, drawn, strict=True):
         left, bottom, wide, high = (SAMPLES * pixels for pixels in box)
-        samples = picture.shade(left, bottom, wide, high, SAMPLES, lines=True)
+        samples = picture.shade(left, bottom, wide, high, scale=SAMPLES, lines=True)
         colours = samples.reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3).mean(axis=(1, 3))
         encoded = np.clip(colours, 0, 1) ** (1 / 2.2)  # for a display
         results.append(Crop(error, picture.triangles, np.round(255 * encoded[::-1]).astype(np.uint8)))

@@ -20,7 +20,7 @@ DIFFERENT = 0.02
 # Runs of the same that differ by more than this factor do not show the cost of an error.
 MAX_SPREAD = 2.0
 STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
-ALIKE = "unit", "interpolation"  # settings on one cost curve
+ALIKE = "unit", "interpolation"  # fields that are equal in all settings of one cost curve
 TERMS = tuple(Terms.__dataclass_fields__)
 TRANSITIONS = "popping_px", "shading_change"  # between the meshes of two frames
 PARTS = tuple(Errors.__dataclass_fields__)

@@ -43,7 +43,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     """
     # `around`: 1 where bicubic heights also depend on the samples around a cell, 0 for bilinear ones.
     around, heights = int(ground.packed.bicubic), ground.field.heights()
-    low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
+    low, high = (over_cells(heights, side=4, reduce=reduce, around=around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:  # between its samples a surface may be higher or lower than all of them
         margin = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
         low = np.nextafter((low - margin).astype(np.float32), np.float32(-np.inf))

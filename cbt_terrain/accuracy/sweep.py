@@ -197,7 +197,7 @@ def _measure_fit(
     It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
     """
     scale, offset = frame.vertical_scale, frame.vertical_offset
-    for run in range(2):
+    for run in range(2):  # two of three parts of the progress; the measurement is the third
         fitted = fit(
             heights,
             setting.error,

@@ -72,7 +72,7 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
 
     They are pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and every other error with
     the other interpolation. A fit has a bilinear surface without detail under it. If a frame follows, some errors are
-    repeated with the other geomorph: none, or SMOOTH where `morph` is 1, none. morph: that of the swept criterion.
+    repeated with the other geomorph: SMOOTH if `morph`, that of the swept criterion, is 1 (none), else 1.
     """
     same = partial(Setting, interpolation=heights.interpolation)
     other = partial(Setting, interpolation=next(name for name in INTERPOLATIONS if name != heights.interpolation))

@@ -36,7 +36,8 @@ class Hints:
     """Guesses from earlier frames that only change how fast a frame is found.
 
     `capacity`: leaves for which a slice has room. `step`: the last step that kept to a triangle limit, a
-    `step_search.Found`. `marks`: positions in squares along the quadtree, evenly by the work of the last count.
+    `step_search.Found`. `marks`: positions along the curve, in root squares, between which the last count did equal
+    work.
     """
 
     capacity: int = 4096

@@ -70,7 +70,9 @@ def border_side(axis: int, at: float, rounding: float) -> Side:
     """
     at = float(np.float32(at))
     known = (("positions", axis, at), (UV, axis, 1.0))
-    return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0, rounding)
+    return Side(
+        lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, tolerance=0.0, rounding=rounding
+    )
 
 
 def copy_with_room(_name: str, array: np.ndarray, count: int) -> np.ndarray:

@@ -85,8 +85,9 @@ def reuse_points(history: FrameHistory) -> list[int]:
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
     """Prepare `displace` to copy the `points` inside each leaf that both frames have, from the last frame.
 
-    now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace`: 1,
-    which is no list, for all other points, which are not copied; 0 for these.
+    now: the vertices of the next frame. points: their number inside a leaf. Return the `slots` of `displace` for its
+    two parts: 1, which has no list, for the points on corners and edges of leaves, which are not copied; 0 for the
+    points inside leaves.
     """
     scratch, before = history.scratch, history.last.vertices
     assert before is not None, "points are reused from the last frame"

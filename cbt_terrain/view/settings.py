@@ -161,7 +161,7 @@ LIMITS = (
     ),
 )  # fmt: skip
 SETTINGS = (*CRITERIA, *MODIFIERS, *LIMITS)
-# Bounds of an update by its fields, in the order in which they are shown: label; unit, of an edge or a triangle.
+# Label and unit of each bound that an update reports, by its field in `ReportedBounds`, in the order of their display.
 BOUNDS = {
     "bound_px": ("Screen error", "px"),
     "bound_m": ("Vertical error", "m"),

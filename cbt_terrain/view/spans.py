@@ -69,6 +69,7 @@ class Spans:
     def pixels(self, spans: float) -> float:
         """Convert an error in spans (pixel footprints) to pixels on screen, in the view where it is largest."""
         by_view = zip(self.views, self.wholes, self.widenings, strict=True)
+        # A widening includes a margin of ROUNDING. Half of it is left for the rounding of this conversion.
         return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in by_view)
 
     def excess_of_edges(self, depth: int) -> float:

@@ -68,6 +68,7 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
     ranges.cells, ranges.curvatures = first[-2], lattice.node_count
     ranges.cell_pages, ranges.curvature_group = pages[-1], lattice.groups + 1
     ranges.table, ranges.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
+    # The first way to split a term of the displacement has all of it in the smooth part, so it bounds the whole term.
     ranges.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
     return ranges
 

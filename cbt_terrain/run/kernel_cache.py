@@ -130,7 +130,7 @@ def _publish(built: Path, file: Path) -> None:
 def _is_whole(file: Path) -> bool:
     """Return whether a compiled object and its description match the checksum beside them."""
     try:
-        return read_regular(file.with_suffix(CHECKSUM), 100).decode("ascii") == _checksum(file)
+        return read_regular(file.with_suffix(CHECKSUM), max_bytes=100).decode("ascii") == _checksum(file)
     except (OSError, ValueError):
         return False
 

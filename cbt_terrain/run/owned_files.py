@@ -239,7 +239,7 @@ def _not_ours(path: Path, status: os.stat_result, expected: str, then: str = "tr
     if not is_link(status) and not stat.S_ISDIR(status.st_mode) and not stat.S_ISREG(status.st_mode):
         what = "a device or a pipe"
     return NotOursError(
-        f"{shown(path, 1000)} is {what}",
+        f"{shown(path, max_length=1000)} is {what}",
         expected=f"{expected} of Adaptive Terrain, which follows no links there",
         fix=f"move it away and {then}",
     )
@@ -322,7 +322,7 @@ def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, b
         return
     is_folder = stat.S_ISDIR(status.st_mode)
     if is_link(status) or not (is_folder or stat.S_ISREG(status.st_mode)) or not may_remove(name, is_folder):
-        raise _foreign_error(f"{shown(folder.path, 1000)} holds {shown(name)!r}")
+        raise _foreign_error(f"{shown(folder.path, max_length=1000)} holds {shown(name)!r}")
 
 
 def _foreign_error(what: str) -> NotOursError:
@@ -336,7 +336,7 @@ def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
     depth: folders above it in the tree that is removed. Raises OSError, and NotOursError beyond MAX_DEPTH.
     """
     if depth > MAX_DEPTH:
-        raise _foreign_error(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
+        raise _foreign_error(f"{shown(folder.path, max_length=1000)} is more than {MAX_DEPTH} folders deep")
     with suppress(FileNotFoundError):
         status = os.stat(**folder.at(name), follow_symlinks=False)
         if not stat.S_ISDIR(status.st_mode) or is_link(status):

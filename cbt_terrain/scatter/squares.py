@@ -27,6 +27,7 @@ FEW = 64  # points of a square that is not divided
 EVEN = 1.5  # largest ratio of the densities of a square that is not divided
 MAX_CANDIDATES = 1 << 26  # 3.4 GB
 MAX_DIVIDED = MAX_CANDIDATES // (4 * FEW)  # squares of one size; each has more points than FEW
+# The fields of `Squares` without a square, so that there is something to concatenate.
 NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int64), np.empty(0, bool)
 
 

@@ -50,6 +50,7 @@ class Tile:
         halvings: int [n], how many times a tile's side is halved to that of the square.
         """
         starts = STARTS[halvings][:, None]
+        # In steps from one window's start to the next: the square's corner in the tile, less the shift of the pattern.
         column, row = ((square * (starts >> halvings[:, None]) - shift * starts // SHIFTS) % starts).T
         return row * starts[:, 0] + column
 

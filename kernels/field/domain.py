@@ -19,7 +19,7 @@ class Domain:
     `cbt_terrain/refine/request.py` adds the rounding of positions.
     """
 
-    columns: wp.int32
+    columns: wp.int32  # root squares in a row of the lattice
     rows: wp.int32
     levels: wp.int32  # a root square has 2**levels raster cells a side
     unit_bits: wp.int32  # and 2**unit_bits lattice units
@@ -29,9 +29,9 @@ class Domain:
     unit_y: wp.float64
     west: wp.float64  # metres, x of lattice coordinate 0
     south: wp.float64
-    height_scale: wp.float64
+    height_scale: wp.float64  # a height of z metres before scaling is z * height_scale + height_offset
     height_offset: wp.float64
-    range_base: wp.float64
+    range_base: wp.float64  # code q of `ranges` is the height range_base + q * range_step, metres before scaling
     range_step: wp.float64
     error_scale: wp.float64  # magnitude of height_scale
     rounding: wp.float64  # metres: largest rounding error of float32 heights
@@ -56,7 +56,7 @@ class Domain:
     is_raised: wp.int32  # 1: stored errors are deliberately larger than the surface's, also inside cells
     base: wp.array(dtype=wp.int64)  # first entry of each group of depths, of the cells and of the curvatures
     pages: wp.array(dtype=wp.int32)  # ... pages in a row
-    cell_base: wp.int64  # the same for the raster's cells
+    cell_base: wp.int64  # first entry of the raster's cells in the errors
     cell_pages: wp.int32
     cell_columns: wp.int32  # ... number of cells
     cell_rows: wp.int32

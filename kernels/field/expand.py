@@ -46,8 +46,9 @@ def raise_cells(
     """Set the error codes of cells to the largest old code of themselves and their four neighbours, translated.
 
     The neighbours share the diamonds on a cell's sides. The thread works on cell `band_start + offset + tid`.
-    old_cells: layout of the array `old`. translated: for each old code the code in the new table of a share of its
-    error, rounded up (`_raise_cells` in meshlet_errors.py).
+    band_start: first cell of the band of rows that is raised, counted row by row from the south. old_cells: layout of
+    the array `old`. translated: for each old code the code in the new table of a share of its error, rounded up
+    (`_raise_cells` in meshlet_errors.py).
     """
     p = diamond(cells, band_start + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))

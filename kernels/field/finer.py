@@ -43,7 +43,7 @@ class PackedTiles:
     # Largest magnitude of the change, metres, and its largest slope along an axis, of each place of the table, of 2 x 2
     # places, and so on.
     limits: wp.array(dtype=wp.vec2f)
-    top: wp.int32  # ... last level
+    top: wp.int32  # ... last level, where one block has all places
 
 
 @wp.func

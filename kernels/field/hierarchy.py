@@ -119,6 +119,7 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
             const float* far = near + step_x - step_y;
             const double e1 = *far - (top + across * (i + 1));
             const double twist = (double)*near + *far - near[step_x] - near[-step_y];
+            // The distance is a parabola between the two samples; where it turns between them, it counts.
             const double rest = twist - (e1 - e0), turned = wp::abs(e0 - rest * rest / (4.0 * twist));
             const bool turns = wp::abs(e1 - e0) < wp::abs(twist);  // a jump would often be predicted wrongly
             largest = (turns & (turned > largest)) ? turned : largest;

@@ -28,8 +28,8 @@ class Depth:
     columns: wp.int32  # of sides: cells of half the side
     rows: wp.int32
     sides: wp.int32
-    base: wp.int64
-    pages: wp.int32
+    base: wp.int64  # entry in the arrays of the first vertex of the group of depths that holds this depth
+    pages: wp.int32  # pages in a row of that group, see `tile_index`
     first: wp.int32
     step: wp.int32
 

@@ -108,7 +108,7 @@ SETTLE_SLAB = """
         float li = l[i], lj = l[j], zi = b[i] + li, zj = b[j] + lj, si = s[i], sj = s[j];
         float fi = facing[i], fj = facing[j];
         float drop = (zi + si) - (zj + sj);
-        bool down = drop >= 0.0f;
+        bool down = drop >= 0.0f;  // sample i is the higher one; names that end in h are of the higher one
         float zh = down ? zi : zj, zl = down ? zj : zi, sh = down ? si : sj, sl = down ? sj : si;
         float lh = down ? li : lj;
         run *= down ? fi : fj;

@@ -72,7 +72,7 @@ def resolve(
             element = wp.vec2i(0, 0)
             if kind == FRONT:
                 n = w.state[first_state - STATE_SIZE + END_FRONT + value]
-                element = wp.vec2i(n, n)
+                element = wp.vec2i(n, n)  # a vertex or the edge: a front's import is used as one of them
             elif kind == STACK or kind == STACK + 1:
                 entry = tops[kind - STACK] - 1 - value
                 if entry < 0:  # nothing is open

@@ -90,7 +90,7 @@ def begin_left_side(
         else:
             corner = add_import(w, b, first_state, UPPER_RIGHT, owner)
             end = add_import(w, b, first_state, SIDE | (level << LEVEL_SHIFT), last)
-            entry = end
+            entry = end  # one import stands for the edge and for its lower end
     else:
         new_vertices = 1  # the corner
         if ((code >> CORNER) & 1) == 1:  # the edge ends on a vertex of the square below

@@ -121,7 +121,8 @@ def add_import(w: Weld, b: Base, first_state: wp.int32, kind: wp.int32, value: w
 def import_open_edge(w: Weld, b: Base, first_state: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
     """Import the next edge from the stack that earlier slices left open on a side; return its negative number.
 
-    first_state: the slice's first entry in `w.state`. level: the edge's level, which is checked later, by `join`.
+    The number also stands for the vertex where the edge was begun. first_state: the slice's first entry in `w.state`.
+    level: the edge's level, which is checked later, by `join`.
     """
     n = w.state[first_state + POPS + side]
     w.state[first_state + POPS + side] = n + 1

@@ -118,6 +118,7 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
     """
     products = ends_of(before, low, high)
     growth = ends_of(now - before, low, high)
+    # now . (p - eye) - before . (p - eye before) = (now - before) . (p - eye before) - now . step
     by_step = now[0] * step[0] + now[1] * step[1]
     growth = wp.vec2d(growth[0] - by_step, growth[1] - by_step)
     if products[0] < wp.float64(0.0) or products[0] + growth[0] < wp.float64(0.0):  # a product may be negative
@@ -261,6 +262,7 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     finest = one + view.fade * wp.clamp(-innermost / max_width, zero, one)
     coarsest = one + view.fade * wp.clamp(-outermost / min_width, zero, one)
     before_finest = larger(finest - view.fade * outwards / min_width, one)
+    # Of 1 + fade * f now over before: 1 plus the change of fade * f, over a value before of at least `before_finest`.
     fall = larger(one - view.fade * inwards / (min_width * before_finest), zero)
     rise = one + view.fade * outwards / (min_width * before_finest)
     bounds = wp.vec4d(fall * fall, rise * rise, finest * finest, coarsest * coarsest)

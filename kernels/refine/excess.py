@@ -202,8 +202,8 @@ def with_bound(
         pixel2, is_small = finest_seen(domain, criterion, quantity == EDGE or quantity == AREA, d, t)
         t.is_small = t.is_small or is_small
     if t.leaf_depth == ANY:
-        # No leaf below has a larger error than the criterion allows. As a part of a footprint that is most where the
-        # footprint is finest, or the tolerance.
+        # No leaf below has a larger error than the criterion allows. In footprints that is largest where they are
+        # finest (`allowed_m`), and nowhere more than the larger one of that and the tolerance.
         allowed_m = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
         quantity2 = smaller(larger(allowed_m * allowed_m, tolerance2 * pixel2), quantity2)
     t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), quantity2 / pixel2, UNSEEN)

@@ -144,9 +144,10 @@ def check_interpolation(name: str) -> None:
 
 
 def _is_better(best: FittedMesh, plain: Update, fitter: Fitter, error_m: float, max_cut: int | None) -> bool:
-    """Return whether a fit is used instead of the interpolating mesh `plain`.
+    """Return whether the fit `best` is used instead of the interpolating mesh `plain`.
 
-    error_m: the requested error, metres. max_cut: limit of triangles after the cut at borders, None for no limit.
+    fitter: that of the fit. error_m: the requested error, metres. max_cut: limit of triangles after the cut at borders,
+    None for no limit.
     """
     assert plain.bound_m is not None  # the criterion has an error in metres
     if plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m):

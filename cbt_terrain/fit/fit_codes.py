@@ -69,7 +69,8 @@ def _restore_in_tiles(
     """Raise codes of cells in finer tiles to those of their stored errors, rounded up, and others as nesting requires.
 
     So the walk splits what interpolation splits there: raised codes of a cell would split all of its finer cells.
-    diamond_codes: those of all diamonds, changed in place. values: float32 [256], metres of the codes.
+    plain: domain of the field with its own errors. diamond_codes: those of all diamonds, changed in place. values:
+    float32 [256], metres of the codes.
     """
     lattice, stack = field.lattice, wp.zeros(1024, wp.vec3i, device="cpu")
     part = slice(lattice.cell_base, lattice.node_count)

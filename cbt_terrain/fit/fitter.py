@@ -328,7 +328,7 @@ class Fitter:
         self.on_progress(1.0 - 0.8**self.rounds)
 
     def spread(self, kernel: wp.Kernel, count: int, inputs: list, cost: float = 1.0) -> None:
-        """Launch a kernel over `count` items as a step of the fit."""
+        """Launch a kernel over `count` items as a step of the fit. cost: of an item, see `launch.spread`."""
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
 

@@ -78,19 +78,19 @@ class Outcome:
     buffers: Buffers
     in_frame: Callable[[], CriterionArrays]
 
-    def search(self, what: int, threshold: float) -> Excess | None:
+    def search(self, quantity: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
 
-        what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. threshold: in the unit of the result's
-        `value`, or NO_THRESHOLD. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must then be
-        the tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by a
-        hundredth.
+        quantity: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. threshold: in the unit of the
+        result's `value`, or NO_THRESHOLD. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must
+        then be the tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by
+        a hundredth.
         """
         stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
             self.domain,
             self.arrays,
-            what,
+            quantity,
             self.max_depth,
             math.copysign(threshold * threshold, threshold),
             self.tree.bits,
@@ -102,35 +102,40 @@ class Outcome:
         value2, fixed_m, total_m = self.buffers.numpy("excess")[:3].tolist()
         return None if total_m < 0.0 else Excess(math.sqrt(value2), fixed_m, total_m)
 
-    def relaxation(self, what: int, request: float) -> float:
-        """Return the finite factor by which the mesh exceeds a request, which is in the unit of `search`.
+    def relaxation(self, quantity: int, request: float) -> float:
+        """Return the finite factor by which the mesh exceeds a request of a quantity, in the unit of `search`.
 
         If no factor meets the triangle limit, the mesh is the root triangles, and the factor is theirs.
         """
         if self.relaxed < math.inf:
             return self.relaxed
-        worst = replace(self, max_depth=1).search(what, NO_THRESHOLD)
+        worst = replace(self, max_depth=1).search(quantity, NO_THRESHOLD)
         return min(max(worst.value / request, 1.0), MAX_FACTOR) if worst else 1.0
 
-    def stopped_above(self, what: int, threshold: float) -> Excess | None:
+    def stopped_above(self, quantity: int, threshold: float) -> Excess | None:
         """Find the largest value above `threshold` of a quantity if a leaf at the depth limit is too coarse."""
-        return self.search(what, threshold) if self.stopped else None
+        return self.search(quantity, threshold) if self.stopped else None
 
-    def tighten(self, what: int, tolerance: float, guaranteed: float, request: float) -> tuple[float, Excess | None]:
+    def tighten(
+        self, quantity: int, tolerance: float, guaranteed: float, request: float
+    ) -> tuple[float, Excess | None]:
         """Return the smaller of two bounds of an error, and the worst leaf's error if that was searched.
 
         The bounds are `guaranteed` and the error of the worst leaf. Leaves, which are refined to `tolerance`, are
         searched only if rounding makes `guaranteed` exceed `request`. They are not searched if the depth limit stopped
-        a leaf: `stopped_above` finds its error. what: ERROR or METRES, in whose unit of `search` all numbers are.
+        a leaf: `stopped_above` finds its error. quantity: ERROR or METRES, in whose unit of `search` all numbers are.
         """
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
-        worst = replace(self, max_depth=ANY).search(what, tolerance)
+        worst = replace(self, max_depth=ANY).search(quantity, tolerance)
         return min(guaranteed, worst.value if worst else tolerance), worst
 
 
 def bounds_of(criterion: Criterion, spans: Spans, outcome: Outcome) -> ReportedBounds:
-    """Return the bounds of a refined mesh that an update reports, with reasons where they exceed the request."""
+    """Return the bounds of a refined mesh that an update reports, with reasons where they exceed the request.
+
+    spans: factors between pixels and footprints of the views. outcome: the refinement and how it ended.
+    """
     px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
     edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
     relaxed = factor_of(criterion, outcome, [px, metres, edge, area])

@@ -55,11 +55,17 @@ class Tile:
         return row * starts[:, 0] + column
 
     def count(self, halvings: int, window: np.ndarray, ranks: np.ndarray) -> np.ndarray:
-        """Return the number of points of each window with a rank below `ranks`, int64 [n]."""
+        """Return the number of points of each window with a rank below `ranks`, int64 [n].
+
+        halvings: of the tile's side to that of the windows.
+        """
         return np.searchsorted(self.keys[halvings], _rank_key(window, ranks)) - self.first[halvings][window]
 
     def runs(self, halvings: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first index of each window in all of `order`, and its number of ranks, int64 [n] each."""
+        """Return the first index of each window in all of `order`, and its number of ranks, int64 [n] each.
+
+        halvings: int [n], of the tile's side to that of each window.
+        """
         firsts = np.concatenate(self.first)
         entry = (np.cumsum([0, *map(len, self.first)]))[halvings] + window
         before = np.cumsum([0, *map(len, self.order)])[halvings]

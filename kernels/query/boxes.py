@@ -21,7 +21,7 @@ def heights_in(surface: QueriedSurface, p: wp.vec4d, s0: wp.float64, t0: wp.floa
 
 
 @wp.func
-def distance_from_corners(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
+def distance_from_corners(surface: QueriedSurface, height_ranges: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
     """Bound the distance, metres, of the surface from the bilinear one between finer samples of raster cell (i, j).
 
     It is 0 for a bilinear surface. Of a bicubic one it is at most (|f_xx| + |f_yy|) h^2 / 8 for finer cells of the side
@@ -31,7 +31,9 @@ def distance_from_corners(surface: QueriedSurface, blocks: HeightRanges, i: wp.i
     if surface.bicubic == 1:
         finer_per_cell = wp.float64(wp.int64(1) << wp.int64(2 * surface.finer[0].bits))
         # A quarter of the norm of the second derivatives is not less than the sum over 8.
-        bound = cell_curvature(blocks, i, j) / finer_per_cell * wp.abs(surface.scale) + blocks.more  # the displacement
+        bound = (
+            cell_curvature(height_ranges, i, j) / finer_per_cell * wp.abs(surface.scale) + height_ranges.more
+        )  # the displacement
     return bound
 
 
@@ -39,7 +41,7 @@ def distance_from_corners(surface: QueriedSurface, blocks: HeightRanges, i: wp.i
 def row_ranges(
     offset: int,
     surface: QueriedSurface,
-    blocks: HeightRanges,
+    height_ranges: HeightRanges,
     first_column: int,
     first_row: int,
     west: wp.float64,
@@ -74,7 +76,7 @@ def row_ranges(
                 x1, u1 = finer_cell(surface, i, s1)
                 y0, v0 = finer_cell(surface, j, t0)
                 y1, v1 = finer_cell(surface, j, t1)
-                off = distance_from_corners(surface, blocks, i, j)
+                off = distance_from_corners(surface, height_ranges, i, j)
                 for y in range(y0, y1 + 1):
                     for x in range(x0, x1 + 1):
                         p = finer_corners(surface.finer[0], tile, x, y)
@@ -89,7 +91,9 @@ def row_ranges(
                         low = wp.min(low, part_low - off)
                         high = wp.max(high, part_high + off)
             elif surface.bicubic == 1:
-                part_low, part_high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+                part_low, part_high = range_at(
+                    height_ranges, height_ranges.cells + tile_index(i, j, height_ranges.cell_pages)
+                )
                 low = wp.min(low, part_low)
                 high = wp.max(high, part_high)
             else:

@@ -72,11 +72,14 @@ class RaySegment:
 
 
 @wp.func
-def range_at(blocks: HeightRanges, entry: wp.int64):
+def range_at(height_ranges: HeightRanges, entry: wp.int64):
     """Return the lowest and highest height (metres, displacement included) of an entry of the stored ranges."""
-    a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * entry)) * blocks.step
-    b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * entry + wp.int64(1))) * blocks.step
-    return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
+    a = height_ranges.base + wp.float64(item_at(height_ranges.ranges, wp.int64(2) * entry)) * height_ranges.step
+    b = (
+        height_ranges.base
+        + wp.float64(item_at(height_ranges.ranges, wp.int64(2) * entry + wp.int64(1))) * height_ranges.step
+    )
+    return smaller(a, b) - height_ranges.more, larger(a, b) + height_ranges.more
 
 
 @wp.func
@@ -146,7 +149,7 @@ def in_bilinear(surface: QueriedSurface, p: wp.vec4d, ray: Ray, part: RaySegment
 
 
 @wp.func
-def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32):
+def cell_range(surface: QueriedSurface, height_ranges: HeightRanges, i: wp.int32, j: wp.int32):
     """Return bounds of the surface's height in cell (i, j), lower and upper, metres, displacement included.
 
     The cell has no finer tiles.
@@ -154,29 +157,29 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if surface.bicubic == 1:
-        low, high = range_at(blocks, blocks.cells + tile_index(i, j, blocks.cell_pages))
+        low, high = range_at(height_ranges, height_ranges.cells + tile_index(i, j, height_ranges.cell_pages))
     else:
         p = corners_of(surface.samples, i, j)
         a = wp.min(p) * surface.scale + surface.offset
         b = wp.max(p) * surface.scale + surface.offset
-        low = smaller(a, b) - blocks.more
-        high = larger(a, b) + blocks.more
+        low = smaller(a, b) - height_ranges.more
+        high = larger(a, b) + height_ranges.more
     return low, high
 
 
 @wp.func
-def cell_curvature(blocks: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
+def cell_curvature(height_ranges: HeightRanges, i: wp.int32, j: wp.int32) -> wp.float64:
     """Return an upper bound of a quarter of the norm of the bicubic surface's second derivatives in cell (i, j).
 
     The unit is metres before scaling, over squared cells.
     """
-    entry = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
-    return wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, entry))
+    entry = height_ranges.curvatures + tile_index(i, j, height_ranges.cell_pages)
+    return wp.float64(error_of(height_ranges.table, height_ranges.curvature_group, height_ranges.error, entry))
 
 
 @wp.func
 def half_curvature_along(
-    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
+    surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32, finer_twist: wp.float64
 ) -> wp.float64:
     """Return an upper bound of half the second derivative of the surface along the ray in cell (i, j).
 
@@ -186,7 +189,7 @@ def half_curvature_along(
     cells2 = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
-        quarter_norm = cell_curvature(blocks, i, j)  # of the second derivatives, metres over squared cells
+        quarter_norm = cell_curvature(height_ranges, i, j)  # of the second derivatives, metres over squared cells
         curvature = wp.float64(2.0) * quarter_norm * cells2
         if finer_twist >= wp.float64(0.0):
             # The differences between the surfaces at finer samples have the twists of both.
@@ -198,12 +201,17 @@ def half_curvature_along(
         curvature = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
     x = ray.du * surface.step_x
     y = ray.dv * surface.step_y
-    return wp.abs(surface.scale) * (curvature + wp.float64(0.5) * blocks.detail_curvature * (x * x + y * y))
+    return wp.abs(surface.scale) * (curvature + wp.float64(0.5) * height_ranges.detail_curvature * (x * x + y * y))
 
 
 @wp.func
 def in_curved(
-    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment, finer_twist: wp.float64, finer: wp.vec2i
+    surface: QueriedSurface,
+    height_ranges: HeightRanges,
+    ray: Ray,
+    part: RaySegment,
+    finer_twist: wp.float64,
+    finer: wp.vec2i,
 ):
     """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side before that.
 
@@ -213,7 +221,7 @@ def in_curved(
     `half_curvature_along`). The ray advances by steps in which the bounded second derivative rules out a crossing.
     """
     zero = wp.float64(0.0)
-    curvature = half_curvature_along(surface, blocks, ray, part.i, part.j, finer_twist)
+    curvature = half_curvature_along(surface, height_ranges, ray, part.i, part.j, finer_twist)
     side = part.side
     hit = NOWHERE
     t = part.first
@@ -281,7 +289,7 @@ def passed(part: RaySegment, on_side: wp.float64):
 
 
 @wp.func
-def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
+def in_finer_cells(surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, part: RaySegment):
     """Return (t, side): where the ray meets the surface in a segment in a raster cell of finer tiles, cell by cell.
 
     t is infinite if they meet nowhere. side: 1 if the ray is above the surface before that or at the segment's end, -1
@@ -325,7 +333,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
         else:
             piece.i = part.i
             piece.j = part.j
-            hit, side = in_curved(surface, blocks, ray, piece, twist_of(corners) * scale * scale, wp.vec2i(i, j))
+            hit, side = in_curved(surface, height_ranges, ray, piece, twist_of(corners) * scale * scale, wp.vec2i(i, j))
         piece.first = piece.last
         if to_x <= to_y:
             i += 2 * east - 1
@@ -338,7 +346,7 @@ def in_finer_cells(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part
 
 
 @wp.func
-def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
+def in_one_cell(surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, part: RaySegment):
     """Return (t, side): where the ray meets the surface in a segment in one cell, and the ray's side before that.
 
     t is NOWHERE if they do not meet; the side is then that at the segment's end, too. side: 1 above the surface, -1
@@ -347,14 +355,16 @@ def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: R
     hit = NOWHERE
     side = wp.float64(0.0)
     if finer_tile(surface, part.i, part.j) >= 0:
-        hit, side = in_finer_cells(surface, blocks, ray, part)
+        hit, side = in_finer_cells(surface, height_ranges, ray, part)
     elif surface.bicubic == 0 and surface.layers.count == 0:
         hit, side = in_bilinear(surface, corners_of(surface.samples, part.i, part.j), ray, part)
     else:
-        low, high = cell_range(surface, blocks, part.i, part.j)
+        low, high = cell_range(surface, height_ranges, part.i, part.j)
         on_side = clear_of(low, high, ray, part)
         if on_side == wp.float64(0.0):
-            hit, side = in_curved(surface, blocks, ray, part, wp.float64(-1.0), wp.vec2i())  # -1: in no finer cell
+            hit, side = in_curved(
+                surface, height_ranges, ray, part, wp.float64(-1.0), wp.vec2i()
+            )  # -1: in no finer cell
         else:
             hit, side = passed(part, on_side)
     return hit, side

@@ -20,11 +20,11 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 
 
 @wp.func
-def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
+def block_range(height_ranges: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Return the lowest and highest height (metres) in block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
-    index = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
-    return range_at(blocks, item_at(blocks.first, group) + index)
+    index = tile_index(1 + 2 * x, 1 + 2 * y, item_at(height_ranges.pages, group))
+    return range_at(height_ranges, item_at(height_ranges.first, group) + index)
 
 
 @wp.func
@@ -45,7 +45,7 @@ def within(first: wp.float64, last: wp.float64, start: wp.float64, step: wp.floa
 
 
 @wp.func
-def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
+def enter(surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
     """Return (first, last, side): the part of t = 0 .. end in which the ray may meet the surface, and the ray's side.
 
     The part is empty if first > last. side: that at the part's beginning; known: that at t = 0; 1 above the surface, -1
@@ -58,9 +58,11 @@ def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float
     # surface.
     side = known
     z = ray.z + first * ray.dz
-    if side == zero and not (z >= blocks.low_z and z <= blocks.high_z):
-        side = side_of(z - blocks.low_z)
-    first, last = within(first, last, ray.z, ray.dz, blocks.low_z - blocks.spare, blocks.high_z + blocks.spare)
+    if side == zero and not (z >= height_ranges.low_z and z <= height_ranges.high_z):
+        side = side_of(z - height_ranges.low_z)
+    lowest = height_ranges.low_z - height_ranges.spare
+    highest = height_ranges.high_z + height_ranges.spare
+    first, last = within(first, last, ray.z, ray.dz, lowest, highest)
     return first, last, side
 
 
@@ -103,7 +105,7 @@ def way_out(
 
 @wp.func
 def hit_in_block(
-    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
+    surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
     """Return (t, side, done): where the ray meets the surface in a segment in a block, and the ray's side before that.
 
@@ -119,11 +121,11 @@ def hit_in_block(
         on_west = ray.du == zero and ray.u == wp.float64(part.i)
         on_south = ray.dv == zero and ray.v == wp.float64(part.j)
         if is_ground(surface, part.i, part.j, on_west, on_south):
-            hit, side = in_one_cell(surface, blocks, ray, part)
+            hit, side = in_one_cell(surface, height_ranges, ray, part)
         else:
             side = known
     else:
-        low, high = block_range(blocks, bits, part.i >> bits, part.j >> bits)
+        low, high = block_range(height_ranges, bits, part.i >> bits, part.j >> bits)
         on_side = clear_of(low, high, ray, part)
         done = on_side != zero
         if done:
@@ -134,7 +136,7 @@ def hit_in_block(
 @wp.func
 def first_hit(
     surface: QueriedSurface,
-    blocks: HeightRanges,
+    height_ranges: HeightRanges,
     ray: Ray,
     end: wp.float64,
     known: wp.float64,
@@ -148,7 +150,7 @@ def first_hit(
     which is fast near the surface.
     """
     part = RaySegment()
-    first, last, side = enter(surface, blocks, ray, end, known)
+    first, last, side = enter(surface, height_ranges, ray, end, known)
     part.first = first
     part.side = side
     part.slack = slack
@@ -159,13 +161,13 @@ def first_hit(
     cells_y = surface.samples.rows - 1
     part.i = cell_of(ray.u + part.first * ray.du, cells_x)
     part.j = cell_of(ray.v + part.first * ray.dv, cells_y)
-    bits = wp.min(bits, blocks.top)
+    bits = wp.min(bits, height_ranges.top)
     if ray.du == wp.float64(0.0) and ray.dv == wp.float64(0.0):  # an upright ray is in one cell
         bits = 0
     while True:
         out, line, next_i, next_j = way_out(surface, ray, bits, part.i, part.j, part.first, last)
         part.last = out
-        hit, side, done = hit_in_block(surface, blocks, ray, bits, part, known)
+        hit, side, done = hit_in_block(surface, height_ranges, ray, bits, part, known)
         part.side = side
         if hit < NOWHERE:
             break
@@ -178,7 +180,7 @@ def first_hit(
             part.i = next_i
             part.j = next_j
             coarser = bits + STEP
-            if coarser <= blocks.top and (line & ((1 << coarser) - 1)) == 0:
+            if coarser <= height_ranges.top and (line & ((1 << coarser) - 1)) == 0:
                 bits = coarser
         else:
             bits -= STEP
@@ -204,7 +206,7 @@ def ray_of(surface: QueriedSurface, p: wp.vec3d, d: wp.vec3d) -> Ray:
 def pick(
     offset: int,
     surface: QueriedSurface,
-    blocks: HeightRanges,
+    height_ranges: HeightRanges,
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     distance: wp.array(dtype=wp.float64),
@@ -212,4 +214,4 @@ def pick(
     """Write the distance along unit direction `offset + tid` to the first hit, metres; infinite if it misses."""
     n = offset + wp.tid()
     ray = ray_of(surface, origins[n], directions[n])
-    distance[n] = first_hit(surface, blocks, ray, NOWHERE, wp.float64(0.0), wp.float64(0.0), blocks.top)
+    distance[n] = first_hit(surface, height_ranges, ray, NOWHERE, wp.float64(0.0), wp.float64(0.0), height_ranges.top)

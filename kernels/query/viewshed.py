@@ -13,7 +13,7 @@ def in_sight(
     offset: int,
     first: int,
     surface: QueriedSurface,
-    blocks: HeightRanges,
+    height_ranges: HeightRanges,
     eye: wp.vec3d,
     target: wp.float64,
     radius2: wp.float64,
@@ -51,5 +51,5 @@ def in_sight(
         if far > wp.float64(0.0):  # the eye is not at the point itself
             ray = ray_of(surface, p, sight / far)
             # The ray begins above the surface, and the first block that is tried is one cell.
-            is_seen = first_hit(surface, blocks, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
+            is_seen = first_hit(surface, height_ranges, ray, far, wp.float64(1.0), slack, 0) == NOWHERE
     seen[n] = is_seen

@@ -50,7 +50,7 @@ def balance_mass(
         gain = gain - fraction * available
         deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
     deposited, eroded_before = deposited[unpadded], eroded
-    # Erode more where a gain remains, and less where a loss does.
+    # Erode more where a gain remains, at most twice as much, and less where a loss does.
     if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
         for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
             available = np.pad(available, padding)

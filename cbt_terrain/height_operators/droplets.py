@@ -160,7 +160,7 @@ def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarr
             & (tiles_along * side < first + window.stop + reach)
         )
     needed = np.logical_and.outer(*within_reach)
-    # A tile reads its neighbours of earlier colours.
+    # A tile reads its neighbours of earlier colours. Colours are 0 to 3, in the order in which they run.
     odd_row, odd_column = (n % 2 for n in np.meshgrid(*rows_and_columns, indexing="ij"))
     colours = 2 * odd_row + (odd_row ^ odd_column)
     for colour in (3, 2, 1):

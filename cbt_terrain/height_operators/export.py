@@ -317,6 +317,7 @@ def _georeference(field: HeightField, store: str, axes: tuple[GridAxis, GridAxis
             metres_x, metres_y = unit_lengths(field)
             step_x, step_y = step_x / metres_x, step_y / metres_y
     west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y  # of the raster's pixels
+    # Size of a pixel: `num` / `den` cells of the raster.
     across, down = (axis.num * cell / axis.den for axis, cell in zip(axes, (step_x, step_y), strict=True))
     west, north = west + (step_x - across) / 2, north - (step_y - down) / 2  # the first pixel keeps its centre
     return Affine(across, 0.0, west, 0.0, -down, north), crs

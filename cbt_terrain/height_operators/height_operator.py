@@ -37,7 +37,8 @@ class OperatorGround:
 
     Attributes:
         heights: float32 [rows, columns], metres, row 0 south, column 0 west; `step_x`, `step_y` metres apart.
-        first: row and column of sample [0, 0] in the whole level, which decides phases, noise and beds.
+        first: row and column of sample [0, 0] in the whole level, so that noise is the same in every tile, and samples
+            of the coarser level (even rows and columns) are known.
         whole: rows and columns of the whole level; (0, 0) stands for those of `heights`.
         level: number of the level; 0 is the raster's own.
         missing: bool [rows, columns], holes of the file with filled heights that must not change, or None.

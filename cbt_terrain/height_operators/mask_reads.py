@@ -17,6 +17,7 @@ from ..field.lattice import fit
 from .tile_cache import compute_digest
 from .tiles import Level, Window
 
+# Attributes of the ground's shape; a rule about one of them needs the heights of the whole level.
 SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
 MASK_ATTRIBUTES: dict[str, AttributeDeclaration] = {name: ATTRIBUTES[name] for name in (*SHAPES, *BY_PRODUCTS)}
 

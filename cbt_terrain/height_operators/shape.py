@@ -153,8 +153,8 @@ def _summarize_entry(
 
     `whole`: the operator was applied to the whole level, not to each of `tiles`.
     """
-    computed = list(range(level.tile_count)) if whole else tiles
-    rms = float(np.sqrt(sums.mean_square[computed].mean())) if computed else 0.0
+    covered = list(range(level.tile_count)) if whole else tiles
+    rms = float(np.sqrt(sums.mean_square[covered].mean())) if covered else 0.0
     return Added(
         level=level.number,
         spacing_m=max(level.step_x, level.step_y),

@@ -74,7 +74,8 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
 
     for azimuth in azimuths()[:AZIMUTHS]:
         sky += np.float32(1.0 / AZIMUTHS) / (1 + np.square(slopes(azimuth)))  # cos^2 of the horizon's height
-    for gust in GUSTS:  # sines of the horizons to windward, less those to leeward (Winstral et al. 2002)
+    # Sines of the horizons to windward, less those to leeward (Winstral et al. 2002). `slopes` fills `horizon` first.
+    for gust in GUSTS:
         windward = _direction(values["wind"] + gust)
         lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(horizon))
         lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(horizon))

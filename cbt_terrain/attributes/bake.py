@@ -281,7 +281,7 @@ def _encode_band(values: np.ndarray, image: _Image) -> np.ndarray:
         steps = (values - np.float32(coding.low)) * np.float32(limit / (coding.high - coding.low))
         values = (np.clip(steps, 0, limit) + np.float32(0.5)).astype(np.uint16)
     out = np.zeros((len(values), coding.channels), kind)
-    out[:, : values.size // len(values)] = values.reshape(len(values), -1)
+    out[:, : values.size // len(values)] = values.reshape(len(values), -1)  # one row for each texel
     rows = out.reshape(-1, image.side, coding.channels)
     return rows.view(np.uint8).reshape(len(rows), -1) if coding.form == PNG else rows
 

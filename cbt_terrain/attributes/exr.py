@@ -16,7 +16,7 @@ from ..run.named_file import open_regular
 NAMES = {1: ("Y",), 2: ("R", "G"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 MAGIC = struct.pack("<II", 20000630, 2)
 BLOCK = 16  # lines
-LEVEL = 4
+LEVEL = 4  # of zlib
 HALF, FLOAT = 1, 2
 COMMENT = "comments"
 

@@ -134,9 +134,10 @@ def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count
     coarser: levels above the tiles' own heights, float32, one after another.
     """
     sides, levels = pyramid_sides(tiles.bits), Pyramid()
-    levels.samples = codes.pack_samples(tiles.heights.reshape(-1, STRIDE), None)
+    levels.samples = codes.pack_samples(tiles.heights.reshape(-1, STRIDE), steps=None)
     levels.coarser = flat(coarser, wp.float32)
     sizes = [count * side * side for side in sides]
+    # First sample of each level in `coarser`; the tiles' own heights, level 0, are not in it.
     first = np.cumsum([0, 0, *sizes])[: len(sides) + 1]
     levels.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)
     levels.columns = wp.array([STRIDE, *sides], dtype=wp.int32, device=launch.DEVICE)

@@ -42,7 +42,7 @@ class EffectValues:
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
         self._count = self._last_count = 0  # points of this surface and of the last one
         self._zeros: dict[int, np.ndarray] = {}  # for `zeros`, by width
-        self._runs = np.empty((0, 3), np.int32)  # `_match_runs`
+        self._runs = np.empty((0, 3), np.int32)  # points of both surfaces (`_match_runs`)
 
     @property
     def nbytes(self) -> int:

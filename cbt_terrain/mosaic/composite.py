@@ -347,7 +347,7 @@ class Composite:
                 heights = self.tile_window(rank, *map(int, window))
                 inside = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
                 known, before = np.isfinite(heights), ranks[inside]
-                is_higher = known & (rank > before)
+                is_higher = known & (rank > before)  # NO_DATA: tiles are there, but none has a height
                 values[inside][is_higher] = heights[is_higher]
                 ranks[inside] = np.where(is_higher, rank, np.where(known | (before >= 0), before, NO_DATA))
         return LatticeWindow(values, ranks, left, top, np.array(used), np.array(used_ranks))

@@ -83,9 +83,10 @@ def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:
         first, last = lattice.rectangles[:, axis], lattice.rectangles[:, axis + 2]
         low, high = lattice.rectangles[:, 1 - axis], lattice.rectangles[:, 3 - axis]
         turn = lattice.period if axis == 0 else 0  # columns around the globe, 0 for none
-        starts, wanted = (first % turn, (last + 1) % turn) if turn else (first, last + 1)
+        # `after`: where a neighbour of each tile has to begin.
+        starts, after = (first % turn, (last + 1) % turn) if turn else (first, last + 1)
         order = np.argsort(starts, kind="stable")
-        ends = np.searchsorted(starts[order], wanted), np.searchsorted(starts[order], wanted, side="right")
+        ends = np.searchsorted(starts[order], after), np.searchsorted(starts[order], after, side="right")
         for number, (begin, end) in enumerate(zip(*ends, strict=True)):
             others = order[begin:end]
             shared = np.minimum(high[others], high[number]) - np.maximum(low[others], low[number]) + 1
@@ -103,6 +104,7 @@ def _border(composite: Composite, edge: TileEdge, is_second: bool) -> np.ndarray
     low, high = edge.line()
     size, offset = int(rectangle[axis + 2] - rectangle[axis]) + 1, low - int(rectangle[1 - axis])
     depth = min(size, 2)
+    # First sample and count of the outermost samples, across the edge and along it.
     across, along = (0 if is_second else size - depth, depth), (offset, high - low + 1)
     rows, columns = (along, across) if axis == 0 else (across, along)
     window = composite.tile_window(int(edge.lattice.tiles[number]), *rows, *columns)

@@ -221,7 +221,7 @@ class InsetBlend:
             known = None
             if self.records is not None:
                 known = self.records.find(key, self._kind, self._side_of)
-            self._cells[key] = self._scanned(row, column) if known is None else known
+            self._cells[key] = self._find_marks(row, column) if known is None else known
             if known is None and self.records is not None:
                 self.records.note(key, self._cells[key])
             self._bytes += sum(marks.nbytes for marks in self._cells[key].values())
@@ -231,10 +231,10 @@ class InsetBlend:
         return self._cells[key]
 
     def _side_of(self, level: int) -> int:
-        """Return the number of cells along a block for the marks of a level."""
+        """Return the number of cells along a block for the marks of a level, of the finest ring on lower levels."""
         return BLOCK // min(ring.cell for ring in self.rings[:level])
 
-    def _scanned(self, row: int, column: int) -> dict[int, np.ndarray]:
+    def _find_marks(self, row: int, column: int) -> dict[int, np.ndarray]:
         """Read a block's files; return its marks as `_marks_of_block`."""
         by_level: dict[int, np.ndarray] = {}
         for piece, level, below, top in self._scan(row, column):

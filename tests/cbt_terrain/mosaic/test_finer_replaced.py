@@ -69,7 +69,7 @@ def first(files, tmp_path_factory):
 
 def count_reads(patch):
     """Return the boxes of windows, and the blocks of seams, that imports read from now on."""
-    found, read, scanned = ([], []), finer_import._Windows._read, insets.InsetBlend._scanned
+    found, read, scanned = ([], []), finer_import._Windows._read, insets.InsetBlend._find_marks
 
     def reading(self, *box):
         found[0].append(box)
@@ -82,7 +82,7 @@ def count_reads(patch):
         return marks
 
     patch.setattr(finer_import._Windows, "_read", reading)
-    patch.setattr(insets.InsetBlend, "_scanned", scanning)
+    patch.setattr(insets.InsetBlend, "_find_marks", scanning)
     return found
 
 

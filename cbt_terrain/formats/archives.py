@@ -299,14 +299,15 @@ def _member(path: Path) -> Member:
 def _members(path: Path) -> dict[str, Member]:
     """Return the height maps in an archive by their names in it, from names and sizes alone. Raises TerrainError."""
     if path.suffix.lower() == ".gz":
-        if _importable(path.with_suffix("")) is None:
-            raise _no_terrain(path, [], [name] if (name := PurePosixPath(path.stem)).suffix.lower() == ".tar" else [])
+        inner = PurePosixPath(path.stem)
+        if _importable(inner) is None:
+            raise _no_terrain(path, maps=[], packed=[inner] if inner.suffix.lower() == ".tar" else [])
         return {path.stem: Member(path.stem)}
     try:
-        stat = os.stat(path)
+        status = os.stat(path)
     except OSError as reason:
         raise _damaged(path, reason) from reason
-    return _members_of(path, stat.st_size, stat.st_mtime_ns)
+    return _members_of(path, status.st_size, status.st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=4)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..rasters.file_grid import FileGrid
+from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.raster import ImportSettings, Raster, cause
 from ..rasters.rasterio_types import DatasetReader
 from ..rasters.rounding import SourceRounding
@@ -28,6 +28,7 @@ NICE = (1.0, 2.0, 5.0, 10.0)  # first digits of a default cell
 MAX_CELLS = 1 << 26
 REACH = 16  # cells
 NO_DATA = -3.0e38
+# Numbers of GeoTIFF keys, and the code of a system that has no EPSG code.
 PROJECTED_KEY, VERTICAL_KEY, GEOGRAPHIC_KEY, USER_DEFINED = 3072, 4096, 2048, 32767
 
 
@@ -65,7 +66,6 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
 
     Raises TerrainError for a damaged file, one in degrees or one without ground points.
     """
-    from ..rasters.file_grid import FileGrid, unit_of
     from .gdal_source import raster_of
 
     with open_regular(path, links=True) as file:

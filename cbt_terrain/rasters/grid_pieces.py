@@ -17,8 +17,9 @@ SPACINGS = (32, 16, 8, 4, 2)  # samples between nodes, the first whose error is 
 # Bilinear interpolation is off by at most the sum of the errors in the middles of a cell's sides, plus the change of
 # curvature inside it.
 MARGIN = 1.25
-SNAPPED = 1e-6  # see SNAP in kernels/mosaic/resample.py
-UNCOVERED, NO_DATA = -1, -2  # ranks, as in kernels/mosaic/resample.py
+SNAPPED = 1e-6  # samples: a position this near to a sample counts as the sample (SNAP in kernels/mosaic/resample.py)
+# Ranks of samples without a value: no tile is there, or one that has no data (kernels/mosaic/resample.py).
+UNCOVERED, NO_DATA = -1, -2
 EDGE = 3  # source samples around those that a piece is interpolated from
 MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 
@@ -66,7 +67,7 @@ class LatticeWindow(NamedTuple):
 
     Attributes:
         values: float64 [rows, columns], NaN where missing.
-        ranks: int32 [rows, columns], rank of each sample's tile; UNCOVERED, or NO_DATA in a tile.
+        ranks: int32 [rows, columns], rank of each sample's tile; UNCOVERED or NO_DATA without a value.
         left, top: column and row of the lattice of the first sample.
         rectangles: int64 [n, 4], those of the tiles near the piece.
         tile_ranks: ranks of these tiles.
@@ -85,7 +86,7 @@ class PieceValues(NamedTuple):
 
     Attributes:
         values: float64 [rows, columns], NaN where missing.
-        ranks: int32 [rows, columns], rank of each value's tile; UNCOVERED, or NO_DATA in a tile.
+        ranks: int32 [rows, columns], rank of each value's tile; UNCOVERED or NO_DATA without one.
         moved: float64 [rows, columns], largest difference that the error of the position makes.
     """
 

@@ -207,7 +207,8 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
 
 def _measure(samples: _Samples, layers: list[TileLayer], on_progress: Callable[[float], None]) -> None:
     """Widen the ranges of layers without a given range to all samples on the terrain, before values are coded."""
-    total, lack_range = samples.axes[1].inside, [not layer.has_range for layer in layers]
+    total = samples.axes[1].inside
+    lack_range = [not layer.has_range for layer in layers]  # before the first block gives them one
     for rows in samples.row_blocks(0, total):
         for tiles in samples.groups():
             heights, _, values = samples.block(rows, samples.columns_of(tiles))

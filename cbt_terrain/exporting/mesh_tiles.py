@@ -38,7 +38,7 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
     if not crosses.any():
         return mesh
     crossing, signs = mesh.triangles[crosses], signs[crosses]
-    # Roll the corner that is alone on its side, or on the line, to the front.
+    # Roll the corner that is alone on its side, or on the line, to the front: the other two decide the sum of signs.
     alone = np.where((signs == 0).any(1), (signs == 0).argmax(1), (signs == -np.sign(signs.sum(1))[:, None]).argmax(1))
     order = (alone[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(crossing, order, 1).T

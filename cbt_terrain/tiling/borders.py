@@ -116,7 +116,8 @@ def raise_errors(
         opened: maps the codes of the raster.
         table: metres of the codes of each group, float32 [groups + 1, 256].
         kinds: maps the kinds of cells (`raise_kinds`); None without holes.
-        longest: longest(level, is_centre) returns the longest edge of such diamonds, metres.
+        longest: longest(level, is_centre) returns the longest edge of such diamonds, metres. The error of a diamond
+            with ground and hole is at least that, so that it is split.
     """
     for level, is_centre in pass_depths(grid):
         below = level if is_centre else level - 1  # level of the children, -1 for cells, whose table is the last

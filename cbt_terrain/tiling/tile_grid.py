@@ -185,7 +185,10 @@ def cell_entries(lattice: Lattice, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndarray:
-    """Return the entries of vertices in an image with `pages` a row, as in kernels/field/layout.py."""
+    """Return the entries of vertices in an image with `pages` a row, as in kernels/field/layout.py.
+
+    A page has 8 x 8 blocks of 4 x 4 vertices.
+    """
     page = (y >> 5) * np.int64(pages) + (x >> 5)
     return page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3)
 

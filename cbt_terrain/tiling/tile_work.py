@@ -10,8 +10,9 @@
     tiles-*.jsonl         records of finished parts (tile_records.py); each process writes its own file
     tiles.jsonl           all records, kept with work.json
 
-A part is finished when its record is written, so a killed process loses one part. Every array is mapped anew for each
-part, because its pages count as memory of the process.
+A part is a tile that is measured, or a unit of samples that are read at once. It is finished when its record is
+written, so a killed process loses one part. Every array is mapped anew for each part, because its pages count as memory
+of the process.
 """
 
 import functools

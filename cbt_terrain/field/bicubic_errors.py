@@ -153,7 +153,10 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
     launch_step(kernels.cover_sides, items(cells), inputs, threads)
     for bisections in range(1, len(window.depths)):
         below, above = window.depths[bisections - 1 : bisections + 1]
-        _add_errors(field, bisections, below, above, window.corner(bisections), window.off, window.errors, threads)
+        corner = window.corner(bisections)
+        _add_errors(
+            field, bisections, below, above, corner=corner, off=window.off, errors=window.errors, threads=threads
+        )
     return window
 
 

@@ -32,7 +32,7 @@ MAX_OCTAVES = 9
 CURVATURE, SLOPE = 14.1, 3.8
 # Edges of the finest leaf in the shortest wave; the mesh then misses 0.11 of its amplitude.
 EDGES_A_WAVE = 4
-LARGEST = 1e6
+LARGEST = 1e6  # metres, of amplitudes and wavelengths
 
 
 @dataclass(frozen=True)

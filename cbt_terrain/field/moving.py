@@ -30,7 +30,7 @@ from ..run.owned_files import (
 )
 from . import store_folder
 
-BESIDE = LAND, MAPS
+BESIDE = LAND, MAPS  # endings of the folders that belong to a store
 MOVED = "_moved"  # suffix of a store whose name is taken in the new folder
 
 

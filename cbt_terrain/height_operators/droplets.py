@@ -94,8 +94,8 @@ def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.nda
 def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.DropletRain":
     """Return the droplets' parameters for kernels, without arrays; a step is as long as the smaller spacing of samples.
 
-    values: `droplets` is their number per square kilometre. They start in tiles of `rows` x `columns` samples; none
-    reaches half a tile beyond its own.
+    values: `droplets` is their number per square kilometre. They start in tiles of `rows` x `columns` samples, `drops`
+    in each; none reaches half a tile beyond its own. `across`: number of tiles from west to east.
     """
     from ...kernels.land import droplets as kernels
 
@@ -108,7 +108,7 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
         _tile_side(rain.steps * stride / step, brush)
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
     )
-    rain.across = -(-_whole_shape(ground)[1] // rain.columns)  # tiles from west to east
+    rain.across = -(-_whole_shape(ground)[1] // rain.columns)
     per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
     simulated = min(per_sample, MAX_PER_SAMPLE)
     rain.drops = round(simulated * rain.rows * rain.columns)
@@ -170,7 +170,7 @@ def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarr
 
 
 def _dilate(tiles: np.ndarray) -> np.ndarray:
-    """Return the flagged tiles and their eight neighbours, bool [rows, columns]."""
+    """Return the flagged tiles and their eight neighbours. tiles: flags, bool [rows, columns], as the result."""
     wide = np.pad(tiles, 1)
     tall = wide[:-2] | wide[1:-1] | wide[2:]
     return tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:]

@@ -178,13 +178,13 @@ class RowFile:
 
 
 def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
-    """Open a PNG file for rows of 8 or 16 bits."""
+    """Open a PNG file for rows of 8 or 16 bits. pool: threads that compress."""
     depth = 8 * dtype.itemsize
     return RowFile(PngFile(path, shape.width, channels=1, depth=depth, text="", pool=pool, lines=shape.height), dtype)
 
 
 def _open_exr(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
-    """Open an OpenEXR file for rows of float32."""
+    """Open an OpenEXR file for rows of float32. pool: threads that compress."""
     return RowFile(ExrFile(path, shape.width, channels=1, depth=32, text="", pool=pool, lines=shape.height), dtype)
 
 

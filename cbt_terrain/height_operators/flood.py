@@ -111,7 +111,7 @@ def longest_step(flood: Flood) -> float:
 def step_once(flood: Flood, seconds: float) -> None:
     """Advance the flood by one step of time.
 
-    Raises TerrainError if it is longer than `longest_step`, where the method is unstable.
+    Raises TerrainError if it is longer than `longest_step`, where the method is unstable. seconds: length of the step.
     """
     longest = longest_step(flood)
     if not 0.0 < seconds <= longest:
@@ -144,7 +144,8 @@ def march(flood: Flood, seconds: float, progress: Callable[[float], None] = lamb
 def _advance(flood: Flood, dt: float) -> None:
     """Advance a flood by `dt` seconds in place: compute fluxes, limit them to the water there is, move it.
 
-    Outlets keep the depth beyond the border; water that leaves or enters there is added to `flood.left`.
+    Outlets keep the depth beyond the border; water that leaves there is added to `flood.left`, and water that enters
+    is subtracted.
     """
     from ...kernels import wp
     from ...kernels.land import flood as kernels

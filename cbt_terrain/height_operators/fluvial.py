@@ -134,7 +134,7 @@ def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.nda
     """Diffuse the bed's heights at `rate`, m2 a year, and at least by MIN_CREEP (less in shorter steps).
 
     The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes. base:
-    uint8 [n], 1 where heights stay. filled: float32 [n] m, surface of lakes, or None.
+    uint8 [n], 1 where heights stay. filled: float32 [n] m, surface of lakes, or None. years: length of the step.
     """
     spread = years * rate
     surplus = max(MIN_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
@@ -232,7 +232,7 @@ def _deposit(
     """Deposit sediment along the rivers and in lakes, which raises the bed; return each sample's load, float64 [n].
 
     A load is metres of sediment times samples. raised: heights after uplift, before the incision. filled: water's
-    surface. Both are float32 [n] m.
+    surface. Both are float32 [n] m. years: length of the step.
     """
     load = np.zeros(len(filled)) if bed.inflow is None else bed.inflow * years
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.weight > 0.0)

@@ -23,7 +23,10 @@ def add_change(
 def finer_change(
     source: np.ndarray, before: np.ndarray, change: np.ndarray, rows: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
-    """Return the change that `add_change` makes, exactly 0 where the change around it is 0."""
+    """Return the change that `add_change` makes, exactly 0 where the change around it is 0.
+
+    Arguments are those of `add_change`.
+    """
     _, mean, _, clipped = _parts(source, before, change, rows, columns)
     return mean - clipped
 
@@ -34,6 +37,7 @@ def _parts(
     """Return the interpolated coarse ground and change, and the source's detail above that ground, float32 m.
 
     The last array is the detail that the change removes: all of it, within the extremes of the change around it.
+    Arguments are those of `add_change`.
     """
     ground, mean = interpolate(before, rows, columns), interpolate(change, rows, columns)
     low, high = (interpolate(_extreme(of, change), rows, columns) for of in (np.minimum, np.maximum))
@@ -42,7 +46,7 @@ def _parts(
 
 
 def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:
-    """Return the minimum or maximum of each sample and its eight neighbours."""
+    """Return the minimum or maximum of each sample and its eight neighbours. extreme: np.minimum or np.maximum."""
     wide = np.pad(samples, 1, mode="edge")
     wide = extreme(extreme(wide[:-2], wide[1:-1]), wide[2:])
     return extreme(extreme(wide[:, :-2], wide[:, 1:-1]), wide[:, 2:])

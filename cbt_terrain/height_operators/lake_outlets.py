@@ -38,7 +38,10 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     heights = bed.heights.reshape(bed.shape)
 
     def middle(here: Positions, after: Positions) -> Positions:
-        """Return this level's samples halfway between neighbouring coarse samples, or at one that is given twice."""
+        """Return this level's samples halfway between neighbouring coarse samples, or at one that is given twice.
+
+        here, after: rows and columns of the coarse samples.
+        """
         j, i = (n + m + s.start for n, m, s in zip(here, after, coarse, strict=True))
         return j, i
 
@@ -52,7 +55,10 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         np.minimum.at(path_level, (j[lowered], i[lowered]), outflow_level[lowered])
 
     def breach_dams(here: Positions, after: Positions) -> None:
-        """Limit the ground halfway between coarse samples to the higher of both ends."""
+        """Limit the ground halfway between coarse samples to the higher of both ends.
+
+        here, after: these samples, from upstream to downstream.
+        """
         higher_end = np.maximum(heights[middle(here, here)], heights[middle(after, after)])
         np.minimum.at(max_ground, middle(here, after), higher_end)
 

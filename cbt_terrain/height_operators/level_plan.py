@@ -77,7 +77,7 @@ class LevelPlan:
         return WHOLE if longer <= MAX_WHOLE_FOR_TILES else UPSAMPLED
 
     def runs(self, level: Level) -> list[list[int]]:
-        """Group the numbers of the entries into runs.
+        """Group the numbers of the entries into runs, for example [[0], [1, 2], [3]].
 
         An entry that is applied to a whole level is a run by itself. The entries between two of these form a run that
         is applied within each tile, which reads nothing of other tiles. A mask that reads the whole level starts a run.

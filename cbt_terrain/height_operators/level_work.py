@@ -160,7 +160,10 @@ class LevelWork:
 
 
 def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
-    """Return samples with 0 in holes, where interpolation from a coarser level has values of their surroundings."""
+    """Return samples with 0 in holes, where interpolation from a coarser level has values of their surroundings.
+
+    missing: bool, holes; None for none.
+    """
     return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
@@ -179,7 +182,7 @@ def _result_key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None
 
 
 def within(inner: Window, outer: Window) -> Window:
-    """Return a window relative to the first sample of the window `outer`, which contains it."""
+    """Return a window relative to the first sample of the window `outer`, which contains it. inner: that window."""
     rows, columns = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
     return rows, columns
 

@@ -50,7 +50,10 @@ def values_of(
 
 
 def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> HeightField:
-    """Return a level as a height field without errors and ranges, which no attribute reads."""
+    """Return a level as a height field without errors and ranges, which no attribute reads.
+
+    missing: bool, holes; None for none.
+    """
     none = np.empty(0, np.uint8)
     return HeightField(
         HeightRaster(

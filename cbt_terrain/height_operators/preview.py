@@ -30,7 +30,7 @@ SECONDS = 10.0  # time limit; a preview leaves out the remaining operators
 # Number of cached states of stacks' first entries, the most recently used ones. A state of 257 x 257 samples takes 1 MB
 # (measured, alpine), one of 513 x 513 samples four times as much.
 MAX_CACHED = 32
-_FOUND = ("land preview",)  # key in FieldCache.results
+_CACHE_KEY = ("land preview",)  # key in FieldCache.results
 
 
 class _TooSlow(Exception):
@@ -139,7 +139,7 @@ def _apply_entries(
         if time.monotonic() > end:
             raise _TooSlow
 
-    cached_states = source.cache.results.get(_FOUND, {})  # by their keys, the least recently used first
+    cached_states = source.cache.results.get(_CACHE_KEY, {})  # by their keys, the least recently used first
     # The state before the first entry has an empty key.
     start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
     states = [start]
@@ -160,7 +160,7 @@ def _apply_entries(
     used = {state.key: state for state in states}
     others = [key for key in cached_states if key not in used]
     recent = others[max(len(others) + len(used) - MAX_CACHED, 0) :]
-    source.cache.results[_FOUND] = {key: cached_states[key] for key in recent} | used
+    source.cache.results[_CACHE_KEY] = {key: cached_states[key] for key in recent} | used
     return states
 
 
@@ -216,7 +216,7 @@ def _positions(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
 
 def _source_heights(source: HeightField) -> np.ndarray:
     """Return the source's heights at the preview's samples, float32 [rows, columns], bilinear; cached with it."""
-    key = (*_FOUND, "shown")
+    key = (*_CACHE_KEY, "shown")
 
     def interpolate_rows() -> np.ndarray:
         """Interpolate the samples bilinearly, two rows of samples for each row of the preview."""

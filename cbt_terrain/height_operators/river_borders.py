@@ -208,7 +208,8 @@ def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coa
 def _receiver_at_edge(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
     """Return the D8 direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
 
-    It is the neighbour with the least drainage area of those that have more than the sample and are no higher.
+    It is the neighbour with the least drainage area of those that have more than the sample and are no higher. surface:
+    metres. flow: drainage areas.
     """
     south, west = max(j - 1, 0), max(i - 1, 0)
     neighbours = np.s_[south : j + 2, west : i + 2]
@@ -263,9 +264,10 @@ def _ring(coarse: _Coarse, ground: OperatorGround, comes_in: np.ndarray) -> _Rin
 def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column of the place where the water of each sample enters the tile, followed for up to 16 samples.
 
-    For a sample inside it is the sample itself. y, x: row and column of each sample's receiver.
+    For a sample inside it is the sample itself. y, x: row and column of each sample's receiver. coarse: the coarser
+    level.
     """
-    shape, itself = y.shape, np.arange(y.size).reshape(y.shape)
+    shape, itself = y.shape, np.arange(y.size).reshape(y.shape)  # samples are numbered in C order
     down = np.where(coarse.inside, itself, y * shape[1] + x).reshape(-1)
     for _ in range(4):  # each time the followed path becomes twice as long
         down = down[down]
@@ -276,7 +278,7 @@ def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray,
 def _lakes(coarse: _Coarse, ring: _Ring) -> list[np.ndarray]:
     """Return the lakes on the ring of border samples, each as indices in the ring.
 
-    Samples with one water level are one lake.
+    Samples with one water level are one lake. coarse: the coarser level.
     """
     in_lake = np.flatnonzero(coarse.wet[ring.at] & ring.cut)
     level = coarse.surface[ring.at][in_lake]
@@ -285,7 +287,7 @@ def _lakes(coarse: _Coarse, ring: _Ring) -> list[np.ndarray]:
 
 
 def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
-    """Return the maximum of the flow within `reach` samples to both sides along the ring."""
+    """Return the maximum of the flow within `reach` samples to both sides along the ring, which is closed."""
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 

@@ -181,7 +181,17 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
     depths, counts = shaping.depths, [level.tile_count for level in levels]
     if state is None:
         zeros = np.zeros(raster_shape, np.float32)
-        return Shaped(zeros, {}, depths, 0, shaping.tiles, counts, shaping.added, (0.0, 0.0), early)
+        return Shaped(
+            zeros,
+            layers={},
+            depths=depths,
+            level=0,
+            tiles=shaping.tiles,
+            tile_counts=counts,
+            added=shaping.added,
+            left_out_m=(0.0, 0.0),
+            finished_early=early,
+        )
     left_max, left_mean_square = _left_out(shaping, state)
     # After an early finish the change is interpolated at once, without spikes at cliffs. If a coarse level was
     # requested as the finest, the change is interpolated level by level, as layers always are.

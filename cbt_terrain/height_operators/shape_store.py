@@ -196,7 +196,7 @@ def _build(
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:
     """Write the layers of the source and of the stack as arrays of the draft and return them by name; depths add up.
 
-    Raises TerrainError for a layer that is not finite.
+    Raises TerrainError for a layer that is not finite. shaped: the stack's result.
     """
     written = {}
     for name, layer in merge_layers(heights.layers, shaped.layers, shaped.depths).items():

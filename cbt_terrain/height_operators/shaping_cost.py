@@ -41,7 +41,7 @@ def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: W
     piece.
     """
     before = requested_tiles.read_requested(folder) or [{} for _ in wanted]
-    new = [  # a level in one piece, None, stays
+    new = [  # None, a level in one piece, stays; of other levels tiles that are not yet so accurate remain
         level and {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error}
         for known, level in zip(before, wanted, strict=True)
     ]

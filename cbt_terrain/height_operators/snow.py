@@ -93,7 +93,10 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
 
 
 def _direction(degrees: float) -> np.ndarray:
-    """Return the unit vector of a compass bearing, float64 [2], rounded to be equal on every machine."""
+    """Return the unit vector of a compass bearing, float64 [2], rounded to be equal on every machine.
+
+    degrees: clockwise from north.
+    """
     angle = math.radians(degrees)
     return np.array([math.sin(angle), math.cos(angle)]).astype(np.float32).astype(np.float64)
 
@@ -191,7 +194,7 @@ def _slide_snow(
         # The order of slabs alternates, else those of one parity would give more than the others. The first half also
         # settles pairs along the rows, first those whose western column has the parity of `west`.
         west = (odd + ground.first[1]) % 2
-        for along, parity in ((1, odd), (0, 1 - odd)):
+        for along, parity in ((1, odd), (0, 1 - odd)):  # along: 1 if pairs along the rows settle, too
             first = -((parity + ground.first[0]) % 2)  # -1 if only the second row of the first slab is in the raster
             inputs = [first, along, west, arguments]
             slabs = (rows - first + 1) // 2
@@ -204,7 +207,7 @@ def _slide_snow(
 
 
 def _with_walls(bed: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
-    """Return the bed with NaN in holes, which stops slides at their borders."""
+    """Return the bed with NaN in holes, which stops slides at their borders. missing: bool, holes; None for none."""
     return bed if missing is None else np.where(missing, np.float32(np.nan), bed)
 
 

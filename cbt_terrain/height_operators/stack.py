@@ -323,7 +323,7 @@ def _check_list(where: str, name: str, content: object, max_length: int) -> list
 def _read_typed(where: str, content: dict, name: str, kind: type[T], default: T, expected: str) -> T:
     """Return the value `name` of an object, or its default. Raises TerrainError unless it is exactly of a `kind`.
 
-    expected: words for that kind in the error, as "a text".
+    expected: words for that kind in the error, as "a text". where: subject of the error.
     """
     value = content.get(name, default)
     if type(value) is kind:
@@ -332,7 +332,10 @@ def _read_typed(where: str, content: dict, name: str, kind: type[T], default: T,
 
 
 def _read_number(where: str, content: dict, name: str, default: float | None) -> float:
-    """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or more than 1e300."""
+    """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or more than 1e300.
+
+    where: subject of the error.
+    """
     value: Any = content.get(name, default)
     if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
         raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")

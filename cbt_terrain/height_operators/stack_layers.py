@@ -11,7 +11,10 @@ from .tile_cache import compute_digest
 def merge_layers(
     before: Mapping[str, np.ndarray], new: Mapping[str, np.ndarray], depths: set[str]
 ) -> dict[str, np.ndarray]:
-    """Return the layers of a source with those of a stack: depths are added, states replaced."""
+    """Return the layers of a source with those of a stack: depths are added, states replaced.
+
+    before, new: those of the source and of the stack, by name. depths: names of depths.
+    """
     merged = {name: before[name] + new[name] if name in before and name in depths else new[name] for name in new}
     return dict(before) | merged
 

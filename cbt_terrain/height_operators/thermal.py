@@ -132,7 +132,7 @@ def sweep(slope: "kernels.Slope", number: int, threads: int, recorded: dict | No
 
     spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
     spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)  # sets slope.facing
-    for along, parity in ((1, odd), (0, 1 - odd)):
+    for along, parity in ((1, odd), (0, 1 - odd)):  # along: 1 if pairs along the rows settle, too
         first = -((parity ^ slope.first_row) & 1)  # row of the first slab: -1 if only its second row is in the raster
         slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope]
         spread(kernels.settle_slabs, slabs, inputs, cost=0.5 * slope.width)

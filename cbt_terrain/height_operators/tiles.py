@@ -183,7 +183,10 @@ def _round_error(metres: float) -> float:
 
 
 def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3]."""
+    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3].
+
+    Arguments are those of `tiles_seen`.
+    """
     from ..attributes import sizing
 
     west, south, _, _ = field.lattice.rectangle()

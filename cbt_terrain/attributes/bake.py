@@ -240,7 +240,8 @@ def _band_rows(side: int) -> int:
 def _open_image(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -> png.PngFile | exr.ExrFile:
     """Open the file of an image in `folder` for writing.
 
-    The owner of `stack` completes it with `close`; leaving `stack` closes it and discards waiting blocks.
+    The owner of `stack` completes it with `close`; leaving `stack` closes it and discards waiting blocks. pool: threads
+    that compress.
     """
     writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
     file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
@@ -287,7 +288,10 @@ def _encode_band(values: np.ndarray, image: _Image) -> np.ndarray:
 
 
 def _srgb(linear: np.ndarray) -> np.ndarray:
-    """Apply the sRGB curve by a table, since the last bits of numpy's powers differ by processor."""
+    """Apply the sRGB curve by a table, since the last bits of numpy's powers differ by processor.
+
+    linear: values 0 to 1.
+    """
     return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
 
 

@@ -200,7 +200,8 @@ def on_samples(
     """Yield attributes of a raster by strips of rows: a slice of rows (row 0 south), and the values there by name.
 
     These are float32 [rows, columns] or [rows, columns, width]. level: level of the height pyramid, 0 for the raster's
-    own scale. Masks and splat layers are computed with this function.
+    own scale. Masks and splat layers are computed with this function. Heights are multiplied by `vertical_scale`, then
+    `vertical_offset` metres are added.
     """
     lattice, requests = field.lattice, list(requests)
     west, south, _, _ = lattice.rectangle()
@@ -222,7 +223,7 @@ def _attributes_read(step: AttributeRequest) -> set[str]:
 
 
 def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
-    """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
+    """Return the names of attributes whose last values are dropped, so that those of `count` points fit `max_bytes`.
 
     Those that are cheapest to compute for their size are dropped first. steps: requests for all attributes in the order
     of their computation.

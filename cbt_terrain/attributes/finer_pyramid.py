@@ -99,7 +99,10 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
 
 
 def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tuple[np.ndarray, wp.array]:
-    """Return the levels above the tiles' own heights, float32, and all levels for kernels, an array of one struct."""
+    """Return the levels above the tiles' own heights, float32, and all levels for kernels, an array of one struct.
+
+    The levels are in one flat array, the finest first, each with its samples of all tiles.
+    """
     lattice, sides = raster.lattice, pyramid_sides(tiles.bits)
     size, positions = tiles.pyramid_size(lattice), np.argwhere(_where_finer(raster, tiles)[0])
     shapes = {PYRAMID: ((size,), np.float32)}
@@ -162,7 +165,10 @@ def _split_levels(values: np.ndarray, sides: list[int], count: int) -> list[np.n
 def _fill_levels(
     raster: HeightRaster, tiles: FinerTiles, positions: np.ndarray, levels: list[np.ndarray], tile_range: slice
 ) -> None:
-    """Fill the coarser levels of a range of tiles. positions: row and column of each tile, int64 [tiles, 2]."""
+    """Fill the coarser levels of a range of tiles. positions: row and column of each tile, int64 [tiles, 2].
+
+    levels: arrays of the levels, the finest first. tile_range: numbers of the tiles.
+    """
     around = 1 << tiles.bits  # finer cells that the coarsest level reads beyond a tile
     last = raster.lattice.cells_y << tiles.bits, raster.lattice.cells_x << tiles.bits
     for number in range(tile_range.start, tile_range.stop):

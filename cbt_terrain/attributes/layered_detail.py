@@ -97,7 +97,7 @@ def _compute_masks(
     """Return the masks of the splat layers `numbers`, at least one, at all samples: uint8, ALL for a weight of 1.
 
     Those of a large raster are cached in its store, MAX_CACHED sets of them. An attribute of the splat map holds the
-    weights of four layers.
+    weights of four layers. vertical: scale and offset of heights.
     """
     from .evaluate import on_samples
 

@@ -98,7 +98,10 @@ def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> ker
 
 
 def _min_stretch(across: np.ndarray) -> float:
-    """Return the smallest length of a level unit vector in camera space, the smaller singular value of [3, 2]."""
+    """Return the smallest length of a level unit vector in camera space, the smaller singular value of [3, 2].
+
+    across: the images of the unit vectors along x and y, its two columns.
+    """
     a, b = length(across[:, 0]), length(across[:, 1])
     dot = float(add_up(across[:, 0] * across[:, 1]))
     largest2 = (a * a + b * b + length((a * a - b * b, 2 * dot))) / 2

@@ -27,7 +27,8 @@ MEGABYTE = 1_000_000
 def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
     """Return a box around each tile's ground without its detail, float64 [tiles, 2, 3] metres: lowest, highest corner.
 
-    The heights come from stored ranges. tiling: how the raster is divided into tiles.
+    The heights come from stored ranges. tiling: how the raster is divided into tiles. Heights are multiplied by
+    `vertical_scale`, then `vertical_offset` metres are added.
     """
     lattice = field.lattice
     corners = np.empty((tiling.rows, tiling.columns, 2, 3))
@@ -85,7 +86,7 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: f
 
 
 def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
-    """Return False for boxes completely outside of one plane of the frame, bool [tiles].
+    """Return which boxes may be in a view's frame: those that no plane of it has completely outside, bool [tiles].
 
     boxes: float64 [tiles, 2, 3], lowest and highest corners in the terrain's space, metres. placement: matrix from
     there to the world.

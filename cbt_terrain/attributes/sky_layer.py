@@ -59,15 +59,18 @@ def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLaye
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
-    """Add one azimuth to the sky over the raster if one is missing; return whether it is complete."""
+    """Add one azimuth to the sky over the raster if one is missing; return whether it is complete.
+
+    scale: vertical scale.
+    """
     return _add_azimuth(field, scale, threads)["azimuths"] == AZIMUTHS
 
 
 def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
     """Add one azimuth, if one is missing, to the sky over the raster and return the state.
 
-    The state has `azimuths`, the number of those that were added, and `sky`, float32 [rows, columns], their sum so
-    far. Further calls complete it, so that a caller can show progress and stop between them.
+    The state has `azimuths`, the number of those that were added, and `sky`, float32 [rows, columns], their sum so far.
+    Further calls complete it, so that a caller can show progress and stop between them. scale: vertical scale.
     """
     with caching:
         state = _layer_state(field, scale)
@@ -126,7 +129,8 @@ def _save(field: HeightField, scale: float, sky: np.ndarray) -> np.ndarray:
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
     """Return the horizons of a coarser raster in the first PREVIEW_AZIMUTHS azimuths, for a fast preview.
 
-    They are slopes, float32 [azimuths, rows, columns], packed for kernels and cached with the field.
+    They are slopes, float32 [azimuths, rows, columns], packed for kernels and cached with the field. scale: vertical
+    scale.
     """
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with caching:

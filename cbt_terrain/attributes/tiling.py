@@ -58,7 +58,10 @@ class Tiling:
         return west, south, west + self.width, south + self.height
 
     def texel(self, resolution: int) -> tuple[float, float]:
-        """Return the size of a texel in metres, east and north, for a number of texels along a side."""
+        """Return the size of a texel in metres, east and north, for a number of texels along a side.
+
+        resolution: this number, with the margins.
+        """
         return self.width / (resolution * self.inner), self.height / (resolution * self.inner)
 
     def first_texel(self, tile: int, resolution: int) -> tuple[float, float]:

@@ -91,8 +91,12 @@ def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarra
     """
     # `_never` declares an older result invalid, so that it is replaced.
     shapes = {file: (values.shape, np.float32)}
-    derived = derived_arrays.derive_cached(field.raster, shapes, lambda into: np.copyto(into[file], values), _never)
-    return derived[file]
+
+    def fill(arrays: dict[str, np.ndarray]) -> None:
+        """Copy the values into the file's array."""
+        np.copyto(arrays[file], values)
+
+    return derived_arrays.derive_cached(field.raster, shapes, fill, is_valid=_never)[file]
 
 
 def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) -> None:

@@ -243,7 +243,10 @@ def _stat(path: str | Path) -> tuple[str, int, int] | None:
 
 
 def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> SourceTile:
-    """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic."""
+    """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic.
+
+    unpacked: height maps of archives.
+    """
     check_named(archive_of(path))
     files = filter(None, _with_sidecars(path))
     raster = open_tile(unpacked.path_of(path), settings)

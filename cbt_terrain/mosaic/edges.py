@@ -98,6 +98,7 @@ def _border(composite: Composite, edge: TileEdge, is_second: bool) -> np.ndarray
     """Return the values of one file of an edge, extrapolated by half a sample beyond its border: float64 [n].
 
     They are NaN where one of its two outermost samples is missing, and in the composite's unit, before its scale.
+    is_second: take the second file of the edge, else the first.
     """
     number = edge.second if is_second else edge.first
     rectangle, axis = edge.lattice.rectangles[number], edge.axis

@@ -41,11 +41,11 @@ def hidden_warnings(composite: Composite) -> list[str]:
     lower, upper = np.array(overlapping_pairs(composite.boxes), np.int64).reshape(-1, 2).T
     ratios = composite.steps[upper] / composite.steps[lower]
     is_coarser = ratios > 1 + STEP_TOLERANCE
-    finer = _hidden_files(composite, lower[is_coarser], upper[is_coarser], HIDDEN_PART)
+    finer = _hidden_files(composite, lower[is_coarser], upper[is_coarser], min_part=HIDDEN_PART)
     # The others have no effect below files of the same step, or of the same and of larger steps together.
     is_named = np.isin(lower, [*replaced, *(file.rank for file in finer)])
     is_left = (ratios >= 1 - STEP_TOLERANCE) & ~is_named
-    without_effect = _hidden_files(composite, lower[is_left], upper[is_left], 1.0)
+    without_effect = _hidden_files(composite, lower[is_left], upper[is_left], min_part=1.0)
     return [
         *_finer_warnings(composite, finer),
         *_effect_warnings(composite, without_effect),
@@ -142,11 +142,14 @@ def _replaced_files(composite: Composite) -> dict[int, int]:
 
 
 def _replaced_warnings(composite: Composite, replaced: dict[int, int]) -> list[str]:
-    """Return a warning about files that others replace, because their samples have the same positions."""
+    """Return a warning about files that others replace, because their samples have the same positions.
+
+    replaced: from `_replaced_files`.
+    """
     if not replaced:
         return []
     rank = min(replaced)
-    name, other = _names(composite, HiddenFile(rank, replaced[rank], 1.0))
+    name, other = _names(composite, HiddenFile(rank, replaced[rank], part=1.0))
     more = f", and {len(replaced) - 1:,} more files are replaced so" if len(replaced) > 1 else ""
     return [
         f"{other} has all its samples at the places of those of {name}, and replaces these "

@@ -73,7 +73,7 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
     """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile overlaps a coarser one.
 
     steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4], as in
-    `Composite`.
+    `Composite`. lattices: of all tiles.
     """
     levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
@@ -324,7 +324,7 @@ def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
     seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
     """
     down, across = ring.reach
-    near = _distances(_corners(seams), ring, MAX_PART)
+    near = _distances(_corners(seams), ring, limit=MAX_PART)
     near = near[MAX_PART * down : -MAX_PART * down, MAX_PART * across : -MAX_PART * across]
     widest = sliding_window_view(near, 2 * down + 1, axis=0).max(axis=-1)
     return sliding_window_view(widest, 2 * across + 1, axis=1).max(axis=-1)
@@ -343,7 +343,7 @@ def ring_fractions(seams: np.ndarray, ends: np.ndarray, widest: np.ndarray, ring
     """
     down, across = ring.reach
     marks = _corners(seams), _corners(ends)
-    near, beyond = (_distances(marked, ring, 1)[down:-down, across:-across] for marked in marks)
+    near, beyond = (_distances(marked, ring, limit=1)[down:-down, across:-across] for marked in marks)
     width = np.minimum(np.minimum(widest / MAX_PART, near + beyond), 1.0)
     return np.minimum(np.divide(near, width, out=np.zeros_like(near), where=width > 0.0), 1.0)
 

@@ -49,7 +49,9 @@ def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
 
 def _report(settings: ImportSettings, on_progress: Tell, files: UnpackedFiles) -> dict:
     """Return the report. files: the unpacked height maps of archives."""
-    composite = open_composite(settings, None, lambda done: on_progress(SCANNED * done, READING), files)
+    composite = open_composite(
+        settings, store=None, on_progress=lambda done: on_progress(SCANNED * done, READING), unpacked=files
+    )
     composite.on_piece = lambda: on_progress(SCANNED, READING)
     try:
         raster = mosaic_raster(composite, settings)

@@ -86,7 +86,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     raster = Raster(
         width=grid.width,
         height=grid.height,
-        read=lambda first, count: window(first, count, 0, grid.width),
+        read=lambda first, count: window(first, count, column=0, columns=grid.width),
         stored=composite.stored,
         format="mosaic",
         grid=file_grid,
@@ -127,7 +127,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     def pick(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Read single samples, and note in the report if they are of overviews."""
         values = nearest_samples(composite, rows, columns)
-        raster.shifted = composite.shift_error(0, grid.height, 0, grid.width)
+        raster.shifted = composite.shift_error(row=0, rows=grid.height, column=0, columns=grid.width)
         raster.details.update(FROM_OVERVIEWS if composite.reads_overviews else {})
         return values
 

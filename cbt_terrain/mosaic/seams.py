@@ -77,7 +77,8 @@ def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, 
     sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]
     parts = [_compare(composite, lower, upper, *side) for side in sides]
     if not any(len(part[0]) for part in parts):
-        parts = [_compare(composite, lower, upper, _spread(0, right, MAX_INNER), _spread(0, bottom, MAX_INNER))]
+        columns, rows = (_spread(0, last, max_count=MAX_INNER) for last in (right, bottom))
+        parts = [_compare(composite, lower, upper, columns, rows)]
     steps, columns, rows = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     x, y = projected(tile.crs, composite.grid.crs, *tile.position(columns, rows))
     return steps * scale, np.stack([x, y], axis=1)

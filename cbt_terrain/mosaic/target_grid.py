@@ -231,7 +231,10 @@ def _unit_lengths(crs: str, middle: np.ndarray) -> tuple[float, float]:
 
 
 def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
-    """Return whether a step is a whole number of a tile's samples, so that some are copied exactly."""
+    """Return whether a step is a whole number of a tile's samples, so that some are copied exactly.
+
+    step_x, step_y: in units of the tile's system.
+    """
     ratios = step_x / abs(tile.transform[0]), step_y / abs(tile.transform[4])
     return all(ratio > 0.5 and abs(ratio - round(ratio)) < ALIGNED for ratio in ratios)
 

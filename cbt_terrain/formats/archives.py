@@ -362,8 +362,7 @@ def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.Zip
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
     """Raise TerrainError for a link, an encrypted file, a too long name, or one that leads out of its folder."""
-    name = PurePosixPath(info.filename)
-    problem = ""
+    name, problem = PurePosixPath(info.filename), ""
     if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
         problem = "whose name leads out of its folder"
     elif stat.S_ISLNK(info.external_attr >> 16):

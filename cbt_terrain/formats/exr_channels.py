@@ -83,6 +83,7 @@ def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, in
     text, component = channel.full_name.casefold(), channel.component
     components = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
     is_vector = {"x", "y", "z"} <= components or VECTOR.search(text) is not None
+    # 0: named as heights; 1: as depths; 2 to 4: perhaps grey values; 5: colours and vectors; 6: other quantities.
     if OTHER.search(text):
         rank = 6
     elif HEIGHT.search(text):

@@ -189,7 +189,10 @@ def _check_band(path: Path, dataset: DatasetReader, band: int) -> None:
 
 
 def _stored_raster(path: Path, dataset: DatasetReader, settings: ImportSettings, driver: str, grid: FileGrid) -> Raster:
-    """Return the band of the settings as the dataset stores it: not reprojected, and without a georeference."""
+    """Return the band of the settings as the dataset stores it: not reprojected, and without a georeference.
+
+    driver: GDAL's name of the format.
+    """
     stored = dataset.dtypes[settings.band - 1]
     window = _reader_of(path, dataset, settings)
     # Overviews are read from the file itself, not from a decoded copy in memory.

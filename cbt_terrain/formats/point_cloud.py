@@ -160,7 +160,7 @@ def _extent(path: Path) -> GroundExtent:
 def _default_cell(extent: GroundExtent) -> float:
     """Return a cell, in the file's unit, that holds POINTS_A_CELL points in the mean, or more.
 
-    It is 1, 2 or 5 times a power of 10.
+    It is 1, 2 or 5 times a power of 10. extent: of all ground points.
     """
     width, height = np.maximum(extent.high - extent.low, 1e-3)
     side = math.sqrt(POINTS_A_CELL * width * height / extent.count)
@@ -173,7 +173,7 @@ def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, fl
 
     west, north: coordinates of the grid's borders. filled: number of cells without points that were interpolated. cell:
     side of a cell in the file's unit. Cell borders are at multiples of it. Raises TerrainError for fewer than 2 x 2 or
-    more than MAX_CELLS cells.
+    more than MAX_CELLS cells. extent: of all ground points.
     """
     first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
     columns, rows = (last - first).astype(np.int64) + 1

@@ -18,7 +18,7 @@ SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
 def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: RoundingOf) -> tuple[SourceRounding, ...]:
     """Return the different roundings of the sources of one band of a mosaic, without unknown ones.
 
-    stored: name of the type of the band's values.
+    stored: name of the type of the band's values. rounding_of: returns the rounding of a file's band, None if unknown.
     """
     roundings = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)  # the outermost VRT is the last text
     # A value that the VRT's type holds unchanged has its file's rounding alone.

@@ -77,7 +77,10 @@ def dataset_scales(dataset: DatasetReader) -> list[HeightScale]:
 
 
 def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
-    """Return a warning, if any, about conversions of one band's files that the VRT lacks."""
+    """Return a warning, if any, about conversions of one band's files that the VRT lacks.
+
+    scale_of: returns the conversion of a file's band, None if unknown.
+    """
     number = len(mosaic.texts) - 1  # the outermost VRT
     vrt_scale = _vrt_scale(mosaic, number, band)
     # Equal units may have different names, so compare metres.

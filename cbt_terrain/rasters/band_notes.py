@@ -54,7 +54,10 @@ def float_alpha(dataset: DatasetReader, band: int) -> int:
 
 
 def content_hint(path: Path, driver: str) -> dict[str, str]:
-    """Return the fields `expected` and `fix` of the error about a file that GDAL refuses, by its first bytes."""
+    """Return the fields `expected` and `fix` of the error about a file that GDAL refuses, by its first bytes.
+
+    driver: GDAL's name of the format.
+    """
     try:
         head = read_start(path, 16)
     except OSError:

@@ -45,7 +45,10 @@ def tile_of(path: Path) -> tuple[int, int, int] | None:
 
 
 def may_be_coded(path: Path, encoding: str) -> bool:
-    """Return whether a file may hold coded heights, by the setting and its name."""
+    """Return whether a file may hold coded heights, by the setting and its name.
+
+    encoding: the setting, "" if not given.
+    """
     return encoding in CODINGS or (not encoding and tile_of(path) is not None)
 
 
@@ -86,7 +89,10 @@ def decode_if_coded(path: Path, dataset: DatasetReader, settings: ImportSettings
 
 
 def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> DatasetReader:
-    """Return a copy in memory of a dataset of coded heights, as one band of codes, and close the dataset."""
+    """Return a copy in memory of a dataset of coded heights, as one band of codes, and close the dataset.
+
+    coding: how colours stand for heights.
+    """
     import rasterio
     from rasterio.windows import Window
 

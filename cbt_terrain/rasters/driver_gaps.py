@@ -14,7 +14,7 @@ from .file_grid import FileGrid
 from .rasterio_types import DatasetReader
 
 GRAVITY = 9.80665  # m/s^2: a geopotential divided by it is a height
-BT_SCALE_AT, BT_SCALES = 62, (0.0, 1.0)
+BT_SCALE_AT, BT_SCALES = 62, (0.0, 1.0)  # offset of the scale in the header of .bt, and scales that mean metres
 MAX_HEADER_BYTES = 1 << 16
 # Names of the coordinates of a netCDF grid without attributes that GDAL knows.
 AXES = (("x", "y"), ("X", "Y"), ("easting", "northing"), ("lon", "lat"), ("longitude", "latitude"))
@@ -47,7 +47,7 @@ def band_facts(path: Path, dataset: DatasetReader, band: int, grid: FileGrid) ->
 def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
     """Read the metres in a unit of heights. GDAL reports only the scales of metres and feet.
 
-    The file has a float32, of which seven digits count.
+    The file has a float32, of which seven digits count. facts: as GDAL reports them.
     """
     (scale,) = struct.unpack_from("<f", read_start(path, 256), BT_SCALE_AT)
     if facts.unit or scale in BT_SCALES or not np.isfinite(scale):
@@ -58,7 +58,7 @@ def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFact
 def _correct_saga(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
     """Read the unit and the factor of heights in a SAGA grid's header, which GDAL ignores.
 
-    A factor that is 0 or no finite number counts as 1.
+    A factor that is 0 or no finite number counts as 1. facts: as GDAL reports them.
     """
     header = path.with_suffix(".sgrd")
     text = read_start(header, MAX_HEADER_BYTES).decode("latin-1")
@@ -72,7 +72,7 @@ def _correct_saga(path: Path, _dataset: DatasetReader, _band: int, facts: BandFa
 
 
 def _correct_grib(_path: Path, dataset: DatasetReader, band: int, facts: BandFacts) -> BandFacts:
-    """Read the unit of a GRIB message; geopotentials become heights."""
+    """Read the unit of a GRIB message; geopotentials become heights. facts: as GDAL reports them."""
     unit = dataset.tags(band).get("GRIB_UNIT", "").strip("[] ")
     if unit in ("m^2/s^2", "(m^2)/(s^2)", "m**2/s**2", "m2/s2"):
         return facts._replace(unit="m", factor=1.0 / GRAVITY)
@@ -80,14 +80,20 @@ def _correct_grib(_path: Path, dataset: DatasetReader, band: int, facts: BandFac
 
 
 def _correct_terragen(_path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
-    """Drop the name of a system that is not on Earth. GDAL returns the north first, and places it in the south."""
+    """Drop the name of a system that is not on Earth. GDAL returns the north first, and places it in the south.
+
+    facts: as GDAL reports them.
+    """
     assert facts.grid.transform is not None, "the format always has one"
     a, b, c, d, e, f = facts.grid.transform
-    return facts._replace(grid=FileGrid(None, (a, b, c, d, -abs(e), f)))
+    return facts._replace(grid=FileGrid(crs=None, transform=(a, b, c, d, -abs(e), f)))
 
 
 def _correct_netcdf(path: Path, dataset: DatasetReader, band: int, facts: BandFacts) -> BandFacts:
-    """Find coordinates without a known name, assume WGS 84 for degrees, and warn about depths."""
+    """Find coordinates without a known name, assume WGS 84 for degrees, and warn about depths.
+
+    facts: as GDAL reports them.
+    """
     from rasterio.crs import CRS
 
     grid, notes = facts.grid, list(facts.notes)

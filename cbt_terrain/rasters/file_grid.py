@@ -62,10 +62,10 @@ def grid_of(dataset: DatasetReader) -> FileGrid:
     if points:
         return _from_control_points(points, crs)
     if dataset.rpcs is not None:
-        return FileGrid(dataset.crs, None, "places its samples by rational polynomials (RPC)", "gdalwarp -rpc")
+        return FileGrid(dataset.crs, problem="places its samples by rational polynomials (RPC)", tool="gdalwarp -rpc")
     if dataset.crs is not None:
         problem = f"names the coordinate system {FileGrid(dataset.crs).name[:80]}, but not the position of its samples"
-        return FileGrid(dataset.crs, None, problem, "gdal_edit.py -a_ullr")
+        return FileGrid(dataset.crs, problem=problem, tool="gdal_edit.py -a_ullr")
     return FileGrid()
 
 
@@ -88,7 +88,7 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
                 a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
                 return FileGrid(crs, without_rounded_skew((a, b, c, d, e, f)))
     problem = f"places its samples by {len(points)} ground control point(s) that fit no straight grid"
-    return FileGrid(crs, None, problem, "gdalwarp -tps")
+    return FileGrid(crs, problem=problem, tool="gdalwarp -tps")
 
 
 def unit_of(crs: CRS | None) -> dict:
@@ -108,7 +108,7 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     """
     unit = unit_of(grid.crs)
     if "degrees" not in unit:
-        return is_sheared(grid.placed, 1.0, 1.0)
+        return is_sheared(grid.placed, metres_x=1.0, metres_y=1.0)
     # unit["degrees"]: degrees in one unit of the coordinates
     latitude = unit["degrees"] * float(grid.positions(width / 2, height / 2)[1])
     along_x, along_y = degree_lengths(latitude, unit["ellipsoid"])

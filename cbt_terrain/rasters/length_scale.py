@@ -142,7 +142,10 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
 
 
 def _metres_per_degree(latitude: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:
-    """Return the lengths of a degree of longitude and of latitude, NaN at a pole."""
+    """Return the lengths of a degree of longitude and of latitude, NaN at a pole.
+
+    ellipsoid: semi-major axis in metres and inverse flattening.
+    """
     is_usable = math.isfinite(latitude) and abs(latitude) <= 89.999
     return degree_lengths(latitude, ellipsoid) if is_usable else (math.nan, math.nan)
 

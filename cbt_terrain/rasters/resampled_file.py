@@ -131,7 +131,8 @@ class ResampledFile:
             if max(errors) <= TOLERANCE and np.isfinite(exact).all():
                 u, v = (np.ascontiguousarray(values[::2, ::2]) for values in exact)
                 return BlockNodes(u, v, spacing, MARGIN * errors[0] + SNAPPED, MARGIN * errors[1] + SNAPPED)
-        return BlockNodes(exact[0], exact[1], 1, SNAPPED, SNAPPED)  # the last spacing has computed every sample
+        # The last spacing has computed every sample.
+        return BlockNodes(exact[0], exact[1], spacing=1, error_u=SNAPPED, error_v=SNAPPED)
 
     def _exact(self, column: int, row: int, step: int, spacing: int) -> np.ndarray:
         """Return exact columns and rows of the file at every `step` samples of a block: float64 [2, rows, columns].

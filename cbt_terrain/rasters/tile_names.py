@@ -40,7 +40,10 @@ def _has_driver(name: str) -> bool:
 
 
 def _is_beside(stem: str, lower: Collection[str]) -> bool:
-    """Return whether a folder holds the height map of an archive unpacked, by the archive's name without its suffix."""
+    """Return whether a folder holds the height map of an archive unpacked, by the archive's name without its suffix.
+
+    lower: names of all files in small letters.
+    """
     return stem in lower or any(_has_driver(stem + suffix) and stem + suffix in lower for suffix in FORMATS)
 
 

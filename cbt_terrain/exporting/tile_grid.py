@@ -104,7 +104,7 @@ def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     tile, 0 for a single tile. `grid.inside`: number of samples on the terrain.
     """
     if not size:
-        return TileAxis(grid.inside, 1, overlap, grid)
+        return TileAxis(size=grid.inside, tiles=1, overlap=overlap, grid=grid)
     stride = size - overlap
     if not count:
         return TileAxis(size, max(1, math.ceil((grid.inside - overlap) / stride)), overlap, grid)

@@ -114,7 +114,8 @@ def export_tileset(
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
     """Return the levels from the root to the finest; the error doubles from level to level.
 
-    `triangles`: about as many in a tile; the number of levels follows from it.
+    `triangles`: about as many in a tile; the number of levels follows from it. error_m: requested error of the finest
+    level.
     """
     from ..terrain import Terrain
 
@@ -239,8 +240,8 @@ def _glb_name(stem: str, level: int, x: int, y: int) -> str:
 def _tile_json(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: int) -> dict | None:
     """Return a tile and those below it as JSON, or None if there are none.
 
-    It has its box, lowest and highest corner, under "box" for the caller, which removes it. number: level. x, y:
-    column and row of the tile.
+    It has its box, lowest and highest corner, under "box" for the caller, which removes it. number: level. x, y: column
+    and row of the tile. stem: of the tileset's file name.
     """
     children = []
     if number + 1 < len(levels):
@@ -263,7 +264,10 @@ def _tile_json(stem: str, levels: list[_Level], tiles: dict, number: int, x: int
 
 
 def _box_json(low: np.ndarray, high: np.ndarray) -> list[float]:
-    """Return a box as 3D Tiles has it: the middle and half of each side, 12 numbers. Flat boxes are made thicker."""
+    """Return a box as 3D Tiles has it: the middle and half of each side, 12 numbers. Flat boxes are made thicker.
+
+    low, high: its lowest and highest corner.
+    """
     middle = 0.5 * (low + high)
     half = np.maximum(np.maximum(high - middle, middle - low), MIN_HALF)
     return [*middle.tolist(), float(half[0]), 0.0, 0.0, 0.0, float(half[1]), 0.0, 0.0, 0.0, float(half[2])]

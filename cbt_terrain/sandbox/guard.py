@@ -53,7 +53,10 @@ def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> 
 
 
 def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> None:
-    """Raise TerrainError if this process keeps a right, since the parser of the format is too large to trust."""
+    """Raise TerrainError if this process keeps a right, since the parser of the format is too large to trust.
+
+    rights: report of `sandbox.enter`.
+    """
     right = next((f"{name} {text}" for name, text in rights.items() if text != "dropped"), "")
     if right:
         raise TerrainError(

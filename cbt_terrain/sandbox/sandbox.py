@@ -123,7 +123,7 @@ def _drop_writes(libc: ctypes.CDLL, folder: Path | None) -> str:
             with suppress(OSError):  # such a path stays unreadable
                 _allow(libc, ruleset, path, READ_FILE)
         if folder is not None:
-            _allow(libc, ruleset, folder, IN_STORE & files)
+            _allow(libc, ruleset, folder, IN_STORE & files)  # `files`: rights that this version knows
         call(libc, LANDLOCK_RESTRICT_SELF, ruleset, 0)
     finally:
         os.close(ruleset)

@@ -195,8 +195,8 @@ def write_large(grid: TileGrid, large: Sequence[LargeError], table: np.ndarray, 
     the codes of the terrain.
     """
     for level in range(grid.bits - 1, grid.lattice.levels):
-        parts = [*shared_vertices(grid, level, True)]
-        parts += [*shared_vertices(grid, level, False)] if level >= grid.bits else []
+        parts = [*shared_vertices(grid, level, is_centre=True)]
+        parts += [*shared_vertices(grid, level, is_centre=False)] if level >= grid.bits else []
         stored = opened()
         if level >= grid.bits:  # `join_borders` has written the centres of tiles
             for vertices in parts:

@@ -167,7 +167,7 @@ def _fill_cells(errors: np.ndarray, tile: TileSamples, threads: int) -> None:
     )
     row_groups, blocks, quarter = -(-count // kernels.ROWS), -(-columns // COLUMN_BLOCK), wp.float32(0.25)
     cell_errors = flat(np.zeros(row_groups * kernels.ROWS * columns, np.float32), wp.float32)
-    inputs: list = [codes.pack_samples(measured, None), columns, cell_errors]
+    inputs: list = [codes.pack_samples(measured, steps=None), columns, cell_errors]
     spread = partial(launch.spread, step="error hierarchy", threads=threads)
     spread(kernels.window_twists, measured.shape[0] - 1, inputs, cost=0.1 * columns)
     spread(kernels.saturate_window_rows, row_groups, [quarter, columns, cell_errors], cost=0.8 * columns)
@@ -216,7 +216,7 @@ def large_errors(tile: TileSamples, diamonds: list[LargeTriangles], threads: int
     diamonds: position, level and triangles of each.
     """
     measured, errors = tile.inner_measured, []
-    samples, cost = codes.pack_samples(measured, None), 0.1 * measured.shape[1]
+    samples, cost = codes.pack_samples(measured, steps=None), 0.1 * measured.shape[1]
     spread = partial(launch.spread, step="error hierarchy", threads=threads, cost=cost)
     for x, y, level, corners in diamonds:
         largest = np.zeros(len(measured), np.float64)

@@ -134,7 +134,10 @@ def write_parts(work: TileWork) -> None:
 
 
 def _fits(work: TileWork, number: int, changes: MeasuredTile) -> bool:
-    """Return whether arrays of a tile have the shapes that it needs; border is there if codes are."""
+    """Return whether arrays of a tile have the shapes that it needs; border is there if codes are.
+
+    changes: these arrays.
+    """
     local, near = work.grid.local(work.grid.box(number)), len(work.grid.near_border.x)
     wanted = {"codes": (local.node_count,), "border": (2, near), "ranges": (local.range_count, 2)}
     arrays = {name: getattr(changes, name) for name in wanted}
@@ -217,6 +220,7 @@ def _errors(
 
     The kinds (ground, hole) are None without holes. Around loaded tiles of a quick import the errors are bounds, which
     need no samples, if the tile has no holes and no loaded tile is near. coarse: that import, None without.
+    is_near_loaded: whether samples of one are in the tile's window.
     """
     if coarse is None:
         return exact_errors(tile, threads)
@@ -257,6 +261,7 @@ def join(
     """Complete the errors and ranges of a terrain whose tiles are all measured.
 
     on_progress: gets the fraction that is done. coarse: the land around loaded tiles, None if all tiles are loaded.
+    limits: of all heights.
     """
     grid, lattice = work.grid, work.grid.lattice
     records = work.records(MEASURED)  # their entries: STATE
@@ -276,7 +281,7 @@ def join(
         wanted = [*exponents[:groups], exponents[-1]]  # the last is that of the cells
         # Codes that were rounded for a larger error than there is now cannot be refined.
         if any(map(gt, record["exponents"], wanted)):
-            measure(work, number, limits, threads, record, wanted, coarse)
+            measure(work, number, limits, threads, before=record, exponents=wanted, coarse=coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
             work.note(MEASURED, number)  # it is not measured while its codes are replaced
@@ -284,7 +289,7 @@ def join(
             translate(grid, grid.box(number), work.open("error"), tables)
             values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
             work.note(MEASURED, number, **values | {"exponents": wanted})
-    border_codes = [(number, partial(work.border, number, 0)) for number in records]
+    border_codes = [(number, partial(work.border, number, kind=0)) for number in records]
 
     def tables_of(number: int) -> np.ndarray:
         """Return the tables from the codes that a tile was measured with to those of the terrain."""
@@ -345,7 +350,7 @@ def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]
 
     A depth is (level, whether its vertices are centres).
     """
-    border_kinds = [(number, partial(work.border, number, 1)) for number in range(len(work.grid))]
+    border_kinds = [(number, partial(work.border, number, kind=1)) for number in range(len(work.grid))]
     identity = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
     borders.join_borders(work.grid, border_kinds, kinds, lambda _number: identity, np.bitwise_or)
     return borders.raise_kinds(work.grid, kinds)

@@ -137,7 +137,7 @@ class TileWork:
         """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.
 
         Records of units with gaps are left out, because a store does not mark filled samples, and so are those from
-        number `units` on, of another kind of source with more units. Raises OSError.
+        number `units` on, of another kind of source with more units. Raises OSError. before: the earlier version.
         """
         is_whole = False
         try:

@@ -58,7 +58,7 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         raise TerrainError(f"The interpolation is {name!r}", expected=" or ".join(INTERPOLATIONS))
     if name == field.interpolation:
         return field
-    plain, surfaces = with_detail(field, None), field.cache.surfaces
+    plain, surfaces = with_detail(field, detail=None), field.cache.surfaces
     surfaces.setdefault(plain.surface, plain)  # so a bilinear field is always found here, never computed
     return with_detail(cached(surfaces, SurfaceSpec(name), lambda: bicubic(plain)), field.detail)
 

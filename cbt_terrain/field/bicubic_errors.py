@@ -144,7 +144,7 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
         launch_step(patches.patch_errors, north - south, inputs, threads, 20.0 * (east - west))
         curvatures = flat(window.curvatures, wp.float32)
         # Half of each neighbour's curvature, a quarter of those after it, and so on.
-        hierarchy.saturate_cells(cells, 0.5, curvatures, "bicubic hierarchy", threads)
+        hierarchy.saturate_cells(cells, part=0.5, out=curvatures, step="bicubic hierarchy", threads=threads)
         # Cells outside the window are more than `around` - ALIGNED steps away from those that count.
         if _smallest(field.lattice, window, tile) >= np.float32(np.ldexp(bound, ALIGNED - around)):
             break

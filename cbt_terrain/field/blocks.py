@@ -47,7 +47,10 @@ def halve(level: np.ndarray, reduce: np.ufunc) -> np.ndarray:
 
 
 def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
-    """Return `finest`, [rows, columns, ...], and the levels above it, each `halve` of the one below."""
+    """Return `finest`, [rows, columns, ...], and the levels above it, each `halve` of the one below.
+
+    reduce: np.maximum or np.minimum.
+    """
     levels = [finest]
     while levels[-1].shape[:2] != (1, 1):
         levels.append(halve(levels[-1], reduce))

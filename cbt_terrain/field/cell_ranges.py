@@ -35,7 +35,7 @@ def rectangle_ranges(
         return np.broadcast_to((field.min_height, field.max_height), (len(rows), len(columns), 2)).copy()
     ranges = _all_stored(field, bits).astype(np.float64)
     for axis, sides in ((0, rows), (1, columns)):
-        in_cells = np.array(sides) / 2.0**bits
+        in_cells = np.array(sides) / 2.0**bits  # below, 1e-9: rounding must not add a cell
         first = np.clip(np.floor(in_cells[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
         end = np.clip(np.ceil(in_cells[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
         # `reduceat` also reduces from each end to the next first cell: every other result is used.

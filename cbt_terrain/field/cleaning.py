@@ -100,7 +100,7 @@ def _rows_above(
     """Return for each chunk of rows the nearest valid row of each column from its first row on, int32 [columns].
 
     `beyond`, which follows as the last item, has the rows from the end of the last chunk on. missing_in: as of
-    `fill_rows`.
+    `fill_rows`. chunks: in ascending order.
     """
     above = [beyond]
     for rows in reversed(chunks):

@@ -45,7 +45,10 @@ def derive_cached(
 
 
 def derive_cached_if_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
-    """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive_cached`, of others in memory."""
+    """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive_cached`, of others in memory.
+
+    shapes, fill: as of `derive_cached`.
+    """
     if raster.samples.size >= MIN_CACHED:
         return derive_cached(raster, shapes, fill)
     return _fill_in_memory(shapes, fill)

@@ -95,13 +95,16 @@ def move_place(place: Place, x: float, y: float) -> Place:
 
 
 def to_crs(place: Place, positions: np.ndarray) -> np.ndarray:
-    """Return CRS coordinates, float64 [n, 2], of positions in the terrain's space, metres."""
+    """Return CRS coordinates, float64 [n, 2], of positions in the terrain's space, metres.
+
+    place: the map to the CRS.
+    """
     (x, y), (a, b, c, d, e, f) = np.asarray(positions, np.float64).T, place
     return np.stack([a * x + b * y + c, d * x + e * y + f], axis=1)
 
 
 def from_crs(place: Place, coordinates: np.ndarray) -> np.ndarray:
-    """Return positions in the terrain's space, float64 [n, 2] metres, of CRS coordinates."""
+    """Return positions in the terrain's space, float64 [n, 2] metres, of CRS coordinates. place: the map to the CRS."""
     a, b, c, d, e, f = place
     x, y = np.asarray(coordinates, np.float64).T - np.array([[c], [f]])
     return np.stack([e * x - b * y, a * y - d * x], axis=1) / (a * e - b * d)

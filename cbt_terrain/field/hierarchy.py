@@ -107,7 +107,7 @@ def build_twists(measured: np.ndarray, cells: Depth, errors: np.ndarray, threads
     out, (height, width) = flat(errors, wp.float32), measured.shape
     inputs = [pack_samples(measured, steps=None), cells, out]
     launch.spread(kernels.twists, height - 1, inputs, step="error hierarchy", threads=threads, cost=0.4 * (width - 1))
-    saturate_cells(cells, 0.25, out, "error hierarchy", threads)
+    saturate_cells(cells, part=0.25, out=out, step="error hierarchy", threads=threads)
 
 
 def measure_triangles(

@@ -51,7 +51,7 @@ class BuiltInTerrain:
     def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:
         """Return the terrain's heights, float32 [size, size] metres, row 0 south."""
         samples = np.empty((size, size), np.float32)
-        self.rows(size, 0, samples, seed)
+        self.rows(size, first_row=0, rows=samples, seed=seed)
         return samples
 
     def load(self) -> None:

@@ -68,7 +68,7 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
             _raise_cells(lattice, errors, table, threads)
         elif has_curvatures:
             for group, part in list(enumerate(codes.parts(lattice, len(errors))))[lattice.groups :]:
-                codes.translate(errors[part], codes.translation(table[group], table[group], 0.5), errors[part])
+                codes.translate(errors[part], codes.translation(table[group], table[group], factor=0.5), errors[part])
 
 
 def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, threads: int) -> None:
@@ -90,7 +90,7 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
         for group in range(lattice.groups, read_group + 1):  # errors of cells, and their curvatures if there are any
             cells = stored_at(lattice, lattice.cell_depth)
             cells.base = parts[group].start
-            translated = codes.translation(table[read_group], table[group], factor)
+            translated = codes.translation(table[read_group], table[group], factor=factor)
             inputs = [old_cells, flat(old_codes, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
             from_row, end = first * PAGE, min((first + band) * PAGE, cells.rows)
             launch.spread(

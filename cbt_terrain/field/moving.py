@@ -67,6 +67,7 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
     """Move a store or another entry, under its old name if that is free, and the folders that belong to it.
 
     A folder of shaped land or maps is moved only with its store or when that is gone. moved: gets the name of a store.
+    new: the folder to move into.
     """
     ending = next((ending for ending in BESIDE if entry.name.endswith(ending)), "")
     if ending:

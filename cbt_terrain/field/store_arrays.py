@@ -185,7 +185,10 @@ def _map_unchecked(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tupl
 
 
 def _check_blocks(file: Path, array: np.ndarray, sums: np.ndarray, blocks: Sequence[int]) -> None:
-    """Raise TerrainError if one of some blocks of an array differs from its checksum. blocks: their numbers."""
+    """Raise TerrainError if one of some blocks of an array differs from its checksum. blocks: their numbers.
+
+    sums: stored checksums of all blocks.
+    """
     threads = launch.default_threads() if len(blocks) > SAMPLED else 1
     wrong = np.flatnonzero(checksums(array, blocks, threads) != sums[list(blocks)])
     if len(wrong):

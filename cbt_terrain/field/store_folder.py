@@ -112,7 +112,10 @@ def is_array_file(entry: Path) -> bool:
 
 
 def is_array_name(name: str, is_folder: bool) -> bool:
-    """Return whether this program gives this name to files, or to folders, in a folder of arrays."""
+    """Return whether this program gives this name to files, or to folders, in a folder of arrays.
+
+    is_folder: whether a folder has it.
+    """
     if is_folder:
         return name == FIRST or partial_files.is_partial_name(name)
     return _ARRAY_FILE.fullmatch(name) is not None

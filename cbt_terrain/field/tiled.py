@@ -134,7 +134,8 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
             curvature, steep, highest = bounds[j]
             splits.append(Split(far, curvature / (side * side) * OUTWARD, steep / side * OUTWARD, highest * OUTWARD))
             far += ranges[j] * OUTWARD if j < len(ranges) else 0.0
-        splits.append(Split(_range(values.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))  # no smooth part
+        far = _range(values.astype(np.float64)) * OUTWARD
+        splits.append(Split(far, curvature=0.0, steep=0.0, highest=0.0))  # no smooth part
         nets.append(_Net(np.ascontiguousarray(values), tuple(splits)))
     return tuple(nets)
 

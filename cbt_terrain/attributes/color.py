@@ -12,6 +12,7 @@ from .attribute import LINEAR_RGB, AttributeDeclaration, Evaluate, Parameter, Sa
 from .decals import DECALS, cover
 from .splat_rules import LAYERS, Layer
 
+# Linear colours of the default layers: grass, scree, rock and snow.
 DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from ..errors import TerrainError
 from ..run import launch
 
-AZIMUTHS = 16
-STRIPS = 3
+AZIMUTHS = 16  # in which the horizon of a point is found
+STRIPS = 3  # upright ones, into which the sun's disc is cut
 # Radius of the sun's disc in radians that hard shadows are computed with.
 MIN_RADIUS = 1e-5
 # Radians beyond the disc that absorb rounding.

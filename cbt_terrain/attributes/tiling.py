@@ -21,7 +21,7 @@ MARGIN = 1 / MIN_SIDE
 # Cells along a side of a raster with one image, and of a tile, which has more if there would be too many columns.
 SINGLE_CELLS, TILE_CELLS = 4096, 992
 MAX_COLUMNS, MAX_ROWS = 10, 99
-FIRST = 1001
+FIRST = 1001  # UDIM number of the south-western tile
 
 
 @dataclass(frozen=True)

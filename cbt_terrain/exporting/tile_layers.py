@@ -28,7 +28,7 @@ class TileLayer:
     suffix: str
     source: AttributeRequest | None = None  # None for heights and for the mask of holes
     channel: int = 0  # which number of the source's attribute
-    low: float = NO_RANGE[0]
+    low: float = NO_RANGE[0]  # range of its values
     high: float = NO_RANGE[1]
     max_error: float = 0.0
 

@@ -12,7 +12,7 @@ from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import flat
 
-COLUMN_BLOCK = 64
+COLUMN_BLOCK = 64  # columns of a work item
 FILLED_ROWS = 128  # rows whose missing samples are filled together
 # Differences of larger heights overflow float32; an undeclared no-data value is the usual cause.
 LARGEST_HEIGHT = 1e30  # metres; float32 has 1.00000002e30 instead, which is beyond

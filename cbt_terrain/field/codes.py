@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PER_OCTAVE = (1,) * 18 + (2,) * 6 + (14,) * 2 + (28,) * 7
 # Exponents of the tables keep all entries between the smallest normal float32 and the largest.
 MIN_EXPONENT, MAX_EXPONENT = -93, 112
-BLOCK = 1 << 14
+BLOCK = 1 << 14  # codes that are computed together
 ROWS = 256  # rows of heights that are numbered together
 DECODED = 1 << 20  # numbers that become heights together
 

@@ -45,7 +45,10 @@ class SurfaceSpec:
 
 @dataclass(frozen=True)
 class FieldKey:
-    """The identity of a height field: fields with equal keys are equal. Its text goes into files and hashes."""
+    """The identity of a height field: fields with equal keys are equal. Its text goes into files and hashes.
+
+    `raster`, `detail`: digests of the samples and of the displacement, "" without one.
+    """
 
     raster: str
     interpolation: str
@@ -91,6 +94,7 @@ class HeightRaster:
         origin: float64 [3], CRS coordinates of the local origin.
         place: from the terrain's space to the CRS, see georeference.py; None without a geotransform and in stores of
             older versions.
+        provenance: record of the source, with which an import can be repeated.
         path: the store's folder, None for a raster in memory.
         finer: tiles with heights at a fraction of the step (finer_tiles.py), None without any.
         cache: empty in a copy that `replace` has made.

@@ -31,7 +31,7 @@ from ..run.buffers import flat
 from .codes import pack_samples
 from .lattice import Lattice
 
-COLUMN_BLOCK = 64
+COLUMN_BLOCK = 64  # columns of cells of a work item
 
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:

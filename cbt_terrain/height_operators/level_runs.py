@@ -62,8 +62,9 @@ class TileSums:
 class LevelRun:
     """A run of entries (LevelPlan.runs) at a level.
 
-    `numbers`: the entries, by index; a single one if it is applied to the whole level. `coarse`: each entry's change at
-    the coarser level, None at the coarsest.
+    `shaping`: the whole application. `work`: input that all entries share at the level. `numbers`: the entries, by
+    index; a single one if it is applied to the whole level. `coarse`: each entry's change at the coarser level, None at
+    the coarsest.
     """
 
     shaping: Shaping

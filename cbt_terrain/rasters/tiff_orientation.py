@@ -10,7 +10,7 @@ from ..errors import shown
 from ..field.georeference import Georeference
 from ..run.named_file import open_regular
 
-ORIENTATION, SHORT = 274, 3
+ORIENTATION, SHORT = 274, 3  # number of the tag, and of the type of its value
 MAX_TAGS = 4096  # tags of a file's first directory that are searched
 
 

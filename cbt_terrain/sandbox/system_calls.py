@@ -15,7 +15,7 @@ import struct
 
 # By machine: its AUDIT_ARCH, and its column in the table of calls.
 MACHINES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
-SECCOMP, LIMITS = (317, 277), (302, 261)
+SECCOMP, LIMITS = (317, 277), (302, 261)  # numbers of seccomp and prlimit64, by column
 FIRST_NEW = 424  # from here on both machines have the same numbers
 X32 = 0x40000000  # calls of x86_64's second numbering begin here
 # By name: the numbers on x86_64 and aarch64, None where the machine lacks the call.

@@ -14,7 +14,7 @@ from ..field.lattice import Lattice
 from .measure_tile import LargeError
 from .tile_grid import LatticeVertices, TileGrid, cell_entries, entries_of, exist, halved
 
-GROUND_AND_HOLE = 3
+GROUND_AND_HOLE = 3  # kind of the cells below a diamond: ground 1, hole 2, both 3
 ROWS = 1 << 11  # rows of vertices together: Linux maps up to 2 MB of a file around each entry that is read
 Opened = Callable[[], np.ndarray]  # maps an array anew: its pages count as memory of this process until it is closed
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..field.lattice import PAGE, Lattice
 
-TILE_BITS = 11
+TILE_BITS = 11  # a tile of an import has 2**11 cells a side
 
 
 class TileBox(NamedTuple):

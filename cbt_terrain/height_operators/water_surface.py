@@ -207,6 +207,7 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     if missing is not None:
         cells &= ~(missing[:-1, :-1] | missing[:-1, 1:] | missing[1:, :-1] | missing[1:, 1:])
     row, column = np.nonzero(cells)
+    # Corners are counted counter-clockwise from the south-west, as in SIDES_NORTH_EAST.
     cell_corners = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])
     corner_depths = deep.ravel()[cell_corners]
     north_east = (

@@ -70,6 +70,7 @@ def _interpolate_nodes(
     rows, columns: those of the samples, from the first one of the piece.
     """
     x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
+    # The node before each sample, and the fractions of the way to the next ones.
     i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing
     low = nodes[j, i] * (1 - s) + nodes[j, i + 1] * s
     high = nodes[j + 1, i] * (1 - s) + nodes[j + 1, i + 1] * s

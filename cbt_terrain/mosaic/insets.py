@@ -190,12 +190,13 @@ class InsetBlend:
 
         The window has a margin of `margin_rings` widths of the ring and one cell.
         """
+        # Cells along a block, and of the margin, down and across.
         size, margin = BLOCK // ring.cell, [margin_rings * reach + 1 for reach in ring.reach]
         first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
         last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
         cells = np.zeros((last[0] - first[0] + 1, last[1] - first[1] + 1), self._kind)
-        ranges = [
+        ranges = [  # rows and columns of the blocks that the window meets
             range(max(first[axis] // size, low), min(last[axis] // size, high) + 1)
             for axis, (low, high) in enumerate(self._block_ranges)
         ]

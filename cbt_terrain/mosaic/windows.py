@@ -19,6 +19,7 @@ def source_box(
     down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
     across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
     box = []
+    # Along x, then along y: positions, entries of a rectangle, and the columns in 360 degrees.
     for values, (first_entry, last_entry), period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
         positions = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
         positions = positions[np.isfinite(positions)]

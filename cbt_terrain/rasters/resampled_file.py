@@ -93,7 +93,7 @@ class ResampledFile:
         nodes: of the piece's block.
         """
         x, y, spacing = piece.column % BLOCK, piece.row % BLOCK, nodes.spacing
-        around = (
+        around = (  # rows and columns of the nodes around the piece
             slice(y // spacing, (y + piece.rows - 1) // spacing + 2),
             slice(x // spacing, (x + piece.columns - 1) // spacing + 2),
         )

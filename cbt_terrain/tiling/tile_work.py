@@ -260,9 +260,12 @@ class TileWork:
                 raise NotNumberedError
         area = slice(y, y + heights.shape[0]), slice(x, x + heights.shape[1])
         self.open("samples")[area] = stored
-        mask = self.open("missing")
-        if has_gaps or mask[area].any():  # of an earlier attempt
-            mask[area] = missing
+        if has_gaps or self.open("missing")[area].any():  # of an earlier attempt
+            # Into the file, since a full disk ends a process that writes to the mapping of a sparse one.
+            with (self.folder / "missing.npy").open("r+b", buffering=0) as file:
+                for row, marks in enumerate(missing, y):
+                    file.seek(PAGE_BYTES + row * self.grid.lattice.width + x)
+                    file.write(marks.tobytes())
         return [float(known.min()), float(known.max())] if known.size else []
 
     def note(self, kind: str, number: int, **values: Any) -> None:

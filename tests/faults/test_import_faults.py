@@ -82,11 +82,15 @@ def fill(disk):
 
 
 @pytest.mark.parametrize("when", [0.0, 0.5, 0.9])
-def test_the_disk_fills_up_while_the_import_runs(small_disk, contents, when):
+@pytest.mark.parametrize("holes", [False, True])
+def test_the_disk_fills_up_while_the_import_runs(small_disk, contents, tmp_path, when, holes):
     disk = small_disk(24 << 20)
     store = disk / "store"
     run_import(ImportSettings(source="island", size=65), store)
     before, seen = contents(store), []
+    heights = np.random.default_rng(0).normal(0.0, 100.0, (1025, 1025)).astype(np.float32)
+    heights[300:700, 300:900] = np.nan
+    np.save(tmp_path / "hills.npy", heights)
 
     def on_progress(fraction, _message):
         if fraction >= when and not seen:
@@ -94,17 +98,44 @@ def test_the_disk_fills_up_while_the_import_runs(small_disk, contents, when):
             seen.append(fraction)
 
     try:
-        run_import(ImportSettings(source="island", size=1025), store, on_progress)
+        run_import(ImportSettings(source=str(tmp_path / "hills.npy"), holes=holes), store, on_progress)
     except TerrainError as error:
         assert "No space left on device" in str(error) and "make room" in str(error)
         assert contents(store) == before
     else:
-        assert when == 0.9, "all arrays had their room, and so had store.json in a page that was there"
+        assert not holes, "all arrays but that of holes had their room, and so had store.json in a page that was there"
     assert seen and len(list(store.glob("data-*"))) == 1
     (disk / "ballast").unlink()
     run_import(ImportSettings(source="island", size=513), store)
     assert open_store(store).samples.shape == (513, 513) and len(list(store.glob("data-*"))) == 1
     assert_works(store)
+
+
+FILLED_WHILE_READING = """
+import sys
+from pathlib import Path
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.tiling.tile_work import TileWork
+from faults.test_import_faults import fill
+source, disk = sys.argv[1:]
+write = TileWork.write_heights
+def write_on_a_full_disk(*arguments):
+    fill(Path(disk))
+    return write(*arguments)
+TileWork.write_heights = write_on_a_full_disk
+run_import(ImportSettings(source=source), disk + "/store")
+"""
+
+
+def test_the_disk_is_full_when_gaps_are_marked(small_disk, tmp_path):
+    """The file of marks has no room yet; writing to its mapping would end the process."""
+    disk, heights = small_disk(12 << 20), hills().astype(np.float32)
+    heights[3:9, 3:9] = np.nan
+    np.save(tmp_path / "hills.npy", heights)
+    done = run_program(FILLED_WHILE_READING, tmp_path / "hills.npy", disk)
+    assert done.returncode == 1 and "No space left on device): make room" in done.stderr, done.stderr
+    assert not list((disk / "store").glob("data-*"))
 
 
 def test_the_disk_is_full_before_the_import_begins(small_disk, capfd, contents):

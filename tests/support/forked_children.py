@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import traceback
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -38,7 +39,8 @@ def _nursery() -> socket.socket:
     """Start the process that forks; return the channel for requests. It ends with this process."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ctypes.CDLL(None).prctl(BECOME_PARENT_OF_ORPHANS, 1, 0, 0, 0)
-    path = os.pathsep.join(folder for folder in sys.path if folder)
+    # Without Blender's own scripts, which bpy has added: among them is another package bpy, which it alone can import.
+    path = os.pathsep.join(folder for folder in sys.path if folder and "scripts" not in Path(folder).parts)
     environment = os.environ | {"PYTHONPATH": path}
     subprocess.Popen([sys.executable, "-P", __file__], stdin=theirs, env=environment, start_new_session=True)
     theirs.close()

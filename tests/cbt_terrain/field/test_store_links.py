@@ -28,7 +28,9 @@ def write(path: Path, height: float = 1.0) -> Path:
     try:
         samples = draft.allocate("samples", (5, 5), np.float32)
         samples[:] = height
-        draft.publish(build(samples, 8.0, 8.0, missing=0, allocate=draft.allocate), str(height), {})
+        field = build(samples, 8.0, 8.0, missing=0, allocate=draft.allocate)
+        draft.remove("errors")
+        draft.publish(field, str(height), {})
     finally:
         draft.discard_unless_published()
     return draft.folder

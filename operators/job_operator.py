@@ -156,6 +156,7 @@ class FileJobOperator(JobOperator, ExportHelper):
 
     shows_error_on_panel = False
 
+    # Set when the operator is run again with the chosen options, once the kernels are ready (session/polls.py).
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context, event):

@@ -88,7 +88,8 @@ class LevelWork:
     def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
         """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]; None without.
 
-        land: the window that it is computed for; the whole level if rules read SHAPES (`LevelPlan.runs`).
+        land: the window that it is computed for; the whole level if rules read forms of the
+            ground such as curvature or flow (`LevelPlan.runs`).
         """
         if entry.mask is None:
             return None

@@ -207,8 +207,9 @@ def _unit_rows(grid: TileGrid, raster: Raster) -> int:
 
 
 def _pieces(grid: TileGrid, source: TileSource, number: int) -> Iterator[tuple[TileBox, np.ndarray]]:
-    """Yield the terrain's boxes of a unit, a tile or rows of the file, each with its values in the order of the file.
+    """Yield the parts of a unit: the box of the terrain that each fills, and its values in the order of the file.
 
+    A unit is a tile, without the samples that its eastern and northern neighbours also have, or else rows of the file.
     number: of the unit.
     """
     raster, place = source.raster, source.place

@@ -98,7 +98,8 @@ def match_anywhere(
 
     One thread. runs [count], found (number of runs, first point to find): continued from `match_in_order`. table
     [2**bits]: scratch, -1 before. It has one point for each hash of x and y, so that a run may begin late, but none is
-    wrong. Points with one hash in 64 estimate that fraction; after a cut to another view it is too small to search.
+    wrong. Points with one hash in 64 estimate that fraction: each adds 8 - 5 to a balance if the last surface has it,
+    and -5 if not. After a cut to another view the fraction is too small to search.
     """
     for i in range(last_count):
         slot = hash_slot(last[i], bits)

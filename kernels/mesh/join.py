@@ -72,7 +72,8 @@ def resolve(
             element = wp.vec2i(0, 0)
             if kind == FRONT:
                 n = w.state[first_state - STATE_SIZE + END_FRONT + value]
-                element = wp.vec2i(n, n)  # a vertex or the edge: a front's import is used as one of them
+                # A front's import is used either as a vertex or as the edge.
+                element = wp.vec2i(n, n)
             elif kind == STACK or kind == STACK + 1:
                 entry = tops[kind - STACK] - 1 - value
                 if entry < 0:  # nothing is open
@@ -94,7 +95,7 @@ def resolve(
         w.state[first_state + END_FRONT + 1] = resolve_number(w.state[first_state + END_FRONT + 1], first, found, 1)
         for side in range(2):
             top = wp.max(tops[side] - w.state[first_state + POPS + side], 0)
-            if w.state[first_state + RESTARTED] == 1:
+            if w.state[first_state + RESTARTED] == 1:  # a square began here, so no edge before is open
                 top = 0
             for i in range(w.state[first_state + END_TOPS + side]):
                 entry = stack_base(list_base, leaves, side) + i

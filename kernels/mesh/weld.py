@@ -255,7 +255,8 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
     if code >> LAST == 1 and w.state[first_state + SQUARE] < w.columns * (w.rows - 1):
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
-        begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)  # the end where the curve began the edge
+        # The end where the curve began the edge; after the hypotenuse it is the third edge's far vertex.
+        begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
         append_above(w, first_state, leave, level_of(code, LEAVE_LEGS), begun)
 
 

@@ -107,7 +107,8 @@ def begin_left_side(
 def read_side(w: Weld, b: Base, first_state: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
     """Return the next (edge, far vertex) of the side shared with the square to the left or below.
 
-    They are imports (negative numbers) if an earlier slice made them. The slice's state counts the edge as passed.
+    They are imports (negative numbers) if an earlier slice made them; one import stands for both, since `join` finds an
+    edge with its far vertex. The slice's state counts the edge as passed.
     role: TAKE_LEFT or TAKE_BELOW. level: the edge's level, which is checked.
     """
     square = w.state[first_state + SQUARE]

@@ -116,9 +116,10 @@ def error_index(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp
 def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the half-width, lattice units, of a diamond's box around its split vertex.
 
-    Let s be half a side of the cell, or half the edge. Offsets to the vertices below add up to 3 s from a cell's centre
-    and 2 s from an edge's middle. The middle of a cell of one unit is rounded down, and 3 s up to 2. unit_bits: a root
-    square has 2^unit_bits lattice units a side.
+    Let s be half a side of the cell, or half the edge. The offsets from a diamond's vertex to those of its descendants,
+    which halve every other bisection, add up to 3 s from a cell's centre and to 2 s from an edge's middle. The middle
+    of a cell of one unit is rounded down, and 3 s up to 2. unit_bits: a root square has 2^unit_bits lattice units a
+    side.
     """
     return (((2 + (depth & 1)) << (unit_bits - ((depth - 1) >> 1))) + 1) >> 1
 

@@ -119,7 +119,10 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def prepare(self, context):
-        """Check the folder, visit two frames in a copy of the scene; return the function that measures and writes."""
+        """Check the folder, return the function that measures and writes.
+
+        A copy of the scene visits the current frame and the next one, for measuring popping.
+        """
         obj, scene = context.object, context.scene
         folder = report_folder(obj)
         check_report_name(obj)

@@ -45,6 +45,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
+    # Set when the operator is run again with the chosen options, once the kernels are ready (session/polls.py).
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def kernels(self, context) -> list[ModuleType]:

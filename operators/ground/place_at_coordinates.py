@@ -32,6 +32,7 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
     system: bpy.props.EnumProperty(
         name="System", description="Meaning of the two numbers", items=SYSTEMS, default=AUTOMATIC
     )
+    # Set when the operator is run again with the chosen options, once the kernels are ready (session/polls.py).
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context, event):

@@ -149,7 +149,10 @@ def _load_neediest(obj, store: Path, lands: Sequence[SeenLand], tiles: Sequence[
 
 
 def _copied(picture: Path, store: Path) -> Path:
-    """Return the job's store after making it from a first picture, unless it was made from the same before."""
+    """Return the job's store after making it from a first picture, unless it was made from the same before.
+
+    picture: the store of a quick import, which has coarse heights only.
+    """
     if (store / JSON_NAME).exists() and read_json(first_picture(store))["digest"] != read_json(picture)["digest"]:
         discard_store(store)
     if not (store / JSON_NAME).exists():

@@ -87,6 +87,7 @@ def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
     eye = np.array(camera.evaluated_get(depsgraph).matrix_world.translation)
     furthest = float(np.linalg.norm(box - eye, axis=1).max())
     before = data.clip_start, data.clip_end
+    # At least the diagonal, so that all of the box is still seen after the camera has moved about it.
     if not np.isfinite(furthest) or before[1] >= max(furthest, sight.diagonal(box)):
         return []
     if data.library is not None:

@@ -14,7 +14,7 @@ import pytest
 
 TESTS = Path(__file__).parents[1] / "support"
 FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
-MANY_WORKS, MANY_STORES = max(20, FUZZ // 10), 2000 if FUZZ >= 10_000 else 40
+MANY_WORKS, MANY_STORES = max(12, FUZZ // 10), 2000 if FUZZ >= 10_000 else 24
 
 
 @pytest.mark.parametrize("stores", [15, pytest.param(MANY_STORES, marks=pytest.mark.thorough)])

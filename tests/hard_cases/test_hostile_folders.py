@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 SUPPORT = Path(__file__).parents[1] / "support"
-MANY = max(24, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
+MANY = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 
 
 @pytest.mark.parametrize("rounds", [8, pytest.param(MANY, marks=pytest.mark.thorough)])

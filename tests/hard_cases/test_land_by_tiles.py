@@ -234,6 +234,7 @@ def test_case_57_rivers_of_ordinary_land_are_made_in_tiles(preset):
     assert [added.whole for added in land.added if added.level == 0] == [False] and land.tiles[0] == [4]
 
 
+@pytest.mark.thorough
 def test_case_57_neighbours_share_their_borders(monkeypatch):
     """A tile has the same bytes with or without its neighbour, and the change of heights has no step at borders."""
     field = from_array(bumpy(560, 930) * 2 + 400, 12.0, 10.0)

@@ -17,7 +17,7 @@ SIZE = 400
 
 folder = sys.argv[sys.argv.index("--") + 1] + "/seams"
 tiling = importlib.import_module("bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.tiling")
-tiling.SINGLE_CELLS, tiling.TILE_CELLS = 64, 100
+tiling.SINGLE_CELLS, tiling.TILE_CELLS = 64, 200
 scene = bpy.context.scene
 terrain = next(item for item in scene.objects if item.adaptive_terrain.enabled)
 terrain.adaptive_terrain.render.error_px = 4.0

@@ -99,6 +99,7 @@ def test_a_sweep_of_a_smooth_surface_includes_the_bilinear_one(field):
     assert all(s.is_plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
+@pytest.mark.thorough
 def test_a_sweep_of_finer_tiles_has_both_surfaces():
     field = finer_field(rows=33, columns=33, known=((0, 0),))
     settings = settings_for(field, TimedFrame([SEEN]))

@@ -89,6 +89,7 @@ def shared_pixels(exported, source, bounds):
         return found.read(1, window=windows[0]), heights
 
 
+@pytest.mark.thorough
 def test_pixels_of_the_finest_file_are_exported_bit_by_bit(land, finest):
     west, north = TOWN
     inner = west + 140, north - 340, west + 380, north - 140  # without the rings of the border and of the gap

@@ -93,6 +93,7 @@ def known_places(field, count, seed):
     return found[np.all(corners, axis=0)]
 
 
+@pytest.mark.thorough
 def test_finer_heights_move_with_the_raster(city, shaped):
     """Also around the hole, and in tiles beyond the border."""
     before, after = open_store(city), open_store(shaped)
@@ -253,6 +254,7 @@ def test_a_killed_process_leaves_what_it_has_measured(country, tmp_path):
     assert files_of(land) == files_of(tmp_path / "undisturbed")
 
 
+@pytest.mark.thorough
 def test_another_stack_measures_only_tiles_that_it_changes(country, tmp_path):
     """Ranges are measured again if the lowest or highest finer height differs."""
     low = Entry("hill", {"east": 5300.0, "north": 5300.0, "radius": 150.0, "height": 0.5})

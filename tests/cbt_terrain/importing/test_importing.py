@@ -168,7 +168,10 @@ def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path, fork_children):
     assert not (tmp_path / "a").exists()
 
 
-@pytest.mark.parametrize(("name", "remedy"), [("SIGKILL", "memory"), ("SIGBUS", "make room on the disk")])
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("SIGKILL", "memory"), pytest.param("SIGBUS", "make room on the disk", marks=pytest.mark.thorough)],
+)
 def test_a_killed_import_is_an_error_that_names_the_signal(previous, name, remedy, request):
     if name == "SIGBUS":
         request.getfixturevalue("fork_children")

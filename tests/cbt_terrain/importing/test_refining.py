@@ -158,6 +158,7 @@ def test_bounds_hold_for_the_loaded_surface(tmp_path, small_tiles, tiles, height
         assert (4 * pair[1:] >= pair[:-1]).all() and (4 * pair[:-1] >= pair[1:]).all()
 
 
+@pytest.mark.thorough
 def test_processes_load_the_same_bytes(tmp_path, small_tiles, monkeypatch):
     monkeypatch.setattr(refining, "FACTOR", 8)  # as in the processes
     monkeypatch.setitem(globals(), "QUICK", 1000)

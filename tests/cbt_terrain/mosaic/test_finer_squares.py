@@ -134,6 +134,7 @@ def test_a_flight_over_loaded_squares_has_no_cracks(country, loaded):
         assert update.bound_px <= 1.0 + 1e-6
 
 
+@pytest.mark.thorough
 def test_a_bicubic_surface_follows_the_loaded_squares(country, loaded, tmp_path):
     """Each import makes it of new arrays, and removes the old ones."""
     folder, _, settings = country

@@ -143,6 +143,7 @@ AFTER_ALL_TILES = {  # event of Python, and the beginning of the file's name
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "moment",
     [pytest.param(m, marks=[] if "complete" in m else [pytest.mark.thorough]) for m in AFTER_ALL_TILES],

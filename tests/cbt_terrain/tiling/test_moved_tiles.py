@@ -119,12 +119,14 @@ def test_files_in_the_south_west_renumber_tiles(growth):
     assert sorted(growth.measured) == numbers(5, [(c, r) for r in range(4) for c in range(5) if (c, r) not in INNER])
 
 
+@pytest.mark.thorough
 def test_an_inner_part_of_a_tile_in_the_west_moves_all(growth):
     write_first(growth.files)
     growth.run(lambda: [write_file(growth.files, f"b{row}", -0.5, row) for row in range(ROWS)])
     assert len(growth.crew.read) == len(growth.measured) == 15
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("more", [{}, pytest.param({"holes": True}, marks=pytest.mark.thorough)])
 def test_gaps_and_a_changed_file_while_a_mosaic_grows(growth, more):
     write_first(growth.files, gap=(slice(50, 90), slice(20, 70)))
@@ -136,6 +138,7 @@ def test_gaps_and_a_changed_file_while_a_mosaic_grows(growth, more):
     growth.run(change, **more)
 
 
+@pytest.mark.thorough
 def test_holes_leave_tiles_far_from_them(growth):
     write_first(growth.files)
     write_file(growth.files, "a11", 1, 1, gap=(slice(40, 80), slice(40, 80)))
@@ -205,6 +208,7 @@ def test_damaged_stores_give_no_tiles_to_a_larger_one(growth, name):
 RARE = "none", [1.0], [1e300, -1e300], ["a", 0.0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "corner",
     [[float("nan"), 0.0], [5.0, 5.0], *(pytest.param(corner, marks=pytest.mark.thorough) for corner in RARE)],

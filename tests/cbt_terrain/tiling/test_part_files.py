@@ -59,6 +59,7 @@ def mosaic(tmp_path, tiled):  # noqa: F811
     return settings
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("holes", [False, True])
 def test_tasks_at_once_have_the_bytes_of_one_import(tmp_path, tiled, monkeypatch, holes):  # noqa: F811
     heights = hills(200, 140).copy()
@@ -88,6 +89,7 @@ def share(settings, store, run, of=3):
     assert not list(store.glob("data-*/*.part"))
 
 
+@pytest.mark.thorough
 def test_tasks_of_a_mosaic_lose_nothing_either(tmp_path, mosaic):
     share(mosaic, tmp_path / "store", run_mosaic_import)
     assert_same(tmp_path / "store", tmp_path / "whole")

@@ -286,6 +286,7 @@ def test_the_guard_uses_the_stores_of_a_job(shot, monkeypatch, capsys):
     assert obj.adaptive_terrain.store == str(stores / "Terrain.store")
 
 
+@pytest.mark.thorough
 def test_a_share_is_one_of_several(capsys):
     parse = parser.build_parser().parse_args
     options = ["prepare", "--scene", "a.blend", "--only", "tiles", "--share"]

@@ -31,6 +31,7 @@ def eager_threads(monkeypatch):
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()
+    gc.set_threshold(50_000, 20, 100)  # looking for garbage more often took a twentieth of the time
 
 
 def pytest_sessionfinish(exitstatus):

@@ -203,7 +203,7 @@ class _WorkRecords(FinerRecords):
 def _number_of(place: Tile) -> int:
     """Return the number of a record by column and row: it does not change when the raster gets wider.
 
-    Blocks of seams may have negative ones. No raster has so many that two have one number.
+    Blocks of seams may have negative columns and rows. Numbers are unique: a raster has fewer than 2^31 of either.
     """
     column, row = (index % (1 << 31) for index in place)
     return (row << 31) + column

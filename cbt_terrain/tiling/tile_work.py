@@ -262,7 +262,7 @@ class TileWork:
         self.open("samples")[area] = stored
         if has_gaps or self.open("missing")[area].any():  # of an earlier attempt
             # Into the file, since a full disk ends a process that writes to the mapping of a sparse one.
-            with (self.folder / "missing.npy").open("r+b", buffering=0) as file:
+            with (self.folder / "missing.npy").open("r+b") as file:
                 for row, marks in enumerate(missing, y):
                     file.seek(PAGE_BYTES + row * self.grid.lattice.width + x)
                     file.write(marks.tobytes())

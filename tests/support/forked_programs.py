@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Programs of tests in processes of their own, forked from one that has imported the engine (see forked_children.py).
+"""Run programs of tests in separate processes, which are forked from one with the engine (see forked_children.py).
 
 A start of Python with numpy, Warp and the engine would take a second of a processor.
 """

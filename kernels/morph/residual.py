@@ -16,7 +16,8 @@ ends are certainly settled.
 `metres2` is the squared error of a point's diamond, m2, that the criterion compares; `settled_metres2` is the same of a
 settled point, and 0 of others.
 
-Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one.
+Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one. A
+function that returns several structs still copies them, so the loop over waiting points is in `morphed_point`.
 """
 
 import warp as wp
@@ -253,29 +254,18 @@ def no_ends() -> Ends:
 
 
 @wp.func
-def give_to_waiting(memory: Memory, first: wp.int32, last: wp.int32, point: MorphedPoint, point_ends: Ends):
-    """Add a known point to the point that waits for it on the stack. If that has both its ends now, compute it; repeat.
+def wait_for_ends(memory: Memory, entry: wp.int32, target: MorphedPoint, weight: wp.float64, along: wp.vec2i):
+    """Put a point on the stack of those that wait for the two ends of the edge that they split.
 
-    first, last: entries of the stack, which is empty if last < first. point_ends: sums over the known point's ends.
-    Return the point that was computed last, the sums over its ends, and the new last entry.
+    entry: of the stack. target: the point with a W of 1. weight: its W. along: half of that edge, from `half_edge`.
     """
-    morphed = point
-    ends = point_ends
-    top = last
-    is_known = wp.bool(True)
-    while is_known and top >= first:
-        waiting = memory.pending[top]
-        ends = add_end(waiting.ends, morphed)
-        waiting.ends = ends
-        waiting.seen += 1
-        is_known = waiting.seen == 2
-        if is_known:
-            morphed = morph_between(waiting.target, waiting.weight, ends)
-            memory.points[memory_slot(memory, morphed.point)] = morphed
-            top -= 1
-        else:
-            memory.pending[top] = waiting
-    return morphed, ends, top
+    waiting = Pending()
+    waiting.left = target.point - along
+    waiting.right = target.point + along
+    waiting.target = target
+    waiting.weight = weight
+    waiting.ends = no_ends()
+    memory.pending[entry] = waiting
 
 
 @wp.func
@@ -333,13 +323,7 @@ def morphed_point(
                     ends = add_end(add_end(no_ends(), left), right)
                     if not is_known:
                         top += 1
-                        waiting = Pending()
-                        waiting.left = point - along
-                        waiting.right = point + along
-                        waiting.target = morphed
-                        waiting.weight = weight
-                        waiting.ends = no_ends()
-                        memory.pending[top] = waiting
+                        wait_for_ends(memory, top, morphed, weight, along)
                 if is_known:
                     morphed = morph_between(morphed, weight, ends)
             if is_known:
@@ -348,8 +332,18 @@ def morphed_point(
                 vertex_surface = surface
                 is_settled = weight >= wp.float64(1.0)
             is_vertex = False
-        if is_known:
-            morphed, ends, top = give_to_waiting(memory, first, top, morphed, ends)
+        while is_known and top >= first:  # the last point that waits gets an end; with both it is known, too
+            waiting = memory.pending[top]
+            ends = add_end(waiting.ends, morphed)
+            waiting.ends = ends
+            waiting.seen += 1
+            is_known = waiting.seen == 2
+            if is_known:
+                morphed = morph_between(waiting.target, waiting.weight, ends)
+                memory.points[memory_slot(memory, morphed.point)] = morphed
+                top -= 1
+            else:
+                memory.pending[top] = waiting
         is_waiting = top >= first
         if is_waiting:
             point = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)

@@ -29,7 +29,7 @@ from . import codes, hierarchy
 from .codes import MIN_EXPONENT
 from .heightfield import HeightField
 from .hierarchy import items, stored_at
-from .lattice import PAGE, Lattice
+from .lattice import PAGE, Lattice, rows_of
 
 # Cells along the side of a tile, a multiple of ALIGNED.
 TILE = 2048
@@ -45,9 +45,10 @@ Box = tuple[tuple[int, int], tuple[int, int]]  # first and end, of columns and o
 
 @dataclass(frozen=True)
 class _Window:
-    """Errors of a window of cells.
+    """Errors of a tile in a window of cells of a raster.
 
     Attributes:
+        tile: cells of the tile.
         box: cells of the window. A raster's cell beyond is missing.
         depths: layouts of the arrays, from the cells (0) to TILE_DEPTHS bisections above them, fewer for a small
             raster.
@@ -55,6 +56,8 @@ class _Window:
         curvatures: float32 metres, of the cells alone.
     """
 
+    lattice: Lattice
+    tile: Box
     box: Box
     depths: list[Depth]
     errors: np.ndarray
@@ -98,17 +101,16 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
 
     for tile in _tiles(lattice):
         window = _compute_tile(field, tile, threads)
-        raise_to(_largest(lattice, window))
-        _encode(lattice, window, tile, codes.tables(exponents), out, threads)
+        raise_to(_largest(window))
+        _encode(window, codes.tables(exponents), out, threads)
         if len(window.depths) > TILE_DEPTHS:
             whole = _layout_from(lattice, TILE_DEPTHS, first)
             for values, target in ((window.errors, errors), (window.off, off)):
-                more = [flat(target, wp.float32)]
-                _launch_rows(kernels.keep_rows, lattice, window, tile, TILE_DEPTHS, whole, [values], more, threads)
+                _launch_rows(kernels.keep_rows, window, TILE_DEPTHS, whole, values, [flat(target, wp.float32)], threads)
         del window  # before the next one takes its memory
     for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
         below, above = _layout_from(lattice, bisections - 1, first), _layout_from(lattice, bisections, first)
-        _add_errors(field, bisections, below, above, corner=wp.vec2i(0, 0), off=off, errors=errors, threads=threads)
+        _add_errors(field, bisections, below, above, wp.vec2i(0, 0), off, errors, threads)
     raise_to(
         {g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, unused=0
     )
@@ -146,17 +148,14 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
         # Half of each neighbour's curvature, a quarter of those after it, and so on.
         hierarchy.saturate_cells(cells, part=0.5, out=curvatures, step="bicubic hierarchy", threads=threads)
         # Cells outside the window are more than `around` - ALIGNED steps away from those that count.
-        if _smallest(field.lattice, window, tile) >= np.float32(np.ldexp(bound, ALIGNED - around)):
+        if _smallest(window) >= np.float32(np.ldexp(bound, ALIGNED - around)):
             break
     # A cell's error also bounds triangles whose longest edge is a side of the cell.
     inputs = [cells, curvatures, flat(window.errors, wp.float32)]
     launch_step(kernels.cover_sides, items(cells), inputs, threads)
     for bisections in range(1, len(window.depths)):
         below, above = window.depths[bisections - 1 : bisections + 1]
-        corner = window.corner(bisections)
-        _add_errors(
-            field, bisections, below, above, corner=corner, off=window.off, errors=window.errors, threads=threads
-        )
+        _add_errors(field, bisections, below, above, window.corner(bisections), window.off, window.errors, threads)
     return window
 
 
@@ -180,30 +179,29 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
         depths.append(depth)
     cell_entries = depths[1].base if len(depths) > 1 else base
     errors, off = np.zeros(base, np.float32), np.zeros(base, np.float32)
-    return _Window(box, depths, errors, off, np.zeros(cell_entries, np.float32))
+    return _Window(lattice, tile, box, depths, errors, off, np.zeros(cell_entries, np.float32))
 
 
-def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
-    """Return the smallest curvature, metres, of a tile and ALIGNED cells around it, on which its diamonds depend.
+def _smallest(window: _Window) -> np.float32:
+    """Return the smallest curvature, metres, of the tile and ALIGNED cells around it, on which its diamonds depend.
 
     Infinity if the window has all cells of the raster.
     """
-    if window.box == ((0, lattice.cells_x), (0, lattice.cells_y)):
+    if window.box == ((0, window.lattice.cells_x), (0, window.lattice.cells_y)):
         return np.float32(np.inf)
     (rows, columns) = (
         slice(max(first - ALIGNED, low) - low, min(end + ALIGNED, high) - low)
-        for (first, end), (low, high) in zip(reversed(tile), reversed(window.box), strict=True)
+        for (first, end), (low, high) in zip(reversed(window.tile), reversed(window.box), strict=True)
     )
-    pages = window.curvatures.reshape(-1, window.depths[0].pages, 8, 8, 4, 4)  # each of 8 x 8 tiles of 4 x 4 cells
-    image = pages.transpose(0, 2, 4, 1, 3, 5).reshape(len(pages) * PAGE, -1)
-    return image[rows, columns].min()
+    return rows_of(window.curvatures, window.depths[0].pages)[rows, columns].min()
 
 
-def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
+def _largest(window: _Window) -> dict[int, float]:
     """Return the largest error of a window, metres, for each group that tiles encode, for the cells and the curvatures.
 
     Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
+    lattice = window.lattice
     by_group = {lattice.groups + 1: float(window.curvatures.max())}
     ends = [depth.base for depth in window.depths[1:]] + [len(window.errors)]
     for bisections, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
@@ -213,49 +211,46 @@ def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
     return by_group
 
 
-def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:
-    """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1 to `out`, those of the raster.
+def _encode(window: _Window, table: np.ndarray, out: np.ndarray, threads: int) -> None:
+    """Write the codes of the tile's curvatures, cells and the diamonds of groups 0 and 1 to `out`, those of the raster.
 
     table: float32 [parts, 256] metres, in the order of `codes.parts`.
     """
-    packed_table = flat(table, wp.float32)
+    lattice, packed_table = window.lattice, flat(table, wp.float32)
     for bisections in range(min(TILE_DEPTHS, len(window.depths))):
         depth = lattice.cell_depth - bisections
         whole, more = stored_at(lattice, depth), [packed_table, lattice.group(depth), flat(out, wp.uint8)]
-        _launch_rows(kernels.encode_rows, lattice, window, tile, bisections, whole, [window.errors], more, threads)
+        _launch_rows(kernels.encode_rows, window, bisections, whole, window.errors, more, threads)
     whole = stored_at(lattice, lattice.cell_depth)
     whole.base = lattice.node_count  # curvatures follow the errors
     more = [packed_table, lattice.groups + 1, flat(out, wp.uint8)]
-    _launch_rows(kernels.encode_rows, lattice, window, tile, 0, whole, [window.curvatures], more, threads)
+    _launch_rows(kernels.encode_rows, window, 0, whole, window.curvatures, more, threads)
 
 
 def _launch_rows(
     kernel: wp.Kernel,
-    lattice: Lattice,
     window: _Window,
-    tile: Box,
     bisections: int,
     whole: Depth,
-    values: list[np.ndarray],
+    values: np.ndarray,
     more: list,
     threads: int,
 ) -> None:
-    """Launch a kernel over the rows of a tile's diamonds `bisections` above the cells.
+    """Launch a kernel over the rows of the tile's diamonds `bisections` above the cells.
 
     The diamonds on a tile's western and southern side belong to it. The last tiles have those at the border and beyond.
-    whole: layout of this depth in the raster's array that the kernel writes. values: arrays of the window that it
+    whole: layout of this depth in the raster's array that the kernel writes. values: array of the window that it
     reads. more: its other arguments, the written array last.
     """
-    shift, part = bisections // 2, window.depths[bisections]
+    shift, part, lattice = bisections // 2, window.depths[bisections], window.lattice
     axes = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
     first, counts = [], []
-    for (low, high), (window_start, _), (cells, count) in zip(tile, window.box, axes, strict=True):
+    for (low, high), (window_start, _), (cells, count) in zip(window.tile, window.box, axes, strict=True):
         is_last_tile = high == cells
         end = count + part.sides if is_last_tile else (high - window_start) >> shift
         first.append((low - window_start) >> shift)
         counts.append(end - first[-1])
-    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections)]
-    inputs += [*(flat(array, wp.float32) for array in values), *more]
+    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections), flat(values, wp.float32), *more]
     launch_step(kernel, counts[1], inputs, threads, 2.0 * counts[0])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from .heightfield import HeightField
 from .hierarchy import ranges_at
+from .lattice import tile_index
 
 # The stored ranges that are read are of cells of at most this fraction of the smallest rectangle's side.
 FRACTION = 1 / 16
@@ -79,6 +80,4 @@ def _stored(field: HeightField, bits: int, columns: np.ndarray, rows: np.ndarray
     """
     depth = ranges_at(field.lattice, 2 * (field.lattice.levels - bits) + 1)
     x, y = (depth.first + places.astype(np.int64) * depth.step for places in (columns, rows))
-    page = (y >> 5) * depth.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
-    in_page = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
-    return field.ranges[depth.base + (page << 10 | in_page)]
+    return field.ranges[depth.base + tile_index(x, y, depth.pages)]

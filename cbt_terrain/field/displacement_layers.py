@@ -16,6 +16,7 @@ from ..view.linear import add_up
 from .blocks import fill_levels, level_shapes
 from .detail import Detail
 from .detail_bounds import DetailTerm, highest, masked_terms, tables
+from .digests import digest_of
 from .lattice import Lattice
 from .tiled import Tiled
 
@@ -46,9 +47,7 @@ class LayerMask:
         """Convert the values to uint8 in C order, and compute the digest and the maxima."""
         values = np.ascontiguousarray(self.values, np.uint8)
         object.__setattr__(self, "values", values)
-        content = hashlib.blake2b(repr(values.shape).encode(), digest_size=16)
-        content.update(values.data)
-        object.__setattr__(self, "digest", content.hexdigest())
+        object.__setattr__(self, "digest", digest_of([values], repr(values.shape)))
         if not self.max_cells.size:
             count = sum(int(rows * columns) for rows, columns in level_shapes(*cells_of(values)))
             object.__setattr__(self, "max_cells", np.empty(count, np.uint8))

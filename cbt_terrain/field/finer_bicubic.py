@@ -34,6 +34,8 @@ from .finer_measures import MeasuredRectangle, fill_bounds, fill_errors, fill_ra
 from .finer_tiles import SIDE, STRIDE, FinerTiles, bicubic_shapes
 from .heightfield import HeightField, HeightRaster
 from .hierarchy import ranges_at
+from .holes import holes_around
+from .lattice import tile_index
 
 Arrays = dict[str, np.ndarray]
 
@@ -67,9 +69,8 @@ def _are_valid(arrays: Arrays) -> bool:
 
 def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     """Fill the zeroed arrays of `bicubic_shapes`, by name; the same bytes for any number of threads."""
-    lattice, bits, numbers, threads = smooth.lattice, finer.bits, finer.numbers, launch.default_threads()
+    bits, numbers, threads = finer.bits, finer.numbers, launch.default_threads()
     heights, errors, ranges, bounds = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "bounds"))
-    steps = lattice.step_x / (1 << bits), lattice.step_y / (1 << bits)
     off = _max_distance(smooth, finer)  # of the surface from the bilinear one between the tiles' heights
     low, high = _fill_heights(smooth, finer, heights)
     lows, highs = outward(np.array([low, high], np.float32), off)
@@ -80,7 +81,7 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
         tiles = list(tiles_of(corner, numbers))
         rectangle = around(tiles)
         for tile in tiles:
-            limits[tile.row, tile.column] = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
+            limits[tile.row, tile.column] = limits_of(rectangle, tile)
     arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     # Diamonds too large for a stored error have twice the largest change.
     exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
@@ -88,10 +89,10 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
     for corner in corners:
         tiles = list(tiles_of(corner, numbers))
         rectangle = around(tiles)
-        fill_errors(rectangle, tiles, errors, threads, steps=steps, table=table)
-        fill_ranges(rectangle, tiles, ranges, threads, steps=steps, scale=scale, off=off)
+        fill_errors(rectangle, tiles, errors, threads, table=table)
+        fill_ranges(rectangle, tiles, ranges, threads, scale=scale, off=off)
         only_known = rectangle._replace(heights=_known_heights(smooth, bits, rectangle))  # NaN in holes
-        fill_bounds(only_known, tiles, bounds, threads, steps=steps, exponent=exponent, off=off)
+        fill_bounds(only_known, tiles, bounds, threads, exponent=exponent, off=off)
     arrays["finer_values_c"][:] = exponent, *scale, low, high, off
 
 
@@ -102,17 +103,9 @@ def _known_heights(smooth: HeightField, bits: int, rectangle: MeasuredRectangle)
     """
     if smooth.valid is None:
         return rectangle.heights
-    lattice, sides = smooth.lattice, []
-    for first, count, cells in zip(
-        (rectangle.row, rectangle.column), rectangle.heights.shape, (lattice.cells_y, lattice.cells_x), strict=True
-    ):
-        at = np.clip(SIDE * first + np.arange(count), 0, cells << bits)
-        sides.append((np.maximum(at - 1, 0) >> bits, np.minimum(at >> bits, cells - 1)))  # the cells that meet there
-    (south, north), (west, east) = sides
-    valid = smooth.valid[south[0] : north[-1] + 2, west[0] : east[-1] + 2] != 0
-    is_hole = ~(valid[1:, 1:] & valid[1:, :-1] & valid[:-1, 1:] & valid[:-1, :-1])
-    by_row = is_hole[south - south[0]] | is_hole[north - south[0]]
-    in_hole = by_row[:, west - west[0]] | by_row[:, east - west[0]]
+    places = zip((rectangle.row, rectangle.column), rectangle.heights.shape, smooth.valid.shape, strict=True)
+    y, x = (np.clip(SIDE * first + np.arange(count), 0, (samples - 1) << bits) for first, count, samples in places)
+    in_hole = holes_around(smooth.valid, bits, x, y, np.logical_or)
     return np.where(in_hole, np.float32(np.nan), rectangle.heights)
 
 
@@ -198,8 +191,5 @@ def _max_distance(smooth: HeightField, finer: FinerTiles) -> float:
             np.arange(SIDE * at >> bits, min(SIDE * (at + 1) - 1 >> bits, cells - 1) + 1, dtype=np.int64)
             for at, cells in ((column, lattice.cells_x), (row, lattice.cells_y))
         )
-        y = y[:, None]
-        page = (y >> 5) * pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
-        inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
-        largest = max(largest, int(codes_of_cells[page << 10 | inside].max(initial=0)))
+        largest = max(largest, int(codes_of_cells[tile_index(x, y[:, None], pages)].max(initial=0)))
     return float(table[largest]) / (1 << 2 * bits)  # curvatures fall with the square of a cell's side

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Computation of finer tiles (finer_tiles.py): their heights, the errors of the change, and the ranges of heights."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -15,6 +14,7 @@ from ..run import launch
 from . import codes, hierarchy
 from .blocks import halvings
 from .build import Allocate, in_memory
+from .digests import digest_of
 from .finer_heights import (
     LIMITED,
     MEASURED,
@@ -22,15 +22,15 @@ from .finer_heights import (
     FinerBox,
     FinerRecords,
     Tile,
-    digest_of,
     fill_heights,
     raster_heights,
     window_of,
 )
 from .finer_measures import MeasuredFinerTile, MeasuredRectangle, fill_errors, fill_ranges, limits_of
 from .finer_reuse import inputs_of_tiles, is_measured, limits_before
-from .finer_tiles import MAX_BITS, SIDE, STRIDE, FinerTiles, tile_shape
+from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
 from .heightfield import HeightField
+from .lattice import Lattice
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
 # Returns the heights of a raster's surface from the raster, bits, finer columns and rows.
@@ -78,7 +78,7 @@ def with_finer_tiles(
     tiles = _measured(
         plain, bits, numbers, heights, ends, threads, allocate, lambda done: on_progress(0.5 + 0.5 * done), records
     )
-    raster = replace(plain.raster, finer=tiles, digest=_digest(plain.raster.digest, tiles.digest))
+    raster = replace(plain.raster, finer=tiles, digest=digest_of([], plain.raster.digest, tiles.digest))
     return replace(
         plain,
         raster=raster,
@@ -96,11 +96,6 @@ def _check(plain: HeightField, bits: int) -> None:
     largest = min(MAX_BITS, plain.lattice.unit_bits - plain.lattice.levels)
     if not 1 <= bits <= largest:
         raise TerrainError(f"The finer tiles have {bits} bits", expected=f"1 to {largest}")
-
-
-def _digest(*texts: str) -> str:
-    """Return a hex digest of texts."""
-    return hashlib.blake2b(" ".join(texts).encode(), digest_size=16).hexdigest()
 
 
 def _numbered(known: list[Tile], shape: tuple[int, int]) -> np.ndarray:
@@ -179,7 +174,14 @@ def rectangle_around(
     for axis, count, first, end in ((1, sample_columns, SIDE * column, last[0]), (0, sample_rows, SIDE * row, last[1])):
         clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
         change, all_heights = (np.take(values, clamped, axis) for values in (change, all_heights))
-    return MeasuredRectangle(column, row, np.ascontiguousarray(all_heights), np.ascontiguousarray(change))
+    roots = (sample_columns - 1) // SIDE, (sample_rows - 1) // SIDE
+    lattice = Lattice(*roots, TILE_BITS, *_steps(plain, bits))
+    return MeasuredRectangle(column, row, np.ascontiguousarray(all_heights), np.ascontiguousarray(change), lattice)
+
+
+def _steps(plain: HeightField, bits: int) -> tuple[float, float]:
+    """Return the steps of finer samples along x and y, metres."""
+    return plain.lattice.step_x / (1 << bits), plain.lattice.step_y / (1 << bits)
 
 
 def _measured(
@@ -198,10 +200,8 @@ def _measured(
     numbers, heights: of all tiles (`FinerTiles`). ends: lowest and highest height, metres. Other arguments are those of
     `with_finer_tiles`.
     """
-    lattice, ratio = plain.lattice, 1.0 / (1 << bits)
-    steps = lattice.step_x * ratio, lattice.step_y * ratio
-    corners, inputs = list(corners_of_squares(numbers)), inputs_of_tiles(plain, bits, numbers, heights)
-    limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, steps, records)
+    lattice, inputs = plain.lattice, inputs_of_tiles(plain, bits, numbers, heights)
+    limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, records)
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits_of_tiles, np.maximum)])
     # The last limits are those of all tiles. Diamonds too large for a stored error have twice the largest change.
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
@@ -210,10 +210,10 @@ def _measured(
     ranges = allocate("finer_ranges", (len(heights), int(kernels.RANGES), 2), np.dtype(np.uint16))
     scale = hierarchy.range_scale(*ends) if len(heights) else (0.0, 1.0)
     outputs = (  # kind of its records, array, scale of its codes, and function that fills it
-        (MEASURED, errors, str(exponent), partial(fill_errors, steps=steps, table=table)),
-        (RANGED, ranges, str(scale), partial(fill_ranges, steps=steps, scale=scale)),
+        (MEASURED, errors, str(exponent), partial(fill_errors, table=table)),
+        (RANGED, ranges, str(scale), partial(fill_ranges, scale=scale)),
     )
-    for corner in corners:
+    for corner in corners_of_squares(numbers):
         on_progress((corner[1] + 1) / len(numbers))
         missing_by_output: list[list[MeasuredFinerTile]] = [[] for _ in outputs]
         for (kind, array, coding, _fill), tiles in zip(outputs, missing_by_output, strict=True):
@@ -230,14 +230,12 @@ def _measured(
             for row, column, number in tiles:
                 given, sums = f"{inputs[row, column]} {coding}", digest_of([array[number]])
                 records.note(kind, (column, row), array=array[number], inputs=given, sums=sums)
-    content = hashlib.blake2b(repr((bits, numbers.shape, lattice.step_x, lattice.step_y)).encode(), digest_size=16)
-    for array in (numbers, *heights):
-        content.update(np.ascontiguousarray(array).data)
+    digest = digest_of([numbers, *heights], repr((bits, numbers.shape, lattice.step_x, lattice.step_y)))
     stored = []  # the numbers and the limits
     for name, array in (("finer_numbers", numbers), ("finer_limits", limits)):
         stored.append(allocate(name, array.shape, array.dtype))
         stored[-1][...] = array
-    return FinerTiles(bits, stored[0], heights, errors, ranges, *scale, exponent, stored[1], content.hexdigest())
+    return FinerTiles(bits, stored[0], heights, errors, ranges, *scale, exponent, stored[1], digest)
 
 
 def _measure_limits(
@@ -246,13 +244,13 @@ def _measure_limits(
     numbers: np.ndarray,
     heights: np.ndarray,
     inputs: dict[tuple[int, int], str],
-    steps: tuple[float, float],
     records: FinerRecords,
 ) -> np.ndarray:
     """Return the largest change and slope of each tile, float32 [rows, columns, 2], from records or measured and noted.
 
-    numbers, heights: of all tiles (`FinerTiles`). inputs: of `inputs_of_tiles`. steps: metres of a finer cell.
+    numbers, heights: of all tiles (`FinerTiles`). inputs: of `inputs_of_tiles`.
     """
+    steps = _steps(plain, bits)
     limits = np.zeros((*numbers.shape, 2), np.float32)
     for corner in corners_of_squares(numbers):
         missing = []
@@ -268,7 +266,7 @@ def _measure_limits(
         rectangle = rectangle_around(plain, bits, numbers, heights, missing)
         for tile in missing:
             row, column, _number = tile
-            limits[row, column] = pair = limits_of(rectangle.change[rectangle.samples_of(tile)], steps)
+            limits[row, column] = pair = limits_of(rectangle, tile)
             given = f"{inputs[row, column]} {steps}"
             records.note(LIMITED, (column, row), inputs=given, limits=[float(value) for value in pair])
     return limits

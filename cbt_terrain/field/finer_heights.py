@@ -5,14 +5,14 @@ They are read by window, and each finished window is recorded with a digest of a
 computation loses one at most, and windows that have not changed are taken from an earlier store.
 """
 
-import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from itertools import groupby, product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import TerrainError
+from .digests import digest_of
 from .finer_tiles import SIDE, STRIDE
 from .heightfield import HeightField, HeightRaster
 
@@ -232,14 +232,6 @@ def _read_box(read: Callable[[FinerBox], np.ndarray], box: FinerBox) -> np.ndarr
     if heights.shape != expected:
         raise TerrainError(f"The heights of a finer tile have the shape {heights.shape}", expected=f"{expected}")
     return heights
-
-
-def digest_of(arrays: Iterable[np.ndarray], *texts: str) -> str:
-    """Return a hex digest of arrays and texts."""
-    content = hashlib.blake2b(" ".join(texts).encode(), digest_size=16)
-    for array in arrays:
-        content.update(np.ascontiguousarray(array).data)
-    return content.hexdigest()
 
 
 def _lay(box_heights: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from . import codes, hierarchy
-from .finer_tiles import SIDE, TILE_BITS, bounds_table
-from .lattice import PAGE, Lattice
+from .finer_tiles import SIDE, bounds_table
+from .lattice import Lattice, pages_of, rows_of
 
 GROUPS = 3  # of depths with stored errors
 UP = np.float32(1.0 + 2.0**-22)  # above the rounding of a difference to float32
@@ -32,17 +32,14 @@ class MeasuredRectangle(NamedTuple):
         column, row: its first tile, of the margin.
         heights: of its finer samples, float32 metres; NaN outside of tiles.
         change: the surface minus that of the raster at its finer samples, float32 metres; all are 0 outside of tiles.
+        lattice: of the finer samples, with a root square for each tile.
     """
 
     column: int
     row: int
     heights: np.ndarray
     change: np.ndarray
-
-    def lattice(self, steps: tuple[float, float]) -> Lattice:
-        """Return a lattice with a root square for each tile. steps: of finer samples, metres."""
-        rows, columns = (count // SIDE for count in self.change.shape)
-        return Lattice(columns, rows, TILE_BITS, *steps)
+    lattice: Lattice
 
     def samples_of(self, tile: MeasuredFinerTile) -> tuple[slice, slice]:
         """Return the rows and columns of a tile's samples in the rectangle."""
@@ -56,14 +53,13 @@ def fill_errors(
     errors: np.ndarray,
     threads: int,
     *,
-    steps: tuple[float, float],
     table: np.ndarray,
 ) -> None:
     """Fill the codes of the errors of the change in some tiles of a rectangle.
 
-    steps: of finer samples, metres. table: metres of the codes.
+    table: metres of the codes.
     """
-    small = rectangle.lattice(steps)
+    small = rectangle.lattice
     change_errors = np.zeros(small.node_count, np.float32)
     hierarchy.build_errors(rectangle.change, small, change_errors, threads)
     images = list(_images(small.layout(), change_errors * UP))  # above the rounding of the change to float32
@@ -79,16 +75,15 @@ def fill_bounds(
     bounds: np.ndarray,
     threads: int,
     *,
-    steps: tuple[float, float],
     exponent: int,
     off: float,
 ) -> None:
     """Fill the bounds of a bicubic surface's own errors in some tiles of a rectangle.
 
-    steps: of finer samples, metres. exponent: of the codes of the errors of the change. off: largest distance of the
-    surface, metres, from the bilinear one between heights.
+    exponent: of the codes of the errors of the change. off: largest distance of the surface, metres, from the bilinear
+    one between heights.
     """
-    small, table = rectangle.lattice(steps), codes.tables([exponent])[0]
+    small, table = rectangle.lattice, codes.tables([exponent])[0]
     cells = hierarchy.stored_at(small, small.cell_depth)
     change_errors, surface_errors = np.zeros(small.node_count, np.float32), np.zeros(small.node_count, np.float32)
     # Errors inside the finer cells, where each surface is a saddle.
@@ -138,16 +133,15 @@ def fill_ranges(
     ranges: np.ndarray,
     threads: int,
     *,
-    steps: tuple[float, float],
     scale: tuple[float, float],
     off: float = 0.0,
 ) -> None:
     """Fill the ranges of heights of some tiles of a rectangle.
 
-    steps: of finer samples, metres. scale: metres of code 0, and of a step. off: largest distance of the surface,
-    metres, from the bilinear one between heights.
+    scale: metres of code 0, and of a step. off: largest distance of the surface, metres, from the bilinear one between
+    heights.
     """
-    small, heights = rectangle.lattice(steps), np.nan_to_num(rectangle.heights)
+    small, heights = rectangle.lattice, np.nan_to_num(rectangle.heights)
     low, high = outward(heights, off) if off else (heights, heights)
     surface_ranges = np.zeros((small.range_count, 2), np.uint16)
     hierarchy.build_ranges(low, small, *scale, surface_ranges, threads)
@@ -168,9 +162,11 @@ def outward(heights: np.ndarray, off: float) -> tuple[np.ndarray, np.ndarray]:
     return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
 
 
-def limits_of(change: np.ndarray, steps: tuple[float, float]) -> tuple[np.float32, np.float32]:
-    """Return the largest change of a tile, metres, and its largest slope along an axis, rounded up."""
-    slopes = [float(np.abs(np.diff(change, axis=axis)).max()) / step for axis, step in ((1, steps[0]), (0, steps[1]))]
+def limits_of(rectangle: MeasuredRectangle, tile: MeasuredFinerTile) -> tuple[np.float32, np.float32]:
+    """Return the largest change of a tile of a rectangle, metres, and its largest slope along an axis, rounded up."""
+    change = rectangle.change[rectangle.samples_of(tile)]
+    steps = (1, rectangle.lattice.step_x), (0, rectangle.lattice.step_y)
+    slopes = [float(np.abs(np.diff(change, axis=axis)).max()) / step for axis, step in steps]
     return np.float32(float(np.abs(change).max()) * UP), np.float32(max(slopes) * UP)
 
 
@@ -183,10 +179,7 @@ def _images(
     """
     base, pages = layout
     for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):
-        pages_in_row, rest = int(pages[group]), values.shape[1:]
-        # Pages of 8 x 8 tiles of 4 x 4 vertices (lattice.py).
-        image = values[base[group] : base[group + 1]].reshape(-1, pages_in_row, 8, 8, 4, 4, *rest)
-        rows = image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages_in_row, *rest)
+        rows = rows_of(values[base[group] : base[group + 1]], int(pages[group]))
         yield rows, 2 * group if group < GROUPS else 0
 
 
@@ -197,9 +190,4 @@ def _pages(image: np.ndarray, area: tuple[slice, slice], shift: int) -> np.ndarr
     """
     # A tile's last line belongs to the next tile.
     y, x = (slice(side_range.start >> shift, side_range.stop - 1 >> shift) for side_range in area)
-    part, rest = image[y, x], image.shape[2:]
-    side = max(len(part), PAGE)
-    full = np.zeros((side, side, *rest), image.dtype)  # a coarse group has less than a page
-    full[: len(part), : len(part)] = part
-    full = full.reshape(side // PAGE, 8, 4, side // PAGE, 8, 4, *rest)  # as in `_images`
-    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)
+    return pages_of(image[y, x])

@@ -8,7 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from .finer_heights import LIMITED, MEASURED, RANGED, FinerRecords, Tile, digest_of, raster_nodes
+from .digests import digest_of
+from .finer_heights import LIMITED, MEASURED, RANGED, FinerRecords, Tile, raster_nodes
 from .finer_tiles import SIDE
 from .heightfield import HeightField
 

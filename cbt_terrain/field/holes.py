@@ -29,6 +29,22 @@ def holes_leave_ground(valid: np.ndarray) -> bool:
     return any((row[:-1] & row[1:]).any() for row in rows)
 
 
+def holes_around(valid: np.ndarray, bits: int, x: np.ndarray, y: np.ndarray, join: np.ufunc) -> np.ndarray:
+    """Return whether one or all of the cells that meet at samples are holes: bool [rows, columns].
+
+    valid: uint8 [height, width], 0 where a sample of the raster is missing. x, y: ascending columns and rows of the
+    samples, which are 2^bits a cell. join: np.logical_or for one, np.logical_and for all.
+    """
+    (south, north), (west, east) = (
+        [np.clip(at - before >> bits, 0, count - 2) for before in (1, 0)]
+        for at, count in zip((y, x), valid.shape, strict=True)
+    )
+    known = valid[south[0] : north[-1] + 2, west[0] : east[-1] + 2] > 0
+    is_hole = ~(known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:])
+    rows = join(is_hole[south - south[0]], is_hole[north - south[0]])
+    return join(rows[:, west - west[0]], rows[:, east - west[0]])
+
+
 def refine_borders(valid: np.ndarray, lattice: Lattice, errors: np.ndarray, threads: int) -> np.ndarray:
     """Raise `errors` (float32 [lattice.node_count], metres) of diamonds on the border of a hole.
 

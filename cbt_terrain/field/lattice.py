@@ -201,6 +201,33 @@ def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
     return entries, pages_a_row
 
 
+def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndarray:
+    """Return the entries of vertices in an image with `pages` a row, as in kernels/field/layout.py.
+
+    A page has 8 x 8 blocks of 4 x 4 vertices.
+    """
+    page = (y >> 5) * np.int64(pages) + (x >> 5)
+    return page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3)
+
+
+def rows_of(image: np.ndarray, pages: int) -> np.ndarray:
+    """Return an image of pages, [n, ...], as rows of vertices, [rows, PAGE * pages, ...]. pages: pages in a row."""
+    rest = image.shape[1:]  # a page has 8 x 8 blocks of 4 x 4 vertices
+    image = image.reshape(-1, pages, 8, 8, 4, 4, *rest)
+    return image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages, *rest)
+
+
+def pages_of(rows: np.ndarray) -> np.ndarray:
+    """Return rows of vertices, [height, width, ...], as an image of pages, [n, ...]."""
+    (height, width), rest = rows.shape[:2], rows.shape[2:]
+    high, wide = -(-height // PAGE), -(-width // PAGE)
+    full = np.zeros((high * PAGE, wide * PAGE, *rest), rows.dtype)
+    full[:height, :width] = rows
+    # a page has 8 x 8 blocks of 4 x 4 vertices
+    full = full.reshape(high, 8, 4, wide, 8, 4, *rest)
+    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)
+
+
 def _multiple_near(value: float, limit: float) -> float:
     """Return the multiple of ANCHOR_STEP from -limit to limit that is nearest to a number."""
     largest = limit // ANCHOR_STEP * ANCHOR_STEP

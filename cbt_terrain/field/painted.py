@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Images as hashable values that are compared by their content."""
 
-import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..errors import TerrainError
+from .digests import digest_of
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,5 @@ class Painted:
                 expected="rows and columns of finite numbers",
                 fix="paint it again, or choose another",
             )
-        content = hashlib.blake2b(repr(values.shape).encode(), digest_size=16)
-        content.update(values.data)
         object.__setattr__(self, "values", values)
-        object.__setattr__(self, "digest", content.hexdigest())
+        object.__setattr__(self, "digest", digest_of([values], repr(values.shape)))

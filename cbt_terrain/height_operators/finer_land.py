@@ -13,6 +13,7 @@ import numpy as np
 from ...kernels.field import finer as kernels
 from ..errors import TerrainError
 from ..field.build import Allocate
+from ..field.digests import digest_of
 from ..field.finer_build import with_finer_tiles
 from ..field.finer_heights import (
     LIMITED,
@@ -22,7 +23,6 @@ from ..field.finer_heights import (
     FinerBox,
     FinerRecords,
     Tile,
-    digest_of,
     raster_heights,
 )
 from ..field.finer_tiles import SIDE

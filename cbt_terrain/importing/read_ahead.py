@@ -56,8 +56,7 @@ def find_ahead(store: Path, grid: TileGrid, number: int, inputs: str) -> TileAhe
 
     Return None if the file is missing, damaged or of other sources. inputs: digest of the sources. number: of the tile.
     """
-    box = grid.owned(grid.box(number))
-    shape = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
+    shape = grid.owned(grid.box(number)).shape
     try:
         data = read_regular(_file_of(store, number), MAX_RECORD + 4 * shape[0] * shape[1], links=False)
     except (OSError, ValueError):

@@ -16,8 +16,9 @@ from ..attributes.tiling import Tiling
 from ..field.cell_ranges import cell_ranges
 from ..field.domain import box_of
 from ..field.heightfield import HeightField
+from ..field.lattice import rows_of
 from ..field.store import open_store, read_json
-from ..tiling.tile_grid import TileGrid, rows_of
+from ..tiling.tile_grid import TileGrid
 from ..view.linear import lengths, product
 from ..view.local_view import eye_of
 from ..view.view import ORTHOGRAPHIC, View
@@ -173,7 +174,7 @@ def errors_in_view(
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
     tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, margin=0.0)
     codes = _centre_codes(field)
-    errors = _largest_errors(field, codes, part).ravel()
+    errors = field.table[0][_largest(codes, part // 2)].ravel()
     for seen in lands:
         box_of(field, seen.vertical_scale, seen.vertical_offset)  # raises for numbers that cannot be used
         boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
@@ -181,13 +182,7 @@ def errors_in_view(
         near = np.flatnonzero((errors_px > seen.error_px) & _is_near(boxes, seen))
         if len(near) and part >> NEAR_BITS and lattice.levels >= NEAR_BITS:
             errors_px[near] = _errors_px_by_cells(field, codes, near // columns, near % columns, part, seen)
-        errors_px = errors_px.reshape(rows, columns)
-        # the largest of the parts of each square
-        for axis in (0, 1):
-            errors_px = np.maximum.reduceat(
-                errors_px, np.arange(0, errors_px.shape[axis], max(side // part, 1)), axis=axis
-            )
-        yield errors_px
+        yield _largest(errors_px.reshape(rows, columns), side // part)
 
 
 def _errors_px(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: SeenLand) -> np.ndarray:
@@ -248,14 +243,11 @@ def _errors_px_by_cells(
     return errors_px.reshape(len(rows), -1).max(axis=1)
 
 
-def _largest_errors(field: HeightField, codes: np.ndarray, side: int) -> np.ndarray:
-    """Return the largest error, metres, in each square of side x side cells, [rows, columns].
-
-    codes: of the errors in the centres of 2 x 2 cells, [rows, columns].
-    """
+def _largest(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the largest of values [rows, columns] in each square of side x side of them, 1 x 1 for side 0."""
     for axis in (0, 1):
-        codes = np.maximum.reduceat(codes, np.arange(0, codes.shape[axis], max(side // 2, 1)), axis=axis)
-    return field.table[0][codes]
+        values = np.maximum.reduceat(values, np.arange(0, values.shape[axis], max(side, 1)), axis=axis)
+    return values
 
 
 def _centre_codes(field: HeightField) -> np.ndarray:

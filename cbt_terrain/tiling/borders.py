@@ -140,7 +140,7 @@ def unite_ranges(grid: TileGrid, opened: Opened) -> None:
 
     The finest vertices are complete already. grid: tiles of the whole raster. opened: maps the ranges of the raster.
     """
-    half = TileGrid(halved(grid.lattice), grid.bits - 1)  # ranges are those of a lattice of every other sample
+    half = halved(grid)
     flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
     for level, is_centre in pass_depths(half):
         if not level and not is_centre:

@@ -15,10 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..field.finer_heights import raster_heights
 from ..field.heightfield import HeightField
-from ..field.lattice import PAGE
+from ..field.holes import holes_around
+from ..field.lattice import PAGE, pages_of, tile_index
 from .measure_tile import LargeError
-from .tile_grid import TileBox, TileGrid, cell_entries, pages_of, tile_index
+from .tile_grid import TileBox, TileGrid, cell_entries
 
 ROUNDING = 4  # float32 steps of the highest height: of four rounded samples around a cell
 
@@ -56,37 +58,12 @@ class CoarseLand:
 
     def heights(self, box: TileBox) -> np.ndarray:
         """Return the interpolated heights of a box, its last samples included, float32 metres; NaN inside of holes."""
-        last_cells, parts = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
-        for first, end, last_cell in zip((box.y0, box.x0), (box.y1, box.x1), last_cells, strict=True):
-            positions = np.arange(first, end + 1)
-            # the coarser cell of each sample, and the place in it, 0 .. 1
-            cell = np.minimum(positions >> self.bits, last_cell)
-            parts.append((cell, (positions - (cell << self.bits)) / (1 << self.bits)))
-        (j, t), (i, s) = parts
-        nodes = self.field.heights(slice(j[0], j[-1] + 2), slice(i[0], i[-1] + 2)).astype(np.float64)
-        j, i = j - j[0], i - i[0]
-        rows = nodes[:, i] * (1.0 - s) + nodes[:, i + 1] * s
-        heights = (rows[j] * (1.0 - t)[:, None] + rows[j + 1] * t[:, None]).astype(np.float32)
+        x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
+        heights = raster_heights(self.field, self.bits, x, y).astype(np.float32)
         if self.field.valid is not None:
-            heights[self._in_holes(self.field.valid, box)] = np.nan
+            # samples that touch only cells that are cut out, so that holes keep their outline
+            heights[holes_around(self.field.valid, self.bits, x, y, np.logical_and)] = np.nan
         return heights
-
-    def _in_holes(self, valid: np.ndarray, box: TileBox) -> np.ndarray:
-        """Return which samples of a box touch only cells that are cut out, so that holes keep their outline: bool.
-
-        valid: of the coarser store.
-        """
-        last_cells, sides = (self.field.lattice.cells_y - 1, self.field.lattice.cells_x - 1), []
-        for first, end, last_cell in zip((box.y0, box.x0), (box.y1, box.x1), last_cells, strict=True):
-            positions = np.arange(first, end + 1)
-            # the cells before and behind each sample: a sample inside a cell touches that alone
-            sides.append([np.clip(positions - before >> self.bits, 0, last_cell) for before in (1, 0)])
-        (south, north), (west, east) = sides
-        top, left = int(south[0]), int(west[0])
-        known = valid[top : int(north[-1]) + 2, left : int(east[-1]) + 2] > 0
-        cut = ~(known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:])
-        around = [cut[np.ix_(j - top, i - left)] for j in (south, north) for i in (west, east)]
-        return np.logical_and.reduce(around)
 
     def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
         """Return the coarser store's errors of a tile's diamonds: float32 metres in the layout of the tile."""

@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..field.store_arrays import verify_array
-from .tile_grid import OwnedArea, TileBox, TileGrid, halved, owned_areas
+from .tile_grid import OwnedArea, TileGrid, halved, owned_areas
 from .tile_records import MEASURED, READ
 from .tile_work import STORED, TileWork
 
@@ -54,9 +54,10 @@ def copy_moved(before: TileWork, work: TileWork, moved: tuple[int, int]) -> None
     records = []
     for number, new in numbers.items():
         box, new_box = before.grid.box(number), work.grid.box(new)
-        if _shape(before.grid.owned(box)) != _shape(work.grid.owned(new_box)):
+        owned, new_owned = before.grid.owned(box), work.grid.owned(new_box)
+        if owned.shape != new_owned.shape:
             continue
-        work.open("samples")[_area(work.grid.owned(new_box))] = before.open("samples")[_area(before.grid.owned(box))]
+        work.open("samples")[new_owned.area] = before.open("samples")[owned.area]
         if number in read and not read[number]["missing"]:
             records.append(read[number] | {"number": new})
         if "errors" in measured.get(number, ()) and before.grid.shape_of(box) == work.grid.shape_of(new_box):
@@ -80,23 +81,8 @@ def _copy_measured(before: TileWork, number: int, work: TileWork, new: int) -> N
     """Copy the errors and ranges of tile `number` of an earlier raster to tile `new` of a work."""
     work.open("borders")[new] = before.open("borders")[number]
     _copy_entries(before.grid, number, before.open("error"), work.grid, new, work.open("error"), has_cells=True)
-    halves = _halved(before.grid), number, before.open("ranges"), _halved(work.grid), new, work.open("ranges")
+    halves = halved(before.grid), number, before.open("ranges"), halved(work.grid), new, work.open("ranges")
     _copy_entries(*halves, has_cells=False)
-
-
-def _shape(box: TileBox) -> tuple[int, int]:
-    """Return the rows and columns of the samples of a box."""
-    return box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
-
-
-def _area(box: TileBox) -> tuple[slice, slice]:
-    """Return the rows and columns of a box, its last ones included."""
-    return slice(box.y0, box.y1 + 1), slice(box.x0, box.x1 + 1)
-
-
-def _halved(grid: TileGrid) -> TileGrid:
-    """Return the tiles of every other sample, in whose layout ranges are stored."""
-    return TileGrid(halved(grid.lattice), grid.bits - 1)
 
 
 def _copy_entries(

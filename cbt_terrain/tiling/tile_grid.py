@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..field.lattice import PAGE, Lattice
+from ..field.lattice import PAGE, Lattice, rows_of, tile_index
 
 TILE_BITS = 11  # a tile of an import has 2**11 cells a side
 
@@ -29,6 +29,16 @@ class TileBox(NamedTuple):
     y0: int
     x1: int
     y1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return the rows and columns of the samples."""
+        return self.y1 - self.y0 + 1, self.x1 - self.x0 + 1
+
+    @property
+    def area(self) -> tuple[slice, slice]:
+        """Return the rows and columns in an array of all samples, the last ones included."""
+        return slice(self.y0, self.y1 + 1), slice(self.x0, self.x1 + 1)
 
 
 class LatticeVertices(NamedTuple):
@@ -147,10 +157,12 @@ def _pairs(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def halved(lattice: Lattice) -> Lattice:
-    """Return the lattice of every other sample, in whose layout ranges of heights are stored."""
+def halved(grid: TileGrid) -> TileGrid:
+    """Return the tiles of every other sample, in whose layout ranges of heights are stored."""
+    lattice = grid.lattice
     cells = (lattice.cells_x + 1) // 2, (lattice.cells_y + 1) // 2
-    return Lattice(lattice.columns, lattice.rows, lattice.levels - 1, cells_x=cells[0], cells_y=cells[1])
+    lattice = Lattice(lattice.columns, lattice.rows, lattice.levels - 1, cells_x=cells[0], cells_y=cells[1])
+    return TileGrid(lattice, grid.bits - 1)
 
 
 def exist(lattice: Lattice, vertices: LatticeVertices) -> np.ndarray:
@@ -182,33 +194,6 @@ def cell_entries(lattice: Lattice, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the entries of the raster's cells (x, y), int64 [n]."""
     base, pages = lattice.layout()
     return base[-2] + tile_index(x, y, pages[-1])
-
-
-def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndarray:
-    """Return the entries of vertices in an image with `pages` a row, as in kernels/field/layout.py.
-
-    A page has 8 x 8 blocks of 4 x 4 vertices.
-    """
-    page = (y >> 5) * np.int64(pages) + (x >> 5)
-    return page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3)
-
-
-def rows_of(image: np.ndarray, pages: int) -> np.ndarray:
-    """Return an image of pages, [n, ...], as rows of vertices, [rows, PAGE * pages, ...]. pages: pages in a row."""
-    rest = image.shape[1:]  # a page has 8 x 8 blocks of 4 x 4 vertices
-    image = image.reshape(-1, pages, 8, 8, 4, 4, *rest)
-    return image.transpose(0, 2, 4, 1, 3, 5, *range(6, image.ndim)).reshape(-1, PAGE * pages, *rest)
-
-
-def pages_of(rows: np.ndarray) -> np.ndarray:
-    """Return rows of vertices, [height, width, ...], as an image of pages, [n, ...]."""
-    (height, width), rest = rows.shape[:2], rows.shape[2:]
-    high, wide = -(-height // PAGE), -(-width // PAGE)
-    full = np.zeros((high * PAGE, wide * PAGE, *rest), rows.dtype)
-    full[:height, :width] = rows
-    # a page has 8 x 8 blocks of 4 x 4 vertices
-    full = full.reshape(high, 8, 4, wide, 8, 4, *rest)
-    return full.transpose(0, 3, 1, 4, 2, 5, *range(6, full.ndim)).reshape(-1, *rest)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ SEAMS = "finer_seams"  # ... and of the borders of their files
 FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, a part that is read at once; metres
 # Of a measured tile: "errors" and "ranges" are digests of what they were measured from, "above" is the digest and the
 # list of its LargeErrors. A record without these entries marks a tile as not measured.
-STATE = "errors", "ranges", "largest", "climbs", "exponents", "above"
+STATE = "errors", "largest", "climbs", "exponents", "ranges", "above"
 
 
 def line_of(record: dict) -> str:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The steps of a store that is made by tile, after its samples are there: fill, measure each tile, join the borders."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..field import cleaning, codes, hierarchy
+from ..field.digests import digest_of
 from ..field.holes import longest_edge
 from ..field.lattice import Lattice
 from . import borders, part_files
@@ -25,7 +25,7 @@ from .measure_tile import (
     margin_of,
     measure_ranges,
 )
-from .tile_grid import TileGrid, halved, put, translate
+from .tile_grid import halved, put, translate
 from .tile_records import MEASURED, READ, STATE
 from .tile_work import TileWork
 
@@ -110,7 +110,7 @@ def write_measured(work: TileWork, number: int, changes: MeasuredTile, has_recor
         put(grid, box, changes.codes, work.open("error"))
         work.open("borders")[number] = changes.border
     if changes.ranges is not None:
-        half = TileGrid(halved(grid.lattice), grid.bits - 1)
+        half = halved(grid)
         put(half, half.box(number), changes.ranges, work.open("ranges"))
     work.note(MEASURED, number, **changes.record)
 
@@ -171,7 +171,8 @@ def measured(
     # only errors at holes depend on steps
     hole_steps = () if valid is None else (grid.lattice.step_x, grid.lattice.step_y)
     places = around, grid.shape_of(box), hole_steps  # relative to the tile, whose position another extent changes
-    errors_digest = _digest((places, work.steps, *coarse_inputs), raw, *([] if valid is None else [valid]))
+    arrays = [raw] if valid is None else [raw, valid]
+    errors_digest = digest_of(arrays, repr((places, work.steps, *coarse_inputs)))
     heights: dict[tuple[int, int], float] = {}
 
     def height(x: int, y: int) -> float:
@@ -181,11 +182,9 @@ def measured(
         return heights[x, y]
 
     triangles = [] if grid.holds_roots else large_triangles(grid, box, height)  # fills `heights`
-    state: dict[str, Any] = {
-        name: (before or {}).get(name) for name in ("errors", "largest", "climbs", "exponents", "ranges", "above")
-    }
-    above_digest = _digest((errors_digest, sorted(heights.items())))
-    ranges_digest = _digest((errors_digest, limits.scale))
+    state: dict[str, Any] = {name: (before or {}).get(name) for name in STATE}
+    above_digest = digest_of([], repr((errors_digest, sorted(heights.items()))))
+    ranges_digest = digest_of([], repr((errors_digest, limits.scale)))
     # stored codes with larger exponents than are allowed were rounded too much
     is_rounded = state["exponents"] is not None and any(map(gt, state["exponents"], exponents))
     is_measured = state["errors"] == errors_digest and not is_rounded
@@ -234,14 +233,6 @@ def _errors(
 def tile_exponents(work: TileWork, number: int, largest: Sequence[float]) -> list[int]:
     """Return the exponents of the codes that a tile was measured with. largest: its largest errors, metres."""
     return codes.nested(work.grid.local(work.grid.box(number)), list(map(codes.exponent_of, largest)))
-
-
-def _digest(values: object, *arrays: np.ndarray) -> str:
-    """Return a hex digest of plain values and arrays."""
-    digest = hashlib.blake2b(repr(values).encode(), digest_size=16)
-    for array in arrays:
-        digest.update(array.data)
-    return digest.hexdigest()
 
 
 class JoinedErrors(NamedTuple):

@@ -223,7 +223,7 @@ class TileWork:
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
         """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""
-        copied = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), self.arrays()[name][1])
+        copied = np.empty(box.shape, self.arrays()[name][1])
         for row in range(0, len(copied), COPIED_ROWS):
             part, y = copied[row : row + COPIED_ROWS], box.y0 + row
             part[:] = self.open(name)[y : y + len(part), box.x0 : box.x1 + 1]
@@ -299,10 +299,10 @@ class TileWork:
                 if all(mark in line for mark in marks) and (record := record_of(line, self.grid)) is not None:
                     yield record
 
-    def keep_records(self, kinds: Sequence[str] = (READ, MEASURED, *FINER, SEAMS)) -> None:
-        """Replace all files of records by one, with the records of some kinds."""
+    def keep_records(self) -> None:
+        """Replace all files of records by one, with the last record of each part."""
         files = [*self.folder.glob(f"{PREFIX}*.jsonl")]
-        lines = _lines([record for kind in kinds for record in self.records(kind).values()])
+        lines = _lines([record for kind in (READ, MEASURED, *FINER, SEAMS) for record in self.records(kind).values()])
         self._write(RECORDS_NAME, f"{_sum_line(lines.encode()).decode()}\n{lines}")
         for file in files:
             owned_files.remove_file(file)

@@ -13,13 +13,11 @@ from ..errors import TerrainError
 from ..field import store, store_folder
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
-from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
 from ..field.packing import copy_store
 from ..formats.archives import is_archive, unpacked
 from ..formats.sources import check_file, open_source
 from ..rasters.raster import ImportSettings, Raster
-from ..rasters.rounding import half_step
 from ..sandbox.store_job import READING, Tell
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_work import TileWork, work_in
@@ -27,9 +25,9 @@ from .earlier_import import finished_import, import_before, source_digest
 from .finer_import import add_finer_tiles
 from .finer_squares import finer_provenance
 from .height_range import fit_heights
-from .height_reader import HeightReader, scaling_of
+from .height_reader import HeightReader
 from .import_report import report_of
-from .import_work import open_work
+from .import_work import open_work, work_of
 from .plausibility import ValueCheck
 from .read_ahead import remove_ahead
 from .refining import coarse_land, first_picture, refined
@@ -47,7 +45,6 @@ from .tile_tasks import TileSource
 ORIGINAL_SHARE = 0.1  # of the progress of a resampled raster
 COARSE_SHARE = 0.4  # of the progress of a raster with finer tiles
 FINER = "Reading finer files"  # message meanwhile
-DOUBT = ", or check that the header of {} has its true size"  # remedy for an implausibly large store
 
 
 def run_import(
@@ -117,17 +114,17 @@ def import_raster(
         raster.warnings += notes
         if land is not None and fitted is not settings:  # the first picture has another range of values
             raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
-        settings = fitted
-        source, doubt = TileSource(raster, settings, place, land), DOUBT.format(settings.name)
+        settings, source = fitted, TileSource(raster, fitted, place, land)
+        wanted = work_of(path / folder, source, lattice, digest)
         if part is not None and land is not None:
-            return read_ahead(part, path, source, lattice, digest, on_progress)
+            return read_ahead(part, wanted, source, on_progress)
         if part is not None:
-            return do_part(part, path, folder, source, lattice, digest, doubt)
+            return do_part(part, wanted, source)
         reader, crew = HeightReader(raster, settings), crew or Crew()
-        with open_work(path, folder, source, lattice, digest, doubt) as (draft, work):
+        with open_work(wanted, source) as (draft, work):
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
-            field = _build_coarse(reader, source, lattice, digest, draft, work, crew, on_progress)
+            field = _build_coarse(reader, source, wanted, draft, work, crew, on_progress)
             field = field.with_raster(
                 origin=np.array([*place.middle, 0.0]),
                 crs=place.crs,
@@ -153,8 +150,7 @@ def import_raster(
 def _build_coarse(
     reader: HeightReader,
     source: TileSource,
-    lattice: Lattice,
-    digest: str,
+    wanted: TileWork,
     draft: store.Draft,
     work: TileWork | None,
     crew: Crew,
@@ -162,7 +158,7 @@ def _build_coarse(
 ) -> HeightField:
     """Check and build the height field of a raster, without its finer tiles, in the arrays of a draft.
 
-    reader: gets the figures of the heights that are read. digest: of the settings and sources. work: of an unfinished
+    reader: gets the figures of the heights that are read. wanted: description of the work. work: of an unfinished
     import, None without one. on_progress: gets the fraction of the whole import.
     """
     raster = reader.raster
@@ -173,7 +169,7 @@ def _build_coarse(
         """Report a fraction of this step as one of the whole import."""
         on_progress(begin + (end - begin) * share, message)
 
-    return build_by_tile(work, draft, source, lattice, digest, reader, _source_max, crew, tell)
+    return build_by_tile(work, draft, wanted, source, reader, crew, tell)
 
 
 def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> float:
@@ -204,7 +200,7 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
         on_progress(COARSE_SHARE + (0.99 - COARSE_SHARE) * done, FINER)
 
     field = add_finer_tiles(field, source, reader, draft, work, tell)
-    return dataclasses.replace(field, source_max=max(field.source_max, _source_max(reader)))
+    return dataclasses.replace(field, source_max=max(field.source_max, reader.source_max()))
 
 
 def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> CoarseLand:
@@ -265,17 +261,3 @@ def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
 def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
     """Return the numbers of a raster's samples along x and y of the terrain."""
     return (raster.height, raster.width) if georeference.transposed else (raster.width, raster.height)
-
-
-def _source_max(reader: HeightReader) -> float:
-    """Return the largest distance, metres, by which rounding and resampling have moved the heights that were read.
-
-    reader: has the figures of the heights that were read.
-    """
-    raster, settings = reader.raster, reader.settings
-    if settings.source in LANDS:
-        return 0.0
-    scaling = scaling_of(raster, settings)
-    step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), reader.largest)
-    # `moved` by resampled positions and `shifted` by conversions of datums are in the unit of the file's values.
-    return step + reader.converted + (raster.moved + raster.shifted) * abs(scaling[0])

@@ -82,7 +82,8 @@ def add_finer_tiles(
 
     field = with_finer_tiles(plain, bits, known, read, allocate=allocate, on_progress=on_progress, records=records)
     work.keep_records()
-    records.close()
+    if earlier is not None:
+        earlier.close()
     return field
 
 
@@ -193,11 +194,6 @@ class _WorkRecords(FinerRecords):
         """Write the values of an earlier store's record into the work."""
         values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
         self._work.note(kind, number, **values)
-
-    def close(self) -> None:
-        """Close the earlier store, whose files are about to be removed."""
-        if self._earlier is not None:
-            self._earlier.close()
 
 
 def _number_of(place: Tile) -> int:

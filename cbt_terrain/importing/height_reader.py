@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..field import cleaning
+from ..field.lands import LANDS
 from ..rasters.raster import ImportSettings, Raster
+from ..rasters.rounding import half_step
 from .plausibility import ValueCheck
 
 
@@ -80,6 +82,16 @@ class HeightReader:
             self.check.marks[value] = self.check.marks.get(value, 0) + count
         low, high = figures["values"]
         self.check.low, self.check.high = min(self.check.low, low), max(self.check.high, high)
+
+    def source_max(self) -> float:
+        """Return the largest distance, metres, by which rounding and resampling have moved the heights."""
+        raster = self.raster
+        if self.settings.source in LANDS:
+            return 0.0
+        scaling = scaling_of(raster, self.settings)
+        step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), self.largest)
+        # `moved` by resampled positions and `shifted` by conversions of datums are in the unit of the file's values.
+        return step + self.converted + (raster.moved + raster.shifted) * abs(scaling[0])
 
 
 def scaling_of(raster: Raster, settings: ImportSettings) -> tuple[float, float]:

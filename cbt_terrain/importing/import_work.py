@@ -21,28 +21,30 @@ from .drafts import open_draft, work_bytes
 from .height_reader import scaling_of
 from .tile_tasks import TileSource, unit_count
 
+DOUBT = ", or check that the header of {} has its true size"  # remedy for an implausibly large store
+
 
 @contextmanager
-def open_work(
-    path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
-) -> Iterator[tuple[Draft, TileWork | None]]:
-    """Yield a draft of a store, and the unfinished work that an earlier import with this digest has left in it, if any.
+def open_work(wanted: TileWork, source: TileSource) -> Iterator[tuple[Draft, TileWork | None]]:
+    """Yield a draft of a store, and the unfinished work that an earlier import with the same digest has left, if any.
 
     That work is moved into the new folder. A block that fails or does not publish leaves work that can be continued.
-    path: the store's folder. folder: name of the new folder of arrays in it. doubt: a further remedy in errors if the
-    store is implausibly large. Raises TerrainError as `open_draft`.
+    wanted: description of the work (`work_of`). Raises TerrainError as `open_draft`.
     """
-    wanted = work_of(path / folder, source, lattice, digest)
+    path, lattice = wanted.folder.parent, wanted.grid.lattice
     work = _continued(wanted)
     if path.exists():
         store_folder.remove_abandoned(path, with_work=work is None)
     needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
-    with open_draft(path, folder, lattice, needed, doubt=doubt) as draft:
+    with open_draft(path, wanted.folder.name, lattice, needed, doubt=DOUBT.format(source.settings.name)) as draft:
         yield draft, work
 
 
 def work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return the description of an import's work before anything is done. folder: of its arrays."""
+    """Return the description of an import's work before anything is done.
+
+    folder: of its arrays, in the store's folder. digest: of the settings and sources.
+    """
     bits = TILE_BITS if source.coarse is None else refining.BITS
     corner = _corner_of(source, lattice)
     return TileWork(folder, TileGrid(lattice, bits), _steps_of(source), source.settings.holes, digest, corner)
@@ -88,13 +90,11 @@ def _has_same_tiles(work: TileWork, wanted: TileWork) -> bool:
     return is_same and (work.steps is None or work.steps == wanted.steps)
 
 
-def start_work(work: TileWork | None, draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return an earlier work, attached to a draft in its folder, or a new one.
-
-    digest: of the settings and sources.
-    """
+def start_work(work: TileWork | None, draft: Draft, wanted: TileWork, source: TileSource) -> TileWork:
+    """Return an earlier work, or else the wanted one with results of the store, attached to a draft in its folder."""
     if work is None:
-        work = _new_work(draft, source, lattice, digest)
+        work = wanted
+        _begin(work, draft, source)
     else:
         work.attach(draft)
     source.raster.finish(draft.folder)  # other processes read the catalogue of a mosaic there
@@ -111,13 +111,12 @@ def _steps_of(source: TileSource) -> codes.Steps | None:
     return codes.steps_of(np.dtype(source.raster.stored), *scaling_of(source.raster, source.settings))
 
 
-def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -> TileWork:
-    """Return a new work in a draft's folder, with results of the store at its path if that was made alike.
+def _begin(work: TileWork, draft: Draft, source: TileSource) -> None:
+    """Begin a new work in a draft's folder, with results of the store at its path if that was made alike.
 
     It then has the same stored steps of heights and use of holes, and the same tiles or, as a mosaic with another
-    extent, some of them. digest: of the settings and sources.
+    extent, some of them.
     """
-    work = work_of(draft.folder, source, lattice, digest)
     folder = store_folder.named_folder(draft.path)
     before = None if folder is None else work_in(folder)
     moved = None if before is None else tiles_moved(before, work)
@@ -132,4 +131,3 @@ def _new_work(draft: Draft, source: TileSource, lattice: Lattice, digest: str) -
     work.make_sparse("missing")
     if len(work.grid) > 1 or source.raster.finer is not None:
         work.describe()  # from now on it can be continued
-    return work

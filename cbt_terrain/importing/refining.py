@@ -21,7 +21,7 @@ from ..rasters.raster import ImportSettings, Raster
 from ..tiling.coarse_land import CoarseLand
 from ..tiling.tile_grid import TileGrid
 from .finer_squares import finer_source, finer_squares, square_bits
-from .thinning import REFINED, loaded_m, positions, refined_m, stride_of
+from .thinning import REFINED, loaded_m, positions, refined_m, spread, stride_of
 
 FACTOR = 8
 BITS = 10  # of the tiles
@@ -59,10 +59,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
-    columns, rows = (
-        (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)  # the nearest sample: a rounded quotient
-        for cells, count in zip(counts, (raster.width, raster.height), strict=True)
-    )
+    columns, rows = spread(raster.width, counts[0]), spread(raster.height, counts[1])
 
     def window(first: int, count: int, column: int, width: int) -> np.ndarray:
         """Return a window of the finer grid, NaN where samples are missing."""

@@ -11,11 +11,13 @@ from ..field import store_folder
 from ..field.lands import LANDS
 from ..formats.archives import is_archive, unpacked
 from ..formats.sources import check_file, open_source
-from ..rasters.raster import ImportSettings, Raster
+from ..rasters.raster import ImportSettings
 from ..rasters.source_formats import all_drivers
 from ..run import child
 from ..sandbox.guard import guard
 from ..sandbox.store_job import ask, serve
+
+MODULE = "cbt_terrain.importing.source_info"  # of the child process
 
 
 def describe_source(settings: ImportSettings) -> dict:
@@ -27,7 +29,7 @@ def describe_source(settings: ImportSettings) -> dict:
     settings.check_file()
     if settings.source not in LANDS:
         check_file(Path(settings.source))
-    return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
+    return ask(MODULE, {"settings": dataclasses.asdict(settings)}, settings.source)
 
 
 def versions() -> dict:
@@ -39,7 +41,7 @@ def versions() -> dict:
     }
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     program = {"adaptive-terrain": __version__, "Python": platform.python_version(), "system": system}
-    return program | installed | _ask({"settings": None}, "the versions of GDAL and PROJ")
+    return program | installed | ask(MODULE, {"settings": None}, "the versions of GDAL and PROJ")
 
 
 def _version(name: str) -> str:
@@ -48,11 +50,6 @@ def _version(name: str) -> str:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return ""
-
-
-def _ask(request: dict, what: str) -> dict:
-    """Return a child process's answer to a request about a height map. what: subject of errors."""
-    return ask("cbt_terrain.importing.source_info", request, what)
 
 
 def child_main() -> None:
@@ -69,32 +66,22 @@ def _answer(request: dict, *_: object) -> dict:
 def describe_alone(settings: ImportSettings) -> dict:
     """Return the facts of a height map, in a child process that first gives up its rights.
 
-    Lengths are metres, except `middle`, in the unit of the file's coordinate system. An archive is unpacked into the
-    job's folder of temporary files.
+    Lengths are metres, except `middle`, in the unit of the file's coordinate system. "step_m", "middle" and "crs" are
+    absent if the file does not place the raster. An archive is unpacked into the job's folder of temporary files.
     """
     source, scratch = Path(settings.source), Path(tempfile.gettempdir())
     guard([source], scratch if is_archive(source) else None, settings.encoding)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:
-        return _fields(settings, open_source(dataclasses.replace(settings, source=str(file))))
-
-
-def _fields(settings: ImportSettings, raster: Raster) -> dict:
-    """Return a dict of the facts of an opened raster, and close it.
-
-    "step_m", "middle" and "crs" are absent if the file does not place the raster.
-    """
-    try:
-        place = raster.georeference
-        fields: dict[str, object] = {"path": settings.source, "format": raster.format, "stored": raster.stored}
-        fields["raster"] = [raster.width, raster.height]
-        if place is not None:
-            fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}
-        return fields | {
-            "warnings": [*raster.warnings, *((*place.warnings, *place.size_warnings) if place is not None else ())]
-        }
-    finally:
+        raster = open_source(dataclasses.replace(settings, source=str(file)))
         raster.close()
+    place, warnings = raster.georeference, raster.warnings
+    fields: dict[str, object] = {"path": settings.source, "format": raster.format, "stored": raster.stored}
+    fields["raster"] = [raster.width, raster.height]
+    if place is not None:
+        fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}
+        warnings = [*warnings, *place.warnings, *place.size_warnings]
+    return fields | {"warnings": warnings}
 
 
 def _gdal_versions() -> dict:

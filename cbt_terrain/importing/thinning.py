@@ -42,8 +42,12 @@ def positions(count: int, stride: int) -> np.ndarray:
     """Return about every stride-th of `count` columns or rows, the first and the last one included, int64."""
     if count < 3:
         return np.arange(count)
-    cells = -(-(count - 1) // stride)
-    return (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)
+    return spread(count, -(-(count - 1) // stride))
+
+
+def spread(count: int, cells: int) -> np.ndarray:
+    """Return the ones of `count` columns or rows that are nearest to the corners of `cells` equal cells, int64."""
+    return (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)  # a rounded quotient
 
 
 def thinned(raster: Raster, settings: ImportSettings) -> Raster:

@@ -16,6 +16,7 @@ import os
 import queue
 import subprocess
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -99,19 +100,20 @@ class ProcessCrew(Crew):
             self._has_begun = True
             for process in self._processes:
                 _send(process, {"settings": dataclasses.asdict(source.settings), "folder": str(work.folder)})
-        waiting = TaskQueue(tasks)
+        waiting, answers = deque(tasks), queue.SimpleQueue[dict]()
         threads = [
-            threading.Thread(target=_do_tasks, args=(process, waiting), daemon=True) for process in self._processes
+            threading.Thread(target=_do_tasks, args=(process, waiting, answers), daemon=True)
+            for process in self._processes
         ]
         for thread in threads:
             thread.start()
         try:
             for number in range(len(tasks)):
-                if not waiting.answer():
+                if not _next_answer(answers):
                     return False
                 on_progress((number + 1) / len(tasks))
         finally:
-            waiting.stop()
+            waiting.clear()
             for thread in threads:
                 thread.join()
         return True
@@ -123,57 +125,40 @@ class ProcessCrew(Crew):
             process.stdin.close()
 
 
-class TaskQueue:
-    """Tasks for several threads, and their answers."""
+def _next_answer(answers: queue.SimpleQueue[dict]) -> bool:
+    """Wait for the next answer of a process. Return False if heights have to be stored as floats.
 
-    def __init__(self, tasks: Sequence[TileTask]) -> None:
-        self._tasks, self._taking = iter(tasks), threading.Lock()
-        self._answers: queue.SimpleQueue[dict] = queue.SimpleQueue()
-        self._is_stopped = False
-
-    def take(self) -> TileTask | None:
-        """Return the next task; None without one, or after `stop`."""
-        with self._taking:
-            return None if self._is_stopped else next(self._tasks, None)
-
-    def stop(self) -> None:
-        """Let `take` return no more tasks."""
-        self._is_stopped = True
-
-    def put(self, answer: dict) -> None:
-        """Add the answer of a process."""
-        self._answers.put(answer)
-
-    def answer(self) -> bool:
-        """Wait for the next answer. Return False if heights have to be stored as floats.
-
-        Raises TerrainError for a task that failed, and what `stopping.check` raises.
-        """
-        while True:
-            stopping.check()
-            try:
-                answer = self._answers.get(timeout=POLL_S)
-            except queue.Empty:
-                continue
-            if "error" in answer:
-                raise TerrainError(**answer["error"])
-            return bool(answer["done"])
+    Raises TerrainError for a task that failed, and what `stopping.check` raises.
+    """
+    while True:
+        stopping.check()
+        try:
+            answer = answers.get(timeout=POLL_S)
+        except queue.Empty:
+            continue
+        if "error" in answer:
+            raise TerrainError(**answer["error"])
+        return bool(answer["done"])
 
 
-def _do_tasks(process: subprocess.Popen, waiting: TaskQueue) -> None:
-    """Send tasks to a process and collect its answers, until there is no more task or one fails.
+def _do_tasks(process: subprocess.Popen, waiting: deque[TileTask], answers: queue.SimpleQueue[dict]) -> None:
+    """Send waiting tasks to a process and collect its answers, until there is no more task or one fails.
 
     A process that has ended gives an error as its answer.
     """
     assert process.stdout is not None
-    while (task := waiting.take()) is not None:
+    while True:
+        try:
+            task = waiting.popleft()
+        except IndexError:  # another thread has taken the last one
+            return
         try:
             _send(process, task._asdict())
             answer = json.loads(process.stdout.readline())
         except (OSError, ValueError):
             what = "A process of the import ended before its work was done"
             answer = {"error": TerrainError(what, fix="free some memory and disk space, and try again").to_json()}
-        waiting.put(answer)
+        answers.put(answer)
         if "error" in answer:
             return
 

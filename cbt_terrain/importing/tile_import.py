@@ -17,7 +17,6 @@ from ..field import store_folder
 from ..field.build import content_key, no_ground, no_heights
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.holes import holes_leave_ground
-from ..field.lattice import Lattice
 from ..field.store import Draft
 from ..run import launch, owned_files
 from ..sandbox.store_job import READING
@@ -25,7 +24,7 @@ from ..tiling import part_files, tile_steps
 from ..tiling.tile_records import MEASURED, READ
 from ..tiling.tile_work import StoredHeights, TileWork
 from .height_reader import HeightReader, scaling_of
-from .import_work import find_work, open_work, start_work, work_of
+from .import_work import find_work, open_work, start_work
 from .read_ahead import find_ahead
 from .tile_tasks import (
     TileSource,
@@ -76,23 +75,20 @@ class Crew:
         """End the processes."""
 
 
-def do_part(
-    part: ImportPart, path: Path, folder: str, source: TileSource, lattice: Lattice, digest: str, doubt: str
-) -> dict:
+def do_part(part: ImportPart, wanted: TileWork, source: TileSource) -> dict:
     """Do a part of an import, and return a report. Raises TerrainError.
 
     No other part may run beside BEGIN or FILL; several computers may read, or measure, different tiles at a time. Each
     tile then has a separate file, which FILL, or the rest of the import, writes into the arrays. The report has the
-    number of "tiles"; to read or to measure, also how many of them were requested: "done". path: the store's folder.
-    folder: name of the folder of arrays in it. digest: of the settings and sources. doubt: a further remedy in errors
-    if the store is implausibly large.
+    number of "tiles"; to read or to measure, also how many of them were requested: "done". wanted: description of the
+    work.
     """
-    numbers, crew = part.numbers, Crew()
+    numbers, path, crew = part.numbers, wanted.folder.parent, Crew()
     if part.step in (BEGIN, FILL):
-        with open_work(path, folder, source, lattice, digest, doubt) as (draft, work):
+        with open_work(wanted, source) as (draft, work):
             if part.step == FILL and work is None:
                 raise _not_begun(path)
-            work = start_work(work, draft, source, lattice, digest)
+            work = start_work(work, draft, wanted, source)
             work.describe()  # also a single tile, which has no description otherwise
             if part.step == FILL:
                 while not _read_all(work, source, crew, lambda _share: None):
@@ -103,7 +99,7 @@ def do_part(
                 if limits.missing:
                     tile_steps.fill(work, launch.default_threads())
             return {"tiles": len(work.grid)}
-    work = find_work(work_of(path / folder, source, lattice, digest))
+    work = find_work(wanted)
     if work is None:
         raise _not_begun(path)
     if part.step == READ_TILES:
@@ -115,23 +111,17 @@ def do_part(
     return {"tiles": len(work.grid), "done": sum(int(number < len(work.grid)) for number in numbers)}
 
 
-def read_ahead(
-    part: ImportPart,
-    path: Path,
-    source: TileSource,
-    lattice: Lattice,
-    digest: str,
-    on_progress: Callable[[float, str], None],
-) -> dict:
+def read_ahead(part: ImportPart, work: TileWork, source: TileSource, on_progress: Callable[[float, str], None]) -> dict:
     """Read tiles of coarse land ahead of the import that loads them, and return a report. Raises TerrainError.
 
     Tiles that were read before are not read again, so a killed process loses one. Without any tile the sources are
     only checked, and the store keeps the catalogue of a mosaic for processes that read. The report has the number of
-    the import's "tiles" and how many of the requested ones are "done". path: the store.
+    the import's "tiles" and how many of the requested ones are "done". work: of that import, which is not begun.
     """
     if part.step != READ_TILES:
         raise TerrainError(f"No part {part.step!r} of tiles in view can be done", expected=repr(READ_TILES))
-    work, folder = work_of(path, source, lattice, digest), store_folder.named_folder(path)
+    path = work.folder.parent
+    folder = store_folder.named_folder(path)
     numbers = [number for number in _chosen(len(work.grid), part.numbers) if is_loaded(source, number)]
     if not numbers and folder is not None:
         source.raster.finish(folder)
@@ -154,11 +144,9 @@ def _not_begun(path: Path) -> TerrainError:
 def build_by_tile(
     work: TileWork | None,
     draft: Draft,
+    wanted: TileWork,
     source: TileSource,
-    lattice: Lattice,
-    digest: str,
     reader: HeightReader,
-    source_max: Callable[[HeightReader], float],
     crew: Crew,
     on_progress: Callable[[float, str], None],
 ) -> HeightField:
@@ -166,13 +154,12 @@ def build_by_tile(
 
     Args:
         work: an earlier attempt to continue, None for none.
-        digest: hash of all settings and sources.
+        wanted: description of the work, without any result.
         reader: gets the figures of all samples.
-        source_max: returns the largest error of the heights of a reader by rounding and resampling, metres.
         crew: does the tasks.
         on_progress: gets 0 to 0.99 and a message.
     """
-    work = start_work(work, draft, source, lattice, digest)
+    work = start_work(work, draft, wanted, source)
     while not _read_all(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
         work.start_again(draft)  # with heights as floats
     part_files.remove_parts(work.folder, READ)
@@ -187,7 +174,7 @@ def build_by_tile(
     tile_steps.write_parts(work)
     _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
     part_files.remove_parts(work.folder, MEASURED)
-    return _completed(work, draft, limits, source_max(reader), on_progress, source)
+    return _completed(work, draft, limits, reader.source_max(), on_progress, source)
 
 
 def _read_all(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:

@@ -19,6 +19,7 @@ from .height_reader import HeightReader
 from .read_ahead import find_ahead, write_ahead
 
 STRIP_ROWS = 512  # of a tile that are read together, to save memory
+READ_ENTRIES = "inputs", "missing", "limits", "figures"  # of the record of a unit
 
 
 class TileTask(NamedTuple):
@@ -37,6 +38,11 @@ class TileTask(NamedTuple):
     inputs: str = ""
     limits: Sequence[float] = ()
     before: dict | None = None
+
+    def terrain(self) -> tile_steps.TerrainLimits:
+        """Return `limits` by their names."""
+        low, high, missing = self.limits
+        return tile_steps.TerrainLimits(low, high, int(missing))
 
 
 class TileSource(NamedTuple):
@@ -57,8 +63,7 @@ def perform(
     around loaded tiles, None without. Raises TerrainError, and OSError of the arrays.
     """
     if task.step == MEASURED:
-        low, high, missing = task.limits
-        terrain = tile_steps.TerrainLimits(low, high, int(missing))
+        terrain = task.terrain()
         tile_steps.measure(work, task.number, terrain, threads, task.before, coarse=coarse)
         return True
     assert source is not None, "only the measuring of a tile needs none"
@@ -67,19 +72,15 @@ def perform(
         if ahead is not None:
             box = work.grid.owned(work.grid.box(task.number))
             work.write_heights(box.x0, box.y0, ahead.heights)
-            values = {name: ahead.record[name] for name in ("inputs", "missing", "limits", "figures")}
-            work.note(READ, task.number, **values)
+            work.note(READ, task.number, **{name: ahead.record[name] for name in READ_ENTRIES})
             return True
-    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this unit alone
-    reader = HeightReader(source.raster, source.settings)
-    limits: list[float] = []
+    reader, limits = _unit_reader(source), list[float]()
     for box, heights in _read_heights(work.grid, source, task.number, reader):
         try:
             limits += work.write_heights(box.x0, box.y0, heights)
         except NotNumberedError:
             return False
-    ends = [min(limits), max(limits)] if limits else None
-    work.note(READ, task.number, inputs=task.inputs, missing=reader.missing, limits=ends, figures=reader.figures())
+    work.note(READ, task.number, **_read_record(task.inputs, reader, limits))
     return True
 
 
@@ -88,18 +89,11 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
 
     number: of the tile. inputs: digest of the sources.
     """
-    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this tile alone
-    reader, whole = HeightReader(source.raster, source.settings), grid.owned(grid.box(number))
-    tile_heights = np.empty((whole.y1 - whole.y0 + 1, whole.x1 - whole.x0 + 1), np.float32)
+    reader, whole = _unit_reader(source), grid.owned(grid.box(number))
+    tile_heights = np.empty(whole.shape, np.float32)
     for box, heights in _read_heights(grid, source, number, reader):
         tile_heights[box.y0 - whole.y0 : box.y1 - whole.y0 + 1, box.x0 - whole.x0 : box.x1 - whole.x0 + 1] = heights
-    limits = (
-        None
-        if reader.missing == tile_heights.size
-        else [float(np.nanmin(tile_heights)), float(np.nanmax(tile_heights))]
-    )
-    record = {"inputs": inputs, "missing": reader.missing, "limits": limits, "figures": reader.figures()}
-    write_ahead(store, grid, number, record, tile_heights)
+    write_ahead(store, grid, number, _read_record(inputs, reader, _limits(tile_heights)), tile_heights)
 
 
 def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: int) -> None:
@@ -110,8 +104,7 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
     folder, number = work.folder, task.number
     done = part_files.find_record(folder, work.grid, task.step, number)
     if task.step == MEASURED:
-        low, high, missing = task.limits
-        limits = tile_steps.TerrainLimits(low, high, int(missing))
+        limits = task.terrain()
         if done is not None and tile_steps.measured(work, number, limits, threads, done) is None:
             return  # nothing has changed since the part file
         changes = tile_steps.measured(work, number, limits, threads, task.before)
@@ -124,15 +117,12 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
         return
     if done is not None and done["inputs"] == task.inputs:
         return
-    source.raster.moved = source.raster.shifted = 0.0  # the record has the figures of this unit alone
-    reader, extremes = HeightReader(source.raster, source.settings), list[float]()
+    reader, extremes = _unit_reader(source), list[float]()
     with part_files.writing_part(folder, READ, number) as writer:
         for box, heights in _read_heights(work.grid, source, number, reader):
             writer.add("heights", (box.x0, box.y0), heights)
-            known = heights[~np.isnan(heights)]
-            extremes += [float(known.min()), float(known.max())] if known.size else []
-        ends = [min(extremes), max(extremes)] if extremes else None
-        writer.record = {"inputs": task.inputs, "missing": reader.missing, "limits": ends, "figures": reader.figures()}
+            extremes += _limits(heights)
+        writer.record = _read_record(task.inputs, reader, extremes)
 
 
 def write_read_parts(work: TileWork, inputs_of: Callable[[int], str], count: int) -> bool:
@@ -158,14 +148,31 @@ def write_read_parts(work: TileWork, inputs_of: Callable[[int], str], count: int
             return False
         except (ValueError, OSError):
             continue
-        values = {name: record[name] for name in ("inputs", "missing", "limits", "figures")}
-        work.note(READ, number, **values)
+        work.note(READ, number, **{name: record[name] for name in READ_ENTRIES})
     return True
 
 
 def is_loaded(source: TileSource, number: int) -> bool:
     """Return whether a tile is one of those that are loaded around the heights of a quick import."""
     return source.coarse is not None and number in source.coarse.loaded
+
+
+def _unit_reader(source: TileSource) -> HeightReader:
+    """Return a reader whose figures are of one unit alone."""
+    source.raster.moved = source.raster.shifted = 0.0
+    return HeightReader(source.raster, source.settings)
+
+
+def _limits(heights: np.ndarray) -> list[float]:
+    """Return the lowest and the highest of heights, or [] if all are missing."""
+    known = heights[~np.isnan(heights)]
+    return [float(known.min()), float(known.max())] if known.size else []
+
+
+def _read_record(inputs: str, reader: HeightReader, limits: Sequence[float]) -> dict:
+    """Return the READ_ENTRIES of a unit. limits: lowest and highest heights of its parts."""
+    ends = [min(limits), max(limits)] if limits else None
+    return {"inputs": inputs, "missing": reader.missing, "limits": ends, "figures": reader.figures()}
 
 
 def _read_heights(
@@ -183,7 +190,7 @@ def _read_heights(
         yield box, heights
         return
     for box, values in _pieces(grid, source, number):
-        heights = np.empty((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), np.float32)
+        heights = np.empty(box.shape, np.float32)
         source.place.in_file_order(heights)[:] = reader.heights(values)
         yield box, heights
 

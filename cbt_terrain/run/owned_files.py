@@ -273,17 +273,13 @@ def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
     and OSError.
     """
     path = Path(path)
-    try:
-        with open_folder(path.absolute().parent, may_be_link=may_be_link) as folder:
-            status = folder.find(path.name)
-            if status is None:
-                return
-            if is_link(status) or not stat.S_ISREG(status.st_mode):
-                raise _not_ours(path, status, "a file")
-            with suppress(FileNotFoundError):
-                os.unlink(**folder.at(path.name))
-    except FileNotFoundError:
-        pass
+    with suppress(FileNotFoundError), open_folder(path.absolute().parent, may_be_link=may_be_link) as folder:
+        status = folder.find(path.name)
+        if status is None:
+            return
+        if is_link(status) or not stat.S_ISREG(status.st_mode):
+            raise _not_ours(path, status, "a file")
+        os.unlink(**folder.at(path.name))
 
 
 def remove_tree(
@@ -300,19 +296,15 @@ def remove_tree(
     entry directly in it is a link or not of this program; after some were removed, for more than MAX_DEPTH folders.
     """
     path = Path(path)
-    try:
-        with open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
-            with above.open_inner(path.name) as folder:
-                names = folder.entries()
-                if may_remove:
-                    for name in names:
-                        _check_removable(folder, name, may_remove)
+    with suppress(FileNotFoundError), open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
+        with above.open_inner(path.name) as folder:
+            names = folder.entries()
+            if may_remove:
                 for name in names:
-                    _remove_entry(folder, name)
-            with suppress(FileNotFoundError):
-                os.rmdir(**above.at(path.name))
-    except FileNotFoundError:
-        pass
+                    _check_removable(folder, name, may_remove)
+            for name in names:
+                _remove_entry(folder, name)
+        os.rmdir(**above.at(path.name))
 
 
 def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, bool], bool]) -> None:
@@ -353,15 +345,12 @@ def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -
 
     A missing folder is no error. Raises NotOursError if the folder is a link, and OSError.
     """
-    try:
-        with open_folder(path) as folder:
-            for name in filter(may_remove, folder.entries()):
-                status = folder.find(name)
-                if status is not None and stat.S_ISREG(status.st_mode) and not is_link(status):
-                    with suppress(FileNotFoundError):
-                        os.unlink(**folder.at(name))
-    except FileNotFoundError:
-        pass
+    with suppress(FileNotFoundError), open_folder(path) as folder:
+        for name in filter(may_remove, folder.entries()):
+            status = folder.find(name)
+            if status is not None and stat.S_ISREG(status.st_mode) and not is_link(status):
+                with suppress(FileNotFoundError):
+                    os.unlink(**folder.at(name))
 
 
 def remove_empty(path: str | os.PathLike) -> None:

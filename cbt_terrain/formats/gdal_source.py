@@ -21,6 +21,7 @@ from ..rasters.driver_gaps import band_facts
 from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
 from ..rasters.raster import ImportSettings, Raster, blank, cause
 from ..rasters.rasterio_types import DatasetReader
+from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
 from ..rasters.sidecars import allow_aux_file, named_crs
@@ -147,8 +148,6 @@ def raster_of(
     plan, projected_from, placed_size = None, "", (dataset.width, dataset.height)
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
-        from ..rasters.reproject import reproject
-
         projected_from = grid.name if settings.project else "a sheared grid"
         plan = reproject(path, dataset, grid, settings)
         grid, placed_size = (
@@ -194,19 +193,27 @@ def _stored_raster(path: Path, dataset: DatasetReader, settings: ImportSettings,
     driver: GDAL's name of the format.
     """
     stored = dataset.dtypes[settings.band - 1]
-    window = _reader_of(path, dataset, settings)
     # Overviews are read from the file itself, not from a decoded copy in memory.
     is_plain = driver == "GTiff" and dataset.name == str(path)
+    return dataclasses.replace(
+        _band_of(path, dataset, settings),
+        grid=grid,
+        block_rows=dataset.block_shapes[settings.band - 1][0],
+        format=driver,
+        overview=lambda factor: open_overview(path, settings, dataset.width, stored, factor) if is_plain else None,
+    )
+
+
+def _band_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Raster:
+    """Return the samples of the settings' band of a GeoTIFF or another dataset, and nothing else about them."""
+    window = _window_reader(path, dataset, settings)
     return Raster(
         width=dataset.width,
         height=dataset.height,
         read=lambda first, count: window(first, count, 0, dataset.width),
         window=window,
-        grid=grid,
-        block_rows=dataset.block_shapes[settings.band - 1][0],
-        stored=stored,
-        format=driver,
-        overview=lambda factor: open_overview(path, settings, dataset.width, stored, factor) if is_plain else None,
+        stored=dataset.dtypes[settings.band - 1],
+        format="GTiff",
     )
 
 
@@ -244,14 +251,20 @@ def _resampled(original: Raster, plan: Resampling) -> Raster:
 
 
 def _window_reader(
-    path: Path, dataset: DatasetReader, band: int, masked: bool, no_data: float | None, alpha: int
+    path: Path, dataset: DatasetReader, settings: ImportSettings
 ) -> Callable[[int, int, int, int], np.ndarray]:
-    """Return the function `window` of a Raster.
+    """Return the function `window` of a Raster for the band of the settings.
 
-    masked: the file has a mask of missing samples. no_data: value of missing samples, None without; not used with a
-    mask or alpha. alpha: number of a band that is 0 at missing samples and counts instead of the mask; 0 for none.
+    GDAL's mask, which includes the file's no-data value, or an alpha band marks missing samples. A no-data value in the
+    settings replaces both.
     """
+    from rasterio.enums import MaskFlags
     from rasterio.windows import Window
+
+    band, no_data = settings.band, settings.no_data
+    masked = no_data is None and MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
+    # a band that is 0 at missing samples and counts instead of the mask; 0 for none
+    alpha = float_alpha(dataset, band) if no_data is None else 0
 
     def read(first: int, count: int, column: int, columns: int) -> np.ndarray:
         """Return `columns` samples from `column` on of `count` rows from row `first` on; missing samples are NaN.
@@ -296,30 +309,7 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
     if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
         small.close()
         return None
-    window = _reader_of(path, small, settings)
-    return Raster(
-        width=small.width,
-        height=small.height,
-        read=lambda first, count: window(first, count, 0, small.width),
-        window=window,
-        stored=stored,
-        format="GTiff",
-        close=small.close,
-    )
-
-
-def _reader_of(path: Path, dataset: DatasetReader, settings: ImportSettings) -> Callable:
-    """Return the function `window` of a Raster for the band of the settings.
-
-    GDAL's mask, which includes the file's no-data value, or an alpha band marks missing samples. A no-data value in the
-    settings replaces both.
-    """
-    from rasterio.enums import MaskFlags
-
-    flags, no_data = dataset.mask_flag_enums[settings.band - 1], settings.no_data
-    masked = no_data is None and MaskFlags.all_valid not in flags
-    alpha = float_alpha(dataset, settings.band) if no_data is None else 0
-    return _window_reader(path, dataset, settings.band, masked, no_data, alpha)
+    return dataclasses.replace(_band_of(path, small, settings), close=small.close)
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:

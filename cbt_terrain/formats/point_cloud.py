@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..rasters.file_grid import FileGrid, unit_of
+from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings, Raster, cause
 from ..rasters.rasterio_types import DatasetReader
 from ..rasters.rounding import SourceRounding
@@ -51,9 +51,7 @@ def open_points(path: Path, settings: ImportSettings) -> Raster:
     start_gdal()
     try:
         return _open(path.absolute(), settings)
-    except TerrainError:
-        raise
-    except MemoryError:
+    except (TerrainError, MemoryError):
         raise
     except Exception as reason:  # laspy raises many classes for a damaged file
         what = f"{shown(path)} cannot be read as LAS ({cause(reason)})"
@@ -87,8 +85,7 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
     metres = unit.get("metres", 1.0)
     cell = settings.cell / metres if settings.cell is not None else _default_cell(extent)
     heights, west, north, num_filled = _grid(path, extent, cell)
-    transform = (cell, 0.0, west, 0.0, -cell, north)
-    raster = raster_of(path, _in_memory(heights, FileGrid(crs, transform)), settings, "GTiff")
+    raster = raster_of(path, _in_memory(heights, crs, (cell, 0.0, west, 0.0, -cell, north)), settings, "GTiff")
     empty = int(np.isnan(heights).sum())
     note = (
         f"{extent.count:,} ground points became {heights.shape[1]} x {heights.shape[0]} cells of {cell * metres:.6g} "
@@ -243,15 +240,14 @@ def _sum_around(values: np.ndarray) -> np.ndarray:
     return sums
 
 
-def _in_memory(heights: np.ndarray, grid: FileGrid) -> DatasetReader:
-    """Return a rasterio dataset of heights in memory, placed by the grid's CRS and transform; NaN becomes no data."""
+def _in_memory(heights: np.ndarray, crs: object, transform: tuple[float, ...]) -> DatasetReader:
+    """Return a rasterio dataset of heights in memory, placed by a CRS and a transform; NaN becomes no data."""
     import rasterio
     from rasterio.transform import Affine
 
     rows, columns = heights.shape
     shape = {"width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": NO_DATA}
     memory = rasterio.MemoryFile(ext=".tif")
-    assert grid.transform is not None
-    with memory.open(driver="GTiff", crs=grid.crs, transform=Affine(*grid.transform), **shape) as copy:
+    with memory.open(driver="GTiff", crs=crs, transform=Affine(*transform), **shape) as copy:
         copy.write(np.where(np.isnan(heights), NO_DATA, heights).astype(np.float32), 1)
     return memory.open(driver="GTiff")

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field import store as stores
-from ..field.georeference import ROTATED, degree_lengths
+from ..field.georeference import ROTATED
 from ..field.heightfield import HeightField
-from ..rasters.file_grid import unit_of
+from ..rasters import file_grid
 from ..sandbox.store_job import ask, serve
 
 MODULE = "cbt_terrain.importing.placing"
@@ -75,11 +75,7 @@ def unit_lengths(field: HeightField) -> tuple[float, float]:
     """
     from rasterio.crs import CRS
 
-    unit = unit_of(CRS.from_string(field.crs))
-    if "degrees" in unit:
-        lengths = degree_lengths(float(field.origin[1]) * unit["degrees"], unit["ellipsoid"])
-        return unit["degrees"] * lengths[0], unit["degrees"] * lengths[1]
-    return (unit.get("metres", 1.0),) * 2
+    return file_grid.unit_lengths(CRS.from_string(field.crs), float(field.origin[1]))
 
 
 def placing_of(store: str | os.PathLike) -> Placing:
@@ -147,5 +143,5 @@ def _units(store: str) -> tuple[float, float, float]:
     from rasterio.crs import CRS
 
     field = stores.open_store(store)
-    degrees = unit_of(CRS.from_string(field.crs)).get("degrees")
+    degrees = file_grid.unit_of(CRS.from_string(field.crs)).get("degrees")
     return *unit_lengths(field), 360.0 / degrees if degrees else 0.0

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import TerrainError, shown
-from ..field.georeference import degree_lengths
 from ..field.lattice import SIDE_BITS, fit
-from ..rasters.file_grid import unit_of
+from ..rasters.file_grid import unit_lengths
 from ..rasters.raster import ImportSettings
+from ..rasters.reproject import utm_zone
 from ..view.linear import length
 from .catalogue import SourceTile
 from .systems import crs_of, period_of, projected
@@ -84,8 +84,8 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     reference = tiles[finest] if tiles[finest].crs == crs and tiles[finest].is_straight else None
     low, high = tile_footprints.boxes[:, :2].min(axis=0), tile_footprints.boxes[:, 2:].max(axis=0)
     step_x, step_y = map(float, tile_footprints.steps[finest])
+    metres_x, metres_y = unit_lengths(crs_of(crs) if crs else None, float(low[1] + high[1]) / 2)
     if settings.step is not None:
-        metres_x, metres_y = _unit_lengths(crs, (low + high) / 2)
         step_x, step_y = settings.step / metres_x, settings.step / metres_y
     x0, y0 = (0.0, 0.0)
     if reference is not None and (settings.step is None or _divides(reference, step_x, step_y)):
@@ -102,7 +102,7 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     end_column, end_row = (math.floor(number + ALIGNED) for number in numbers[2:].tolist())
     width, height = max(end_column - column, 0) + 1, max(end_row - row, 0) + 1
     if not settings.quick:
-        _check_size(crs, width, height, step_x, step_y, (low + high) / 2)
+        _check_size(width, height, step_x * metres_x, step_y * metres_y)
     return TargetGrid(crs, x0, y0, step_x, step_y, column, row, width, height)
 
 
@@ -193,7 +193,9 @@ def _target_crs(tiles: Sequence[SourceTile], settings: ImportSettings) -> str:
             fix="give it one (gdal_edit.py -a_srs, or a .prj file beside it), or leave it out",
         )
     if settings.project.upper() == "UTM":
-        return _utm_zone(tiles)
+        boxes = footprints(tiles, "EPSG:4326").boxes
+        # of the middle of all tiles
+        return utm_zone("The mosaic", *(float(boxes[:, k].min() + boxes[:, k + 2].max()) / 2 for k in (0, 1)))
     if settings.project:
         name = f"EPSG:{int(settings.project.partition(':')[2])}"
         if not crs_of(name).is_projected:
@@ -205,31 +207,6 @@ def _target_crs(tiles: Sequence[SourceTile], settings: ImportSettings) -> str:
     return next((name for name in names if name and crs_of(name).is_projected), names[0])
 
 
-def _utm_zone(tiles: Sequence[SourceTile]) -> str:
-    """Return the zone that the projection `utm` means, as EPSG:n: the WGS 84 UTM zone of the middle of all tiles.
-
-    Raises TerrainError beyond the latitudes of UTM.
-    """
-    boxes = footprints(tiles, "EPSG:4326").boxes
-    longitude, latitude = (float(boxes[:, k].min() + boxes[:, k + 2].max()) / 2 for k in (0, 1))
-    if not -80.0 <= latitude <= 84.0:
-        raise TerrainError(
-            f"The mosaic has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84",
-            fix="give a polar system, as EPSG:3413 or EPSG:3031",
-        )
-    zone = int((longitude + 180.0) // 6.0) % 60 + 1
-    return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
-
-
-def _unit_lengths(crs: str, middle: np.ndarray) -> tuple[float, float]:
-    """Return the metres in a unit of x and of y of a coordinate system at a position. middle: x and y there."""
-    unit = unit_of(crs_of(crs)) if crs else {}
-    if "degrees" not in unit:
-        return (unit.get("metres", 1.0),) * 2
-    x, y = degree_lengths(float(middle[1]) * unit["degrees"], unit["ellipsoid"])
-    return x * unit["degrees"], y * unit["degrees"]
-
-
 def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
     """Return whether a step is a whole number of a tile's samples, so that some are copied exactly.
 
@@ -239,11 +216,10 @@ def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
     return all(ratio > 0.5 and abs(ratio - round(ratio)) < ALIGNED for ratio in ratios)
 
 
-def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float, middle: np.ndarray) -> None:
+def _check_size(width: int, height: int, step_x: float, step_y: float) -> None:
     """Raise TerrainError for a grid with more samples than a store can hold, and name the step that fits.
 
-    step_x, step_y: in units of the system. middle: x and y of the mosaic's middle, where a unit's
-    length in metres is taken.
+    step_x, step_y: metres at the mosaic's middle.
     """
     if min(width, height) < 2 or fit(width, height).is_addressable:
         return
@@ -252,7 +228,7 @@ def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float,
         factor = math.sqrt(low * high)
         size = max(math.ceil(width / factor), 2), max(math.ceil(height / factor), 2)
         low, high = (low, factor) if fit(*size).is_addressable else (factor, high)
-    step = max(a * b for a, b in zip((step_x, step_y), _unit_lengths(crs, middle), strict=True)) * high
+    step = max(step_x, step_y) * high
     shown_step = float(f"{step:.2g}")
     shown_step = shown_step if shown_step >= step else float(f"{step * 1.05:.2g}")  # rounded up
     raise TerrainError(

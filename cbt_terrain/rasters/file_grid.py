@@ -101,6 +101,18 @@ def unit_of(crs: CRS | None) -> dict:
     return {"metres": plane_metres(crs)} if crs is not None else {}
 
 
+def unit_lengths(crs: CRS | None, y: float) -> tuple[float, float]:
+    """Return the metres in a unit of x and of y of a coordinate system, 1 without one.
+
+    y: coordinate of the position, by whose latitude degrees have their length.
+    """
+    unit = unit_of(crs)
+    if "degrees" not in unit:
+        return (unit.get("metres", 1.0),) * 2
+    along_x, along_y = degree_lengths(y * unit["degrees"], unit["ellipsoid"])
+    return along_x * unit["degrees"], along_y * unit["degrees"]
+
+
 def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     """Return whether the rows and columns of a placed raster are not perpendicular on the ground.
 

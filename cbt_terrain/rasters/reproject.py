@@ -85,7 +85,9 @@ def _target_system(path: Path, dataset: DatasetReader, source: FileGrid, name: s
     from rasterio.errors import CRSError
 
     if name.upper() == "UTM":
-        name = _utm_zone(path, dataset, source)
+        middle = source.positions(np.array([dataset.width / 2]), np.array([dataset.height / 2]))
+        x, y = _transform_points(path, source.crs, CRS.from_epsg(4326), *middle)
+        name = utm_zone(shown(path), float(x[0]), float(y[0]))
     try:
         crs = CRS.from_epsg(int(name.partition(":")[2]))
     except (CRSError, ValueError) as reason:
@@ -97,16 +99,14 @@ def _target_system(path: Path, dataset: DatasetReader, source: FileGrid, name: s
     return crs
 
 
-def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
-    """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n. Raises TerrainError beyond the latitudes of UTM."""
-    from rasterio.crs import CRS
+def utm_zone(what: str, longitude: float, latitude: float) -> str:
+    """Return the WGS 84 UTM zone of a point, degrees, as EPSG:n. Raises TerrainError beyond the latitudes of UTM.
 
-    middle = source.positions(np.array([dataset.width / 2]), np.array([dataset.height / 2]))
-    x, y = _transform_points(path, source.crs, CRS.from_epsg(4326), *middle)
-    longitude, latitude = float(x[0]), float(y[0])
+    what: the raster in whose middle it is, in the error.
+    """
     if not -80.0 <= latitude <= 84.0:
         raise TerrainError(
-            f"{shown(path)} has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84",
+            f"{what} has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84",
             fix="give a polar system, as EPSG:3413 or EPSG:3031",
         )
     zone = int((longitude + 180.0) // 6.0) % 60 + 1

@@ -7,7 +7,8 @@ such tiles is linear between two borders one cell apart, so tiles without a shar
 
 import numpy as np
 
-from ..rasters.grid_pieces import BLOCK, SNAPPED, UNCOVERED, BlockNodes, GridPiece, LatticeWindow
+from ..rasters.grid_pieces import SNAPPED, UNCOVERED, BlockNodes, GridPiece, LatticeWindow
+from .windows import interpolate_nodes
 
 # Sum of weights from which on a sample has a height: the outer cells of a single tile are half a cell wide.
 MIN_WEIGHT = 0.5 - 1e-9
@@ -33,8 +34,7 @@ def bridge(
     max_errors, max_shifts = np.zeros(len(rows)), np.zeros(len(rows))
     tiles = []  # rank, lattice, number in its window, and the uncovered samples' columns u and rows v of the lattice
     for number, (nodes, window) in enumerate(lattices):
-        u = _interpolate_nodes(nodes.u, nodes.spacing, piece, rows, columns)
-        v = _interpolate_nodes(nodes.v, nodes.spacing, piece, rows, columns)
+        u, v = (interpolate_nodes(values, nodes.spacing, piece, rows, columns) for values in (nodes.u, nodes.v))
         for n in range(len(window.tile_ranks)):
             tiles.append((int(window.tile_ranks[n]), number, n, u, v))
     for _, number, n, u, v in sorted(tiles, key=lambda tile: tile[:3]):
@@ -60,21 +60,6 @@ def bridge(
     values[samples] = sums[has_height] / weights[has_height]
     # A weight changes by the error of its position, and a sum of weights is at least a half.
     moved[samples] = max_errors[has_height] + 2.0 * max_shifts[has_height] * (high[has_height] - low[has_height])
-
-
-def _interpolate_nodes(
-    nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray
-) -> np.ndarray:
-    """Return values between a block's nodes, `spacing` samples apart, at samples of a piece, bilinear: float64 [n].
-
-    rows, columns: those of the samples, from the first one of the piece.
-    """
-    x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
-    # The node before each sample, and the fractions of the way to the next ones.
-    i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing
-    low = nodes[j, i] * (1 - s) + nodes[j, i + 1] * s
-    high = nodes[j + 1, i] * (1 - s) + nodes[j + 1, i + 1] * s
-    return low * (1 - t) + high * t
 
 
 def _border(window: LatticeWindow, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

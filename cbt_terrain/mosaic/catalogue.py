@@ -39,7 +39,7 @@ from ..rasters.sidecars import sidecars
 from ..run.named_file import read_regular
 from ..run.owned_files import without_dots
 from .index_files import paths_in
-from .systems import names_of
+from .systems import names_of, period_of
 
 FILE_NAME = "catalogue.json"
 VERSION = 1
@@ -100,6 +100,17 @@ class SourceTile:
         a, b, c, d, e, f = self.transform
         column, row = column + 0.5, row + 0.5
         return a * column + b * row + c, d * column + e * row + f
+
+    def indices(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns and rows, float64, of positions in the tile's system, also a turn of 360 degrees away."""
+        a, b, _, d, e, _ = self.transform
+        x0, y0 = self.position(0, 0)
+        period = period_of(self.crs)
+        if period:
+            x = x - period * np.round((x - self.position(self.width / 2, self.height / 2)[0]) / period)
+        area = a * e - b * d  # by which the inverse of the transform divides
+        with np.errstate(invalid="ignore"):
+            return (e * (x - x0) - b * (y - y0)) / area, (a * (y - y0) - d * (x - x0)) / area
 
     def files_now(self) -> Sequence[tuple[str, int, int] | None]:
         """Return `files` as they are now, None for a missing one. Raises TerrainError for a damaged archive."""

@@ -38,10 +38,9 @@ from .finer_plan import FinerPlan
 from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
 from .positions import is_congruent, nodes_of
-from .resampling import FoundLattice, resample_levels
 from .seam_records import SeamRecords
 from .target_grid import Footprints, TargetGrid
-from .windows import at_corners, source_box
+from .windows import FoundLattice, at_corners, resample_levels, source_box
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
@@ -278,8 +277,7 @@ class Composite:
         if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
             # Positions are not exactly linear between the corners of the block.
             return False
-        first = piece.row % BLOCK, piece.column % BLOCK
-        u, v = (at_corners(values_at_nodes, nodes, first, piece) for values_at_nodes in (nodes.u, nodes.v))
+        u, v = (at_corners(values_at_nodes, piece) for values_at_nodes in (nodes.u, nodes.v))
         left, top = round(u[0]), round(v[0])
         ends = left + piece.columns - 1, top + piece.rows - 1
         # Corner 0 is the first sample, 3 the last. Lattices with other steps or turned axes miss one of them.

@@ -13,6 +13,7 @@ import numpy as np
 
 from .composite import Composite
 from .lattices import TileLattice
+from .seams import StepReport
 from .systems import projected
 
 MAX_EDGES = 400  # that are compared; of more, some are chosen evenly
@@ -40,26 +41,11 @@ class TileEdge(NamedTuple):
         return int(max(one[across], other[across])), int(min(one[across + 2], other[across + 2]))
 
 
-class EdgeReport(NamedTuple):
-    """Edges of a mosaic.
+def find_edges(composite: Composite) -> StepReport:
+    """Compare the heights of files that are neighbours on one lattice, where one ends and the other begins.
 
-    Attributes:
-        pairs: number of pairs of files that meet.
-        compared: pairs whose heights were compared.
-        steps: float64 [n], metres, median step from the first to the second file of each pair that has heights there.
-        places: float64 [n, 2], x and y of the middles of these edges in the grid's system.
-        names: paths of the two files of each.
+    Each edge with heights has one step, the median, at its middle.
     """
-
-    pairs: int
-    compared: int
-    steps: np.ndarray
-    places: np.ndarray
-    names: list[tuple[str, str]]
-
-
-def find_edges(composite: Composite) -> EdgeReport:
-    """Compare the heights of files that are neighbours on one lattice, where one ends and the other begins."""
     edges = [edge for lattice in composite.lattices for edge in neighbours(lattice)]
     chosen = [edges[len(edges) * n // MAX_EDGES] for n in range(MAX_EDGES)] if len(edges) > MAX_EDGES else edges
     steps, places = [], []
@@ -74,7 +60,8 @@ def find_edges(composite: Composite) -> EdgeReport:
             ranks = (edge.lattice.tiles[number] for number in (edge.first, edge.second))
             one, other = (composite.tiles[rank].path for rank in ranks)
             names.append((one, other))
-    return EdgeReport(len(edges), len(chosen), np.array(steps), np.array(places).reshape(-1, 2), names)
+    positions = np.array(places).reshape(-1, 2)
+    return StepReport(len(edges), len(chosen), np.array(steps), positions, np.arange(len(names)), names)
 
 
 def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:

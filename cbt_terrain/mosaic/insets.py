@@ -196,20 +196,15 @@ class InsetBlend:
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
         last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
         cells = np.zeros((last[0] - first[0] + 1, last[1] - first[1] + 1), self._kind)
-        ranges = [  # rows and columns of the blocks that the window meets
-            range(max(first[axis] // size, low), min(last[axis] // size, high) + 1)
-            for axis, (low, high) in enumerate(self._block_ranges)
-        ]
-        for row in ranges[0]:
-            for column in ranges[1]:
-                block_marks = self._marks_of_block(row, column).get(level)
-                if block_marks is None:
-                    continue
-                pooled = _pool(block_marks, len(block_marks) // size)
-                # the block's first cell in the window, of which the block may have a part only
-                top, left = row * size - first[0], column * size - first[1]
-                window = cells[max(top, 0) : top + size, max(left, 0) : left + size]
-                window[:] = pooled[max(-top, 0) :, max(-left, 0) :][: window.shape[0], : window.shape[1]]
+        for row, column in self._blocks(*((n // size, m // size) for n, m in zip(first, last, strict=True))):
+            block_marks = self._marks_of_block(row, column).get(level)
+            if block_marks is None:
+                continue
+            pooled = _pool(block_marks, len(block_marks) // size)
+            # the block's first cell in the window, of which the block may have a part only
+            top, left = row * size - first[0], column * size - first[1]
+            window = cells[max(top, 0) : top + size, max(left, 0) : left + size]
+            window[:] = pooled[max(-top, 0) :, max(-left, 0) :][: window.shape[0], : window.shape[1]]
         return cells
 
     def _marks_of_block(self, row: int, column: int) -> dict[int, np.ndarray]:
@@ -231,6 +226,12 @@ class InsetBlend:
         self._cells.move_to_end(key)
         return self._cells[key]
 
+    def _blocks(self, *spans: tuple[int, int]) -> Iterator[tuple[int, int]]:
+        """Return row and column of each of the grid's blocks between the first and last row, and column, of blocks."""
+        ends = zip(spans, self._block_ranges, strict=True)
+        rows, columns = (range(max(first, low), min(last, high) + 1) for (first, last), (low, high) in ends)
+        return product(rows, columns)
+
     def _side_of(self, level: int) -> int:
         """Return the number of cells along a block for the marks of a level, of the finest ring on lower levels."""
         return BLOCK // min(ring.cell for ring in self.rings[:level])
@@ -247,18 +248,11 @@ class InsetBlend:
 
     def digest_around(self, piece: GridPiece) -> str:
         """Return a hex digest of all marks that may change the blend in a piece; blocks are read if need be."""
-        reach = self.reach
-        content = hashlib.blake2b(digest_size=16)
-        ranges = [
-            range(max((first - reach) // BLOCK, low), min((first + count - 1 + reach) // BLOCK, high) + 1)
-            for (first, count), (low, high) in zip(
-                ((piece.row, piece.rows), (piece.column, piece.columns)), self._block_ranges, strict=True
-            )
-        ]
-        for row, column in product(ranges[0], ranges[1]):
-            key = row, column
+        reach, content = self.reach, hashlib.blake2b(digest_size=16)
+        spans = (piece.row, piece.rows), (piece.column, piece.columns)
+        for key in self._blocks(*(((n - reach) // BLOCK, (n + count - 1 + reach) // BLOCK) for n, count in spans)):
             if key not in self._digests:
-                marks = self._marks_of_block(row, column)
+                marks = self._marks_of_block(*key)
                 block = hashlib.blake2b(repr((key, sorted(marks))).encode(), digest_size=16)
                 for level in sorted(marks):
                     block.update(marks[level].tobytes())

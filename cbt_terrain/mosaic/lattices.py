@@ -90,7 +90,7 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
         while numbers:
             first = tiles[numbers[0]]
             offsets = {n: offset for n in numbers if (offset := _offset_of(first, tiles[n])) is not None}
-            lattices.append(_lattice(tiles, list(offsets), list(offsets.values())))
+            lattices.append(_lattice(tiles, offsets))
             numbers = [n for n in numbers if n not in offsets]
     return lattices
 
@@ -125,25 +125,20 @@ def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | 
     return (column, row, deviation) if deviation <= MAX_OFF_GRID else None
 
 
-def _lattice(tiles: Sequence[SourceTile], numbers: list[int], offsets: list[tuple]) -> TileLattice:
-    """Return the lattice of some tiles.
-
-    numbers: indices of the tiles. offsets: for each the column, row and deviation from `_offset_of`, relative to the
-    first one.
-    """
-    first = tiles[numbers[0]]
+def _lattice(tiles: Sequence[SourceTile], offsets: dict[int, tuple[int, int, float]]) -> TileLattice:
+    """Return the lattice of the tiles numbered in `offsets`, with their `_offset_of` in the lattice of the first."""
+    first = tiles[next(iter(offsets))]
     a, b, _, d, e, _ = first.transform
     rectangles = [
-        (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1)
-        for n, (column, row, _) in zip(numbers, offsets, strict=True)
+        (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1) for n, (column, row, _) in offsets.items()
     ]
-    deviation = max(offset[2] for offset in offsets)
+    deviation = max(offset for _, _, offset in offsets.values())
     period = period_of(first.crs) / a if d == 0.0 else 0.0
     return TileLattice(
         crs=first.crs,
         origin=first.position(0, 0),
         steps=(a, b, d, e),
-        tiles=np.array(numbers),
+        tiles=np.array(list(offsets)),
         rectangles=np.array(rectangles, np.int64),
         off_grid=deviation if deviation > ROUNDING else 0.0,
         period=abs(round(period)) if abs(period - round(period)) < MAX_OFF_GRID else 0,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..importing.thinning import FINER, MAX_UNPACKED, scaled
 from .composite import Composite
-from .systems import period_of, projected
+from .systems import projected
 
 MAX_GAP = 16  # rows between two that are read together
 MAX_PART = 1 << 22  # samples that are read at once
@@ -46,14 +46,8 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
     """
     tile = composite.tiles[rank]
     x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))
-    a, b, _, d, e, _ = tile.transform
-    x0, y0 = tile.position(0, 0)
-    period = period_of(tile.crs)
-    if period:
-        x = x - period * np.round((x - tile.position(tile.width / 2, tile.height / 2)[0]) / period)
-    area = a * e - b * d  # by which the inverse of the transform divides
     with np.errstate(invalid="ignore"):
-        u, v = np.rint((e * (x - x0) - b * (y - y0)) / area), np.rint((a * (y - y0) - d * (x - x0)) / area)
+        u, v = map(np.rint, tile.indices(x, y))
         inside = (u >= 0) & (u < tile.width) & (v >= 0) & (v < tile.height)
     if not inside.any():
         return

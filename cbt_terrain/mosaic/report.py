@@ -18,9 +18,9 @@ from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings
 from ..view.linear import add_up
 from .composite import Composite
-from .edges import EdgeReport, find_edges
+from .edges import find_edges
 from .mosaic_source import blend_metres, georeference_of
-from .seams import SeamReport, find_seams
+from .seams import StepReport, find_seams
 from .systems import crs_of, projected
 
 COVERAGE_POINTS = 256  # along each axis
@@ -107,7 +107,7 @@ def datum_warnings(composite: Composite) -> list[str]:
     ]
 
 
-def edge_warnings(edges: EdgeReport, scale: float, step: float) -> list[str]:
+def edge_warnings(edges: StepReport, scale: float, step: float) -> list[str]:
     """Return a warning about files that meet with a step, which is a cliff in the terrain; [] without any.
 
     scale: factor on the heights, by the settings. step: distance between samples, metres.
@@ -138,44 +138,39 @@ def _kinds(composite: Composite) -> list[str]:
     return lines + ([f"{len(counts) - MAX_KINDS:,} more kinds"] if len(counts) > MAX_KINDS else [])
 
 
-def _seams(seams: SeamReport, scale: float) -> dict:
+def _seams(seams: StepReport, scale: float) -> dict:
     """Return the report's entries about seams: how far the heights of overlapping files differ at their borders.
 
     scale: factor on the heights, by the settings.
     """
     entries = {"seams": seams.pairs, "seams_compared": seams.compared, "seam_samples": len(seams.steps)}
-    if not len(seams.steps):
-        return entries
-    return entries | _figures("seam", np.abs(seams.steps) * scale, seams.places, seams.numbers, seams.names)
+    return entries | _figures("seam", seams, scale)
 
 
-def _edges(edges: EdgeReport, scale: float) -> dict:
+def _edges(edges: StepReport, scale: float) -> dict:
     """Return the report's entries about edges: how far the heights of files differ that meet without an overlap.
 
     scale: factor on the heights, by the settings.
     """
-    entries = {"edges": edges.pairs, "edges_compared": edges.compared}
-    if not len(edges.steps):
-        return entries if edges.pairs else {}
-    return entries | _figures(
-        "edge", np.abs(edges.steps) * scale, edges.places, np.arange(len(edges.names)), edges.names
-    )
+    if not edges.pairs:
+        return {}
+    return {"edges": edges.pairs, "edges_compared": edges.compared} | _figures("edge", edges, scale)
 
 
-def _figures(
-    kind: str, sizes: np.ndarray, places: np.ndarray, numbers: np.ndarray, names: list[tuple[str, str]]
-) -> dict:
+def _figures(kind: str, found: StepReport, scale: float) -> dict:
     """Return the median of steps between files, and the largest step with its place and files: entries `<kind>_...`.
 
-    sizes: float64 [n], metres, at least one. places: float64 [n, 2], x and y. numbers: int [n], each step's index in
-    `names`, the paths of pairs of files.
+    {} without a step. scale: factor on the heights.
     """
+    if not len(found.steps):
+        return {}
+    sizes = np.abs(found.steps) * scale
     worst = int(np.argmax(sizes))
     return {
         f"{kind}_median_m": float(np.median(sizes)),
         f"{kind}_max_m": float(sizes[worst]),
-        f"{kind}_max_at": [float(c) for c in places[worst]],
-        f"{kind}_max_between": [Path(path).name for path in names[numbers[worst]]],
+        f"{kind}_max_at": [float(c) for c in found.places[worst]],
+        f"{kind}_max_between": [Path(path).name for path in found.names[found.numbers[worst]]],
     }
 
 

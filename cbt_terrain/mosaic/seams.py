@@ -8,26 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .catalogue import SourceTile
 from .composite import Composite
 from .insets import INSIDE, overlapping_pairs
-from .systems import period_of, projected
+from .systems import projected
 
 MAX_PAIRS = 400  # of files that are compared; of more, some are chosen evenly
 MAX_SAMPLES = 512  # of one side of a file
 MAX_INNER = 65  # along each side of a whole file
 
 
-class SeamReport(NamedTuple):
-    """Seams of a mosaic.
+class StepReport(NamedTuple):
+    """Steps between the heights of two files of a mosaic, where one of them ends.
 
     Attributes:
-        pairs: pairs of files with an overlap.
+        pairs: pairs of files with a seam or an edge.
         compared: pairs whose heights were compared.
-        steps: float64 [n], metres, values of the higher-ranked file less those of the other, at samples of its border.
-        places: float64 [n, 2], x and y of these samples in the grid's system.
-        numbers: int32 [n], index in `names` of the pair that each sample is of.
-        names: paths of the two files of each pair with a compared sample, the higher-ranked one last.
+        steps: float64 [n], metres, heights of the last file of a pair less those of the first.
+        places: float64 [n, 2], x and y of these steps in the grid's system.
+        numbers: int [n], index in `names` of the pair that each step is of.
+        names: paths of the two files of each pair with a step.
     """
 
     pairs: int
@@ -38,8 +37,8 @@ class SeamReport(NamedTuple):
     names: list[tuple[str, str]]
 
 
-def find_seams(composite: Composite) -> SeamReport:
-    """Compare the heights of overlapping files at the samples of the higher-ranked one's border.
+def find_seams(composite: Composite) -> StepReport:
+    """Compare the heights of overlapping files at the samples of the higher-ranked one's border; it is the last.
 
     If none of these are known in both files, samples of the whole overlap are compared.
     """
@@ -55,7 +54,7 @@ def find_seams(composite: Composite) -> SeamReport:
             places.append(pair_places)
             numbers.append(np.full(len(pair_steps), len(names), np.int32))
             names.append((composite.tiles[lower].path, composite.tiles[upper].path))
-    return SeamReport(
+    return StepReport(
         len(pairs),
         len(chosen),
         np.concatenate([np.zeros(0), *steps]),
@@ -69,24 +68,24 @@ def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, 
     """Return steps (upper minus lower value, in metres) and positions at samples of the upper tile's border.
 
     They are those inside the lower tile. Without a known step there, samples of the whole upper tile are compared.
-    lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in SeamReport.
+    lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in StepReport.
     """
     tile, scale = composite.tiles[upper], abs(composite.scale)  # steps keep the sign of the values
     right, bottom = tile.width - 1, tile.height - 1
-    along, down = _spread(0, right), _spread(0, bottom)
+    along, down = _spread(right), _spread(bottom)
     sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]
     parts = [_compare(composite, lower, upper, *side) for side in sides]
     if not any(len(part[0]) for part in parts):
-        columns, rows = (_spread(0, last, max_count=MAX_INNER) for last in (right, bottom))
+        columns, rows = (_spread(last, max_count=MAX_INNER) for last in (right, bottom))
         parts = [_compare(composite, lower, upper, columns, rows)]
     steps, columns, rows = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     x, y = projected(tile.crs, composite.grid.crs, *tile.position(columns, rows))
     return steps * scale, np.stack([x, y], axis=1)
 
 
-def _spread(first: int, last: int, max_count: int = MAX_SAMPLES) -> np.ndarray:
-    """Return whole numbers from `first` to `last`, all or `max_count` of them."""
-    return np.unique(np.linspace(first, last, min(last - first + 1, max_count)).astype(np.int64))
+def _spread(last: int, max_count: int = MAX_SAMPLES) -> np.ndarray:
+    """Return whole numbers from 0 to `last`, all or `max_count` of them."""
+    return np.unique(np.linspace(0, last, min(last + 1, max_count)).astype(np.int64))
 
 
 def _compare(
@@ -99,7 +98,7 @@ def _compare(
     """
     below, above = composite.tiles[lower], composite.tiles[upper]
     columns, rows = (values.ravel() for values in np.meshgrid(columns, rows))
-    u, v = _indices(below, above, columns, rows)
+    u, v = below.indices(*projected(above.crs, below.crs, *above.position(columns, rows)))
     inside = (u >= -INSIDE) & (u <= below.width - 1 + INSIDE) & (v >= -INSIDE) & (v <= below.height - 1 + INSIDE)
     columns, rows, u, v = columns[inside], rows[inside], u[inside], v[inside]
     if not len(u):
@@ -109,23 +108,6 @@ def _compare(
     steps = window[rows - top, columns - left] - _bilinear(composite, lower, u, v)
     known = np.isfinite(steps)
     return steps[known], columns[known], rows[known]
-
-
-def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np.ndarray) -> tuple:
-    """Return where samples of the upper tile are in the lower one: columns and rows, float64.
-
-    below, above: the lower and the upper tile. columns, rows: of the samples in the upper one.
-    """
-    x, y = projected(above.crs, below.crs, *above.position(columns, rows))
-    a, b, _, d, e, _ = below.transform
-    x0, y0 = below.position(0, 0)
-    period = period_of(below.crs)
-    if period:
-        middle = below.position(below.width / 2, below.height / 2)[0]
-        x = x - period * np.round((x - middle) / period)
-    area = a * e - b * d  # by which the inverse of the transform divides
-    with np.errstate(invalid="ignore"):
-        return (e * (x - x0) - b * (y - y0)) / area, (a * (y - y0) - d * (x - x0)) / area
 
 
 def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of a mosaic's grid that are resampled together, and the source samples for them."""
+"""Parts of a mosaic's grid that are resampled together, the source samples for them, and their resampling."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ..rasters.grid_pieces import BLOCK, EDGE, BlockNodes, GridPiece
+from ..rasters.grid_pieces import BLOCK, EDGE, BlockNodes, GridPiece, LatticeWindow, PieceValues, resample_piece
 from .lattices import TileLattice
+
+
+class FoundLattice(NamedTuple):
+    """A lattice with tiles near a piece: its level, the positions of the piece's block, and its samples there."""
+
+    level: int
+    nodes: BlockNodes
+    window: LatticeWindow
 
 
 def source_box(
@@ -21,7 +32,7 @@ def source_box(
     box = []
     # Along x, then along y: positions, entries of a rectangle, and the columns in 360 degrees.
     for values, (first_entry, last_entry), period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
-        positions = at_corners(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
+        positions = at_corners(values, piece) if nodes.spacing == BLOCK else values[down, across]
         positions = positions[np.isfinite(positions)]
         if not len(positions):
             return None
@@ -34,16 +45,41 @@ def source_box(
     return box[0][0], box[1][0], box[0][1], box[1][1]
 
 
-def at_corners(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
+def at_corners(nodes: np.ndarray, piece: GridPiece) -> np.ndarray:
     """Return the values at a piece's four corners, float64 [4], from those at the corners of its whole block.
 
-    The corners are those of the first row, then of the last one. values: at the block's corners, the nodes, float64 [2,
-    2]. first: row and column of the piece's first corner in its block.
+    The corners are those of the first row, then of the last one. nodes: values at the block's corners, float64 [2, 2].
     """
-    corners = []
-    for y in (first[0], first[0] + piece.rows - 1):
-        for x in (first[1], first[1] + piece.columns - 1):
-            s, t = x / nodes.spacing, y / nodes.spacing
-            low = values[0, 0] * (1 - s) + values[0, 1] * s
-            corners.append(low * (1 - t) + (values[1, 0] * (1 - s) + values[1, 1] * s) * t)
-    return np.array(corners)
+    row, column = piece.rows - 1, piece.columns - 1
+    return interpolate_nodes(nodes, BLOCK, piece, np.array([0, 0, row, row]), np.array([0, column, 0, column]))
+
+
+def interpolate_nodes(
+    nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """Return values between a block's nodes, `spacing` samples apart, at samples of a piece, bilinear: float64 [n].
+
+    rows, columns: those of the samples, from the first one of the piece.
+    """
+    x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
+    # The node before each sample, and the fractions of the way to the next ones.
+    i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing
+    low = nodes[j, i] * (1 - s) + nodes[j, i + 1] * s
+    high = nodes[j + 1, i] * (1 - s) + nodes[j + 1, i + 1] * s
+    return low * (1 - t) + high * t
+
+
+def resample_levels(
+    piece: GridPiece, levels: np.ndarray, found: Sequence[FoundLattice], result: PieceValues
+) -> Iterator[tuple[int, PieceValues | None]]:
+    """Write the tiles of one level after the other over `result`, and yield each level with the values before it.
+
+    These are None for level 0, the coarsest. found: the lattices with tiles in the piece; in a level their tiles count
+    by rank.
+    """
+    for level in map(int, levels):
+        below = result.copy() if level > 0 else None
+        for lattice in found:
+            if lattice.level == level:
+                resample_piece(piece, lattice.nodes, lattice.window, result)
+        yield level, below

@@ -19,7 +19,6 @@ from .finer_heights import (
     LIMITED,
     MEASURED,
     RANGED,
-    FinerBox,
     FinerRecords,
     Tile,
     fill_heights,
@@ -30,7 +29,7 @@ from .finer_measures import MeasuredFinerTile, MeasuredRectangle, fill_errors, f
 from .finer_reuse import inputs_of_tiles, is_measured, limits_before
 from .finer_tiles import MAX_BITS, SIDE, STRIDE, TILE_BITS, FinerTiles, tile_shape
 from .heightfield import HeightField
-from .lattice import Lattice
+from .lattice import Lattice, TileBox
 
 BLOCK = 8  # tiles along a side of the squares that are measured together
 # Returns the heights of a raster's surface from the raster, bits, finer columns and rows.
@@ -41,7 +40,7 @@ def with_finer_tiles(
     plain: HeightField,
     bits: int,
     known: Iterable[Tile],
-    read: Callable[[FinerBox], np.ndarray],
+    read: Callable[[TileBox], np.ndarray],
     threads: int | None = None,
     allocate: Allocate = in_memory,
     on_progress: Callable[[float], None] = lambda _fraction: None,

@@ -7,7 +7,7 @@ computation loses one at most, and windows that have not changed are taken from 
 
 from collections.abc import Callable, Iterator
 from itertools import groupby, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ..errors import TerrainError
 from .digests import digest_of
 from .finer_tiles import SIDE, STRIDE
 from .heightfield import HeightField, HeightRaster
+from .lattice import TileBox
 
 MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
 WINDOW = 4  # tiles along a side of the windows that are read together
@@ -24,15 +25,6 @@ FILLED, LIMITED, MEASURED, RANGED = "finer_filled", "finer_limited", "finer_meas
 
 Tile = tuple[int, int]  # column and row
 Arrays = Callable[[str, Tile], np.ndarray | None]  # array of a tile by the name of its file; None without the tile
-
-
-class FinerBox(NamedTuple):
-    """First and last finer samples along x and y."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
 
 
 class FinerRecords:
@@ -53,7 +45,7 @@ class FinerRecords:
     def use(self, kind: str, place: Tile, record: dict[str, Any], is_earlier: bool) -> None:
         """Learn that the result of a record is used. is_earlier: it is of an earlier store."""
 
-    def inputs_of(self, box: FinerBox) -> str:
+    def inputs_of(self, box: TileBox) -> str:
         """Return a digest of all that determines the heights that are read in a box, apart from the raster."""
         return ""
 
@@ -127,7 +119,7 @@ def fill_heights(
     known: list[Tile],
     numbers: np.ndarray,
     heights: np.ndarray,
-    read: Callable[[FinerBox], np.ndarray],
+    read: Callable[[TileBox], np.ndarray],
     records: FinerRecords,
 ) -> Iterator[float]:
     """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done.
@@ -182,7 +174,7 @@ def _inputs_of_window(plain: HeightField, bits: int, tiles: list[Tile], known: s
     (down, across), lattice = window_of(tiles[0]), plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
     x0, y0 = WINDOW * SIDE * across, WINDOW * SIDE * down
-    box = FinerBox(x0, y0, min(x0 + WINDOW * SIDE, last[0]), min(y0 + WINDOW * SIDE, last[1]))
+    box = TileBox(x0, y0, min(x0 + WINDOW * SIDE, last[0]), min(y0 + WINDOW * SIDE, last[1]))
     columns, rows = (range(WINDOW * at - 1, WINDOW * (at + 1) + 1) for at in (across, down))
     around = [(column - columns[0], row - rows[0]) for row in rows for column in columns if (column, row) in known]
     nodes = raster_nodes(plain, bits, (box.x0, box.x1), (box.y0, box.y1))
@@ -219,22 +211,21 @@ def _is_filled(
     return False
 
 
-def _box_of(tile: Tile, last: tuple[int, int]) -> FinerBox:
+def _box_of(tile: Tile, last: tuple[int, int]) -> TileBox:
     """Return the box of a tile inside the raster, which may be empty. last: finer cells along x and y."""
     x, y = SIDE * tile[0], SIDE * tile[1]
-    return FinerBox(x, y, max(min(x + SIDE, last[0]), x - 1), max(min(y + SIDE, last[1]), y - 1))
+    return TileBox(x, y, max(min(x + SIDE, last[0]), x - 1), max(min(y + SIDE, last[1]), y - 1))
 
 
-def _read_box(read: Callable[[FinerBox], np.ndarray], box: FinerBox) -> np.ndarray:
+def _read_box(read: Callable[[TileBox], np.ndarray], box: TileBox) -> np.ndarray:
     """Return the heights of a box, float32. Raises TerrainError for another shape."""
     heights = np.asarray(read(box), np.float32)
-    expected = box.y1 - box.y0 + 1, box.x1 - box.x0 + 1
-    if heights.shape != expected:
-        raise TerrainError(f"The heights of a finer tile have the shape {heights.shape}", expected=f"{expected}")
+    if heights.shape != box.shape:
+        raise TerrainError(f"The heights of a finer tile have the shape {heights.shape}", expected=f"{box.shape}")
     return heights
 
 
-def _lay(box_heights: np.ndarray, box: FinerBox, tile: np.ndarray, column: int, row: int) -> None:
+def _lay(box_heights: np.ndarray, box: TileBox, tile: np.ndarray, column: int, row: int) -> None:
     """Write the heights of a box that are not NaN into the samples of a tile. column, row: the tile's place."""
     x, y = SIDE * column - 1, SIDE * row - 1  # first samples of the tile, those around it included
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)

@@ -21,6 +21,7 @@ rest of the pages at the border) are 0.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,25 @@ ANCHOR_STEP = 1024.0
 NEAR = 4 * ANCHOR_STEP
 # Vertices along the side of a page of the arrays of diamonds.
 PAGE = 32
+
+
+class TileBox(NamedTuple):
+    """First and last samples of a tile along x and y; a neighbour shares the last ones."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return the rows and columns of the samples."""
+        return self.y1 - self.y0 + 1, self.x1 - self.x0 + 1
+
+    @property
+    def area(self) -> tuple[slice, slice]:
+        """Return the rows and columns in an array of all samples, the last ones included."""
+        return slice(self.y0, self.y1 + 1), slice(self.x0, self.x1 + 1)
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,13 @@ from ..field.finer_heights import (
     MEASURED,
     RANGED,
     Arrays,
-    FinerBox,
     FinerRecords,
     Tile,
     raster_heights,
 )
 from ..field.finer_tiles import SIDE
 from ..field.heightfield import HeightField
+from ..field.lattice import TileBox
 from .tile_cache import TileCache, compute_digest
 
 METHOD = 1  # increased when the same heights have other errors or ranges
@@ -56,7 +56,7 @@ def with_shaped_tiles(
     if finer is None:
         return shaped
 
-    def read(box: FinerBox) -> np.ndarray:
+    def read(box: TileBox) -> np.ndarray:
         """Return the finer heights of a tile after shaping. box: in finer samples, 2^bits to a side of a cell."""
         number = finer.numbers[box.y0 // SIDE, box.x0 // SIDE]
         # A stored tile has one more sample before its first row and column.

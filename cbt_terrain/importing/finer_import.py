@@ -22,7 +22,6 @@ from ..field.finer_heights import (
     MEASURED,
     WINDOW,
     Arrays,
-    FinerBox,
     FinerRecords,
     Tile,
     border_margin,
@@ -31,6 +30,7 @@ from ..field.finer_heights import (
 )
 from ..field.finer_tiles import SIDE, FinerTiles, tile_shape
 from ..field.heightfield import HeightField
+from ..field.lattice import TileBox
 from ..field.store import Draft, open_store
 from ..rasters.raster import FinerSource
 from ..tiling.moved_tiles import samples_moved
@@ -64,12 +64,11 @@ def add_finer_tiles(
     if source.keep_seams is not None:  # the source keeps records of the borders of its files
         source.keep_seams(records.find_seams, records.note_seams)
 
-    def read(box: FinerBox) -> np.ndarray:
+    def read(box: TileBox) -> np.ndarray:
         """Return the finer heights of a tile, near the border of all tiles mixed with those of the raster."""
         heights = windows.heights(box)
-        weights = border_weights((box.x0 // SIDE, box.y0 // SIDE), known, margin, last)[
-            : box.y1 - box.y0 + 1, : box.x1 - box.x0 + 1
-        ]
+        rows, columns = box.shape
+        weights = border_weights((box.x0 // SIDE, box.y0 // SIDE), known, margin, last)[:rows, :columns]
         if (weights < 1.0).any():
             x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
             coarse = raster_heights(plain, bits, x, y)
@@ -173,7 +172,7 @@ class _WorkRecords(FinerRecords):
         if is_earlier:
             self._write_again(kind, _number_of(place), record)
 
-    def inputs_of(self, box: FinerBox) -> str:
+    def inputs_of(self, box: TileBox) -> str:
         """Return a digest of the sources and the scaling of a window."""
         return self._windows.inputs_of(box)
 
@@ -233,7 +232,7 @@ class _Windows:
         self._kept: dict[tuple[int, int], np.ndarray] = {}
         self.figures: dict[str, float] = {}
 
-    def heights(self, box: FinerBox) -> np.ndarray:
+    def heights(self, box: TileBox) -> np.ndarray:
         """Return the heights of a tile's samples, float32 metres, row 0 south; NaN where no file has any."""
         wide = WINDOW * SIDE
         key = box.x0 // wide, box.y0 // wide
@@ -241,9 +240,9 @@ class _Windows:
             x1, y1 = (min((n + 1) * wide, end) for n, end in zip(key, self._last, strict=True))
             self._kept = {key: self._read(key[0] * wide, key[1] * wide, x1, y1)}
         x, y = box.x0 - key[0] * wide, box.y0 - key[1] * wide
-        return self._kept[key][y : y + box.y1 - box.y0 + 1, x : x + box.x1 - box.x0 + 1]
+        return self._kept[key][y : y + box.shape[0], x : x + box.shape[1]]
 
-    def inputs_of(self, box: FinerBox) -> str:
+    def inputs_of(self, box: TileBox) -> str:
         """Return a digest of all that determines the heights of a window."""
         inputs = self._source.inputs
         sources = inputs(*self._in_file(*box)) if inputs is not None else ""

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..field.georeference import Georeference
-from ..field.lattice import Lattice
+from ..field.lattice import Lattice, TileBox
 from ..rasters.raster import ImportSettings, Raster
 from ..tiling import part_files, tile_steps
 from ..tiling.coarse_land import CoarseLand
-from ..tiling.tile_grid import TileBox, TileGrid
+from ..tiling.tile_grid import TileGrid
 from ..tiling.tile_records import MEASURED, READ
 from ..tiling.tile_work import NotNumberedError, TileWork
 from .height_reader import HeightReader

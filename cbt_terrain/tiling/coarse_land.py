@@ -18,9 +18,9 @@ import numpy as np
 from ..field.finer_heights import raster_heights
 from ..field.heightfield import HeightField
 from ..field.holes import holes_around
-from ..field.lattice import PAGE, pages_of, tile_index
+from ..field.lattice import PAGE, TileBox, pages_of, tile_index
 from .measure_tile import LargeError
-from .tile_grid import TileBox, TileGrid, cell_entries
+from .tile_grid import TileGrid, cell_entries
 
 ROUNDING = 4  # float32 steps of the highest height: of four rounded samples around a cell
 

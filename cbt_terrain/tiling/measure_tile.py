@@ -14,10 +14,10 @@ from ...kernels.field import window_errors as kernels
 from ...kernels.field.window_errors import Corner
 from ..field import codes, hierarchy
 from ..field.holes import refine_borders
-from ..field.lattice import PAGE
+from ..field.lattice import PAGE, TileBox
 from ..run import launch
 from ..run.buffers import flat
-from .tile_grid import TileBox, TileGrid, entries_of, exist
+from .tile_grid import TileGrid, entries_of, exist
 
 Height = Callable[[int, int], float]
 RANGE_MARGIN = 8  # samples around a tile that its ranges cover

@@ -17,28 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..field.lattice import PAGE, Lattice, rows_of, tile_index
+from ..field.lattice import PAGE, Lattice, TileBox, rows_of, tile_index
 
 TILE_BITS = 11  # a tile of an import has 2**11 cells a side
-
-
-class TileBox(NamedTuple):
-    """First and last samples of a tile along x and y; a neighbour shares the last ones."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Return the rows and columns of the samples."""
-        return self.y1 - self.y0 + 1, self.x1 - self.x0 + 1
-
-    @property
-    def area(self) -> tuple[slice, slice]:
-        """Return the rows and columns in an array of all samples, the last ones included."""
-        return slice(self.y0, self.y1 + 1), slice(self.x0, self.x1 + 1)
 
 
 class LatticeVertices(NamedTuple):

@@ -33,12 +33,12 @@ from numpy.typing import DTypeLike
 
 from ..errors import TerrainError
 from ..field import codes, store_folder
-from ..field.lattice import lattice_for
+from ..field.lattice import TileBox, lattice_for
 from ..field.store import Draft
 from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular, read_regular, read_start
-from .tile_grid import TILE_BITS, TileBox, TileGrid
+from .tile_grid import TILE_BITS, TileGrid
 from .tile_records import FINER, MEASURED, READ, SEAMS, line_of, record_of
 
 VERSION = 3

@@ -18,9 +18,9 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.codes import Steps
-from adaptive_terrain.cbt_terrain.field.finer_build import FinerBox, with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
-from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice, TileBox, fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.run import buffers, launch
@@ -80,7 +80,7 @@ def whole_stores(folder: Path) -> list[Path]:
     return stores
 
 
-def waves(box: FinerBox) -> np.ndarray:
+def waves(box: TileBox) -> np.ndarray:
     """Return heights of finer samples; they are 0 on the borders of their tile."""
     y, x = np.arange(box.y0, box.y1 + 1)[:, None], np.arange(box.x0, box.x1 + 1)
     return (np.sin(x * (8 * np.pi / SIDE)) * np.sin(y * (4 * np.pi / SIDE)) * 9.0).astype(np.float32)

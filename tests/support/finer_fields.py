@@ -7,9 +7,9 @@ from unittest import mock
 import numpy as np
 from adaptive_terrain.cbt_terrain.field import finer_build
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
-from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
+from adaptive_terrain.cbt_terrain.field.lattice import TileBox
 from adaptive_terrain.cbt_terrain.field.store import Draft
 from fields import rough
 
@@ -31,7 +31,7 @@ def relief_reader(plain: HeightField, bits: int, seed: int = 7, relief: float = 
     waves = rng.uniform(0.02, 0.3, (6, 2)), rng.uniform(0, 6, 6)
     coarse = dense_raster(plain, bits)
 
-    def read(box: FinerBox) -> np.ndarray:
+    def read(box: TileBox) -> np.ndarray:
         x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None]
         own = sum(np.sin(a * x + b * y + c) for (a, b), c in zip(*waves, strict=True)) * relief / 6
         found = coarse[box.y0 : box.y1 + 1, box.x0 : box.x1 + 1] + own

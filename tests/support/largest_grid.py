@@ -8,10 +8,9 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.field.blocks import level_shapes
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
-from adaptive_terrain.cbt_terrain.field.finer_heights import FinerBox
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE, FinerTiles, tile_shape
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
-from adaptive_terrain.cbt_terrain.field.lattice import lattice_for
+from adaptive_terrain.cbt_terrain.field.lattice import TileBox, lattice_for
 
 BITS, SMALL, KNOWN = 8, 16, 4  # cells of a raster cell, raster cells of the small raster, tiles that are not level
 NO_RESERVE = 0x4000  # MAP_NORESERVE of Linux
@@ -37,7 +36,7 @@ def corner_terrain(columns: int, rows: int) -> HeightField:
     All squares have finer tiles: the level ones share tile 0.
     """
 
-    def read(box: FinerBox) -> np.ndarray:
+    def read(box: TileBox) -> np.ndarray:
         return hill_heights(np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None])
 
     plain = from_array(np.zeros((SMALL + 1, SMALL + 1), np.float32), 256.0, 256.0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.accuracy.measure import popping
+from adaptive_terrain.cbt_terrain.accuracy.measure import look, popping
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
@@ -86,7 +86,7 @@ def fly(ground: FlownGround, step: float, frames: int, morph: float) -> Flight:
         update = terrain.update(Criterion(error_px=ERROR_PX, morph=morph), [view])
         after = update.surface.copy()
         if before is not None:
-            jumps = popping(ground.field, before, after, view)
+            jumps = popping(before, after, look(ground.field, view))
             largest_px.append(jumps.max)
             p999.append(jumps.p999)
         before = after

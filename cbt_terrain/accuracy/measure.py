@@ -164,50 +164,25 @@ def triangle_errors(
     return worst.astype(np.float32)
 
 
-def popping(
-    field: HeightField,
-    before: Surface,
-    after: Surface,
-    view: View,
-    placement: np.ndarray | None = None,
-    vertical_scale: float = 1.0,
-    vertical_offset: float = 0.0,
-    *,
-    threads: int | None = None,
-    sight: Sight | None = None,
-) -> Errors:
+def popping(before: Surface, after: Surface, sight: Sight) -> Errors:
     """Return by how many pixels visible points jump where mesh `after` takes the place of `before` under one view.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
-    from the height that one mesh has there to that of the other. `sight`: from `look` for the same view, None to
-    compute it.
+    from the height that one mesh has there to that of the other. `sight`: from `look` for the view.
     """
-    sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
     seen_differences = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
     return sight.errors(samples[0], samples[1], seen_differences)[0]  # of visible points
 
 
-def shading_change(
-    field: HeightField,
-    before: Surface,
-    after: Surface,
-    view: View,
-    placement: np.ndarray | None = None,
-    vertical_scale: float = 1.0,
-    vertical_offset: float = 0.0,
-    *,
-    threads: int | None = None,
-    sight: Sight | None = None,
-) -> Errors:
+def shading_change(before: Surface, after: Surface, sight: Sight) -> Errors:
     """Return by how much the shading of pixels changes where mesh `after` takes the place of `before`, in 255ths.
 
     The change at the point of the reference in each pixel is 255 times the distance between the two unit normals that
     the meshes have there; a point in a hole of either does not count. No light changes Lambert's shading of white
-    ground by more. `sight`: from `look` for the same view, None to compute it.
+    ground by more. `sight`: from `look` for the view.
     """
-    sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     points = sight.visible_points()
     results = [MeasuredMesh(sight.ground, surface).normals_at(points) for surface in (before, after)]
     (first, in_first), (second, in_second) = results

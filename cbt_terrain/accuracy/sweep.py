@@ -147,7 +147,7 @@ def _measure_setting(
         times = [run["cpu"] for run in timed]
         spreads.append((min(times), max(times)))
         if frame.after is not None and before is not None:
-            changes += _transitions(terrain, criterion, before, frame.after, threads, find_sight)
+            changes += _transitions(terrain, criterion, before, frame.after, find_sight)
     popped, shaded = (worst([change[i] for change in changes]) for i in range(2))
     triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
     ms = median_by_step(runs)
@@ -233,12 +233,7 @@ def _measure_fit(
 
 
 def _transitions(
-    terrain: Terrain,
-    criterion: Criterion,
-    before: Surface,
-    frame: TimedFrame,
-    threads: int | None,
-    find_sight: LookUp,
+    terrain: Terrain, criterion: Criterion, before: Surface, frame: TimedFrame, find_sight: LookUp
 ) -> list[list[Errors]]:
     """Return popping (pixels) and changes of shading (255ths) from one frame to the next: a list of both for each view.
 
@@ -249,10 +244,7 @@ def _transitions(
     errors_by_view = []
     for view in frame.views:
         sight = find_sight(terrain.field, view, frame)
-        inputs = terrain.field, before, after, view, *frame.placement_and_heights
-        errors_by_view.append(
-            [measured(*inputs, threads=threads, sight=sight) for measured in (popping, shading_change)]
-        )
+        errors_by_view.append([popping(before, after, sight), shading_change(before, after, sight)])
     return errors_by_view
 
 

@@ -74,7 +74,9 @@ def timed_runs(
     """
     field, lattice, scale = terrain.field, terrain.field.lattice, frame.vertical_scale
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
-    step = MOVE * diagonal * _world_scale(frame.placement)
+    # World metres of a metre along the terrain's x axis.
+    world_scale = 1.0 if frame.placement is None else length(np.asarray(frame.placement)[:3, 0])
+    step = MOVE * diagonal * world_scale
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
     updates: list[dict[str, float]] = []
     side, update, surface = 1, None, None
@@ -139,8 +141,3 @@ def _move_right(view: View, metres: float) -> View:
     matrix = view.world_to_camera.copy()
     matrix[0, 3] -= metres
     return dataclasses.replace(view, world_to_camera=matrix)
-
-
-def _world_scale(placement: np.ndarray | None) -> float:
-    """Return the world metres of a metre along the terrain's x axis; 1 without a placement."""
-    return 1.0 if placement is None else length(np.asarray(placement)[:3, 0])

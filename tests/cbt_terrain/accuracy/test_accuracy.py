@@ -223,10 +223,11 @@ def test_popping_is_how_far_points_jump():
     coarse, fine = mesh_of(field, 100.0), mesh_of(field, 0.1)
     # 45 degrees from above, 2 pixels a metre: 10 m of height are 10 sqrt(2) pixels
     view = View.look((0, -90, 90), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=80.0, resolution=(160, 160))
-    jump = popping(field, coarse, fine, view)
+    sight = look(field, view)
+    jump = popping(coarse, fine, sight)
     assert jump.max == pytest.approx(10 * 2**0.5, rel=0.01)
-    assert popping(field, fine, fine, view).max == 0.0
-    assert popping(field, fine, coarse, view) == jump
+    assert popping(fine, fine, sight).max == 0.0
+    assert popping(fine, coarse, sight) == jump
 
 
 def test_a_shading_change_is_the_distance_between_normals():
@@ -234,17 +235,18 @@ def test_a_shading_change_is_the_distance_between_normals():
     field = spiked()
     before = mesh_of(field, 100.0)
     view = View.look((0, -90, 90), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=80.0, resolution=(160, 160))
+    sight = look(field, view)
     level = before.copy()
     level.normals[:] = (0.0, 0.0, 1.0)
     turned = level.copy()
     turned.normals[:] = (1.0, 0.0, 0.0)
-    found = shading_change(field, level, turned, view)
+    found = shading_change(level, turned, sight)
     assert found.max == found.mean == pytest.approx(255 * 2**0.5) and found.count > 1000
     turned.normals[:] = level.normals
     turned.normals[turned.triangles[0]] = (0.6, 0.0, 0.8)
-    some = shading_change(field, level, turned, view)
-    assert some.mean < some.max <= 255 * 0.4**0.5 + 1e-3 and some == shading_change(field, turned, level, view)
-    assert shading_change(field, level, level, view).max == 0.0
+    some = shading_change(level, turned, sight)
+    assert some.mean < some.max <= 255 * 0.4**0.5 + 1e-3 and some == shading_change(turned, level, sight)
+    assert shading_change(level, level, sight).max == 0.0
 
 
 def test_a_distribution_is_that_of_numpy():

@@ -93,70 +93,67 @@ def read_camera_path(path: Path) -> CameraPath:
         raise TerrainError(f"The camera path {path} cannot be read ({shown(error)})", expected=EXPECTED) from None
     if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
         raise TerrainError(f"The camera path {path} has no keyframes", expected='{"keyframes": [{"frame": 1, ...}]}')
-    _check_names(path, "the file", data, TOP_KEYS)
-    clip = _clip(path, data)
-    sensor = _read_number(path, "the file", data, "sensor", 36.0)
+    file = f"In the camera path {path}, the file"
+    _check_names(file, data, TOP_KEYS)
+    clip = _clip(file, data)
+    sensor = _read_number(file, data, "sensor", 36.0)
     frames, values = [], []
     for number, keyframe in enumerate(data["keyframes"], 1):
-        where = f"keyframe {number}"
+        where = f"In the camera path {path}, keyframe {number}"
         if not isinstance(keyframe, dict):
-            raise _path_error(path, f"{where} is {keyframe!r}", "an object with frame, eye, target")
-        _check_names(path, where, keyframe, KEY_KEYS)
-        frames.append(_read_number(path, where, keyframe, "frame"))
-        eye, target = _read_numbers(path, where, keyframe, "eye", 3), _read_numbers(path, where, keyframe, "target", 3)
+            raise TerrainError(f"{where} is {keyframe!r}", expected="an object with frame, eye, target")
+        _check_names(where, keyframe, KEY_KEYS)
+        frames.append(_read_number(where, keyframe, "frame"))
+        eye, target = (_read_numbers(where, keyframe, name, 3) for name in ("eye", "target"))
         if eye == target:
-            raise _path_error(path, f"{where} has its eye at its target", "different points")
-        fov = _field_of_view(path, where, keyframe if {"fov", "lens"} & set(keyframe) else data, sensor)
+            raise TerrainError(f"{where} has its eye at its target", expected="different points")
+        fov = _field_of_view(where, keyframe if {"fov", "lens"} & set(keyframe) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in pairwise(frames)):
-        raise _path_error(path, f"the frames are {frames}", "each larger than the one before")
+        problem = f"In the camera path {path}, the frames are {frames}"
+        raise TerrainError(problem, expected="each larger than the one before")
     return CameraPath(np.array(frames), np.array(values), clip)
 
 
-def _path_error(path: Path, what: str, expected: str) -> TerrainError:
-    """Return the error that names a camera path's file. what: the fault. expected: clause about the right content."""
-    return TerrainError(f"In the camera path {path}, {what}", expected=expected)
-
-
-def _clip(path: Path, data: dict) -> tuple[float, float]:
+def _clip(where: str, data: dict) -> tuple[float, float]:
     """Return the clip range (start, end), metres; a start beyond the end is allowed and clips nothing.
 
-    Raises TerrainError for a range whose projection matrix would overflow.
+    Raises TerrainError for a range whose projection matrix would overflow. where: subject of errors, the file.
     """
-    start, end = _read_numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
+    start, end = _read_numbers(where, {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
-        raise _path_error(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
+        raise TerrainError(f"{where} has clip {[start, end]!r}", expected="two different distances (m)")
     return start, end
 
 
-def _field_of_view(path: Path, where: str, data: dict, sensor: float) -> float:
+def _field_of_view(where: str, data: dict, sensor: float) -> float:
     """Return the field of view in degrees: `fov`, else computed from `lens`, else 50. Raises TerrainError.
 
     where: subject of errors. data: JSON object. sensor: width in millimetres.
     """
     if "lens" in data and "fov" not in data:
-        lens = _read_number(path, where, data, "lens")
+        lens = _read_number(where, data, "lens")
         fov = math.degrees(2 * math.atan2(sensor / 2, lens))
     else:
-        fov = _read_number(path, where, data, "fov", 50.0)
+        fov = _read_number(where, data, "fov", 50.0)
     if not SMALLEST_FOV <= fov <= LARGEST_FOV:
         expected = f"between {SMALLEST_FOV:g} and {LARGEST_FOV:.9g}"
-        raise _path_error(path, f"{where} has a field of view of {fov:g} degrees", expected)
+        raise TerrainError(f"{where} has a field of view of {fov:g} degrees", expected=expected)
     return fov
 
 
-def _check_names(path: Path, where: str, data: dict, known: set[str]) -> None:
+def _check_names(where: str, data: dict, known: set[str]) -> None:
     """Raise TerrainError for a name in `data` that is not `known`. where: subject of the error, as a keyframe."""
     if unknown := sorted(set(data) - known):
-        raise _path_error(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
+        raise TerrainError(f"{where} has {unknown[0]!r}", expected=", ".join(sorted(known)))
 
 
-def _read_number(path: Path, where: str, data: dict, name: str, default: float | None = None) -> float:
+def _read_number(where: str, data: dict, name: str, default: float | None = None) -> float:
     """Return the number `name` of a JSON object, or its default. Raises TerrainError. where: subject of the error."""
-    return _read_numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
+    return _read_numbers(where, {name: [data.get(name, default)]}, name, 1)[0]
 
 
-def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
+def _read_numbers(where: str, data: dict, name: str, count: int) -> list[float]:
     """Return the list of `count` finite numbers that `data` has as `name`. Raises TerrainError with file and keyframe.
 
     A single number comes as a list of one, from `_read_number`. where: subject of the error, as a keyframe.
@@ -166,5 +163,5 @@ def _read_numbers(path: Path, where: str, data: dict, name: str, count: int) -> 
     if not is_list or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         wrong = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise _path_error(path, f"{where} has {name} {wrong!r}", expected)
+        raise TerrainError(f"{where} has {name} {wrong!r}", expected=expected)
     return [float(v) for v in value]

@@ -22,10 +22,7 @@ COMMENT = "comments"
 
 
 class ExrFile:
-    """A file of `side` x `side` texels, or `side` x `lines`, written from the top.
-
-    `depth`: 16 for half floats, 32 for floats. `text`, `pool`: see PngFile.
-    """
+    """A file of half floats or floats that is written from the top."""
 
     def __init__(
         self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0

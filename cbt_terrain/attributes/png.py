@@ -21,10 +21,7 @@ END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 
 
 class PngFile:
-    """A file of `side` x `side` texels, or `side` x `lines`, with channels of `depth` bits, written from the top.
-
-    `text`: a comment in the file. `pool`: compresses bands while the next ones are computed.
-    """
+    """A file of whole numbers that is written from the top."""
 
     def __init__(
         self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0
@@ -32,7 +29,7 @@ class PngFile:
         """Create the file with its header.
 
         `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 8 or 16. `text`: comment
-        in the header. `pool` compresses blocks.
+        in the header. `pool` compresses bands while the next ones are computed.
         """
         self._waiting: list[Future] = []
         self._pool, lines = pool, lines or side

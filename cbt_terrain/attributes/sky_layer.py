@@ -90,7 +90,11 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, horizons, sums))
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
             done = state["azimuths"] + 1
-            state |= {"sky": _save(field, scale, sums) if done == AZIMUTHS else sums, "azimuths": done}
+            if done == AZIMUTHS:
+                file = result_file(LAYER, VERSION, (scale,))
+                sums = write_result(field, file, sums)  # mapped if it is in the store
+                remove_old(field, f"effect_{LAYER}_*.npy", file, MAX_SCALES)
+            state |= {"sky": sums, "azimuths": done}
         return state
 
 
@@ -113,17 +117,6 @@ def _load_from_store(field: HeightField, scale: float) -> None:
     sky = read_stored(field, result_file(LAYER, VERSION, (scale,)), shape)
     if sky is not None:
         _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
-
-
-def _save(field: HeightField, scale: float, sky: np.ndarray) -> np.ndarray:
-    """Write the complete sky of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain.
-
-    Return it, mapped if it is in the store.
-    """
-    file = result_file(LAYER, VERSION, (scale,))
-    sky = write_result(field, file, sky)
-    remove_old(field, f"effect_{LAYER}_*.npy", file, MAX_SCALES)
-    return sky
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:

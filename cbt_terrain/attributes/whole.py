@@ -46,7 +46,8 @@ def whole(
         if samples is None:
             samples = write_result(field, file, make())
         _results[key] = HeightRaster(samples, lattice, key)
-        while len(_results) > 1 and sum(int(_bytes_with_pyramid(values)) for values in _results.values()) > MAX_BYTES:
+        # The pyramid of a result is a third of it.
+        while len(_results) > 1 and sum(int(r.samples.nbytes * 4 // 3) for r in _results.values()) > MAX_BYTES:
             _results.popitem(last=False)
         return _results[key]
 
@@ -64,11 +65,6 @@ def forget_results() -> None:
     """Clear the results in memory, for tests and benchmarks."""
     with caching:
         _results.clear()
-
-
-def _bytes_with_pyramid(result: HeightRaster) -> int:
-    """Return the bytes of a result and its pyramid, which is a third of it."""
-    return result.samples.nbytes * 4 // 3
 
 
 def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
@@ -89,14 +85,14 @@ def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarra
 
     Without a store, or if it cannot be written, a copy in memory is returned.
     """
-    # `_never` declares an older result invalid, so that it is replaced.
     shapes = {file: (values.shape, np.float32)}
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
         """Copy the values into the file's array."""
         np.copyto(arrays[file], values)
 
-    return derived_arrays.derive_cached(field.raster, shapes, fill, is_valid=_never)[file]
+    # No older result is valid, so that it is replaced.
+    return derived_arrays.derive_cached(field.raster, shapes, fill, is_valid=lambda _arrays: False)[file]
 
 
 def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) -> None:
@@ -111,8 +107,3 @@ def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) ->
         others = [f for f in folder.glob(pattern) if f.stem != newest]
         for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: max(0, len(others) + 1 - max_files)]:
             owned_files.remove_file(old)
-
-
-def _never(_arrays: dict[str, np.ndarray]) -> bool:
-    """Return False, so that a cached result is computed again."""
-    return False

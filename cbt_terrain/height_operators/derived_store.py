@@ -269,8 +269,7 @@ def build_preview(land: Land, open_field: OpenField) -> Preview:
     built = _previews.pop(land.folder, None)
     if built is None:
         counts["previews"] += 1
-        files = {e.mask.image for e in land.stack.active if e.mask is not None and e.mask.image}
-        images: dict[str, np.ndarray] = {file: read_mask(file)[::-1] for file in files}  # row 0 south
+        images: dict[str, np.ndarray] = {file: read_mask(file)[::-1] for file in land.stack.mask_images}  # row 0 south
         built = preview(open_field(land.source), land.stack, images, launch.default_threads())
     _previews[land.folder] = built
     while len(_previews) > MAX_PREVIEWS:

@@ -102,13 +102,15 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape
     rain.first_row, rain.first_column = ground.first
-    rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _num_steps(values, stride)
+    rain.step_x, rain.step_y, rain.stride = ground.step_x, ground.step_y, stride
+    rain.steps = max(1, int(values["reach"] / stride))  # the largest number of a droplet
     rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
+    # More than twice as far as a droplet with its last brush can reach, in samples.
     rain.rows, rain.columns = (
-        _tile_side(rain.steps * stride / step, brush)
+        math.ceil(2.0 * (rain.steps * stride / step + brush + 3.0))
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
     )
-    rain.across = -(-_whole_shape(ground)[1] // rain.columns)
+    rain.across = -(-ground.whole_shape[1] // rain.columns)
     per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
     simulated = min(per_sample, MAX_PER_SAMPLE)
     rain.drops = round(simulated * rain.rows * rain.columns)
@@ -122,25 +124,6 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     return rain
 
 
-def _whole_shape(ground: OperatorGround) -> tuple[int, int]:
-    """Return rows and columns of the whole level, of which the ground may be a tile."""
-    rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
-    return int(rows), int(columns)
-
-
-def _num_steps(values: Mapping[str, float], stride: float) -> int:
-    """Return the largest number of steps that a droplet takes. stride: metres of a step."""
-    return max(1, int(values["reach"] / stride))
-
-
-def _tile_side(reach: float, brush: int) -> int:
-    """Return the samples along a tile's side: more than twice as far as a droplet with its last brush can reach.
-
-    reach: of a droplet, in samples. brush: radius of the brush with which it deposits, in samples.
-    """
-    return math.ceil(2.0 * (reach + brush + 3.0))
-
-
 def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarray]:
     """Return for each colour the tiles that can affect the target window, as numbers in the whole level, int32.
 
@@ -149,7 +132,7 @@ def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarr
     rows_and_columns, within_reach = [], []
     target = ground.target or [slice(0, n) for n in ground.heights.shape]
     for first, count, whole, side, window in zip(
-        ground.first, ground.heights.shape, _whole_shape(ground), (rain.rows, rain.columns), target, strict=True
+        ground.first, ground.heights.shape, ground.whole_shape, (rain.rows, rain.columns), target, strict=True
     ):
         last = min(first + count, whole) - 1
         tiles_along = np.arange(first // side, last // side + 1)

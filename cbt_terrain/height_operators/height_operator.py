@@ -68,6 +68,12 @@ class OperatorGround:
     size: tuple[float, float] | None = None
 
     @property
+    def whole_shape(self) -> tuple[int, int]:
+        """Return rows and columns of the whole level, of which the ground may be a tile."""
+        rows, columns = np.maximum(self.whole, np.add(self.first, self.heights.shape))
+        return int(rows), int(columns)
+
+    @property
     def rims(self) -> tuple[bool, bool, bool, bool]:
         """Return whether the south, north, west and east side is the raster's border and not the cut of a tile."""
         (row, column), (rows, columns), shape = self.first, self.whole, self.heights.shape

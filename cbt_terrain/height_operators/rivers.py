@@ -10,7 +10,7 @@ import numpy as np
 from ..attributes.attribute import Parameter
 from .cliffs import limit_at_cliffs
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
-from .levels import COARSEST, apply_by_levels
+from .levels import COARSEST
 from .river_borders import LAKE, LOAD, border_motion, set_boundary, sides
 
 if TYPE_CHECKING:
@@ -183,8 +183,7 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
 def _fade(ground: OperatorGround) -> np.ndarray:
     """Return a smooth factor from 0 at the border of the whole to 1 at FADE, float32 [rows, columns]."""
     spacings = ground.step_y, ground.step_x
-    whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))  # `whole` may be (0, 0)
-    sizes = ground.size or tuple((whole - 1) * spacings)
+    sizes = ground.size or [(n - 1) * step for n, step in zip(ground.whole_shape, spacings, strict=True)]
     fade_width = FADE * min(sizes)
 
     def fade_along(first: int, count: int, spacing: float, size: float) -> np.ndarray:
@@ -233,22 +232,6 @@ def _restore_cliffs(
     heights = np.where(bed.fixed | (bed.weight == 0.0), bed.heights, heights)
     bed.sediment = bed.sediment + np.maximum(heights - bed.heights, np.float32(0.0))  # fills the trench
     bed.heights = heights
-
-
-def grow(
-    start: np.ndarray, uplift: np.ndarray, step_m: float, seed: int = 0, threads: int = 1, **parameters: float
-) -> Change:
-    """Grow a range out of `start` by uplift and rivers.
-
-    start: float32 [rows, columns] m, samples `step_m` apart; ground up to `sea` does not change. uplift: float32 of the
-    same shape, m/year, of the order of 5e-4. parameters: those of rivers except `rise`; by default 3 million years at
-    an erodibility of 1e-5 / year, which leaves the range about steady.
-    """
-    rise = float(uplift.max())
-    values = RIVERS.defaults() | {"years": 3e6, "erodibility": 1e-5, "rise": rise} | parameters
-    layers = {"uplift": (uplift / np.float32(rise or 1.0)).astype(np.float32)}
-    ground = OperatorGround(np.asarray(start, np.float32), step_m, step_m, layers=layers, seed=seed, threads=threads)
-    return apply_by_levels(RIVERS, ground, values)
 
 
 def example(evaluate: Evaluate) -> None:

@@ -177,34 +177,22 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
 
     state: of that level, None if no level was computed. early: whether shaping was finished before the finest level.
     """
-    levels, raster_shape = shaping.plan.levels, (shaping.heights.lattice.height, shaping.heights.lattice.width)
-    depths, counts = shaping.depths, [level.tile_count for level in levels]
-    if state is None:
-        zeros = np.zeros(raster_shape, np.float32)
-        return Shaped(
-            zeros,
-            layers={},
-            depths=depths,
-            level=0,
-            tiles=shaping.tiles,
-            tile_counts=counts,
-            added=shaping.added,
-            left_out_m=(0.0, 0.0),
-            finished_early=early,
-        )
-    left_max, left_mean_square = _left_out(shaping, state)
-    # After an early finish the change is interpolated at once, without spikes at cliffs. If a coarse level was
-    # requested as the finest, the change is interpolated level by level, as layers always are.
-    total, layers = _change_of_raster(shaping, state) if early else state.total, state.layers
-    for level in reversed(levels[: state.level.number]):
-        total = total if early else finer(total, level.shape)
-        layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
-    if state.level.number and shaping.heights.valid is not None:
-        missing = shaping.heights.valid == 0
-        total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
-    left_out = float(np.sqrt(left_mean_square)), float(left_max)
-    total, finest = np.ascontiguousarray(total), state.level.number
-    return Shaped(total, layers, depths, finest, shaping.tiles, counts, shaping.added, left_out, early)
+    levels, lattice = shaping.plan.levels, shaping.heights.lattice
+    total, layers = np.zeros((lattice.height, lattice.width), np.float32), {}
+    finest, left_out = 0, (0.0, 0.0)
+    if state is not None:
+        finest, left_out = state.level.number, _left_out(shaping, state)
+        # After an early finish the change is interpolated at once, without spikes at cliffs. If a coarse level was
+        # requested as the finest, the change is interpolated level by level, as layers always are.
+        total, layers = _change_of_raster(shaping, state) if early else state.total, state.layers
+        for level in reversed(levels[:finest]):
+            total = total if early else finer(total, level.shape)
+            layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
+        if finest and shaping.heights.valid is not None:
+            missing = shaping.heights.valid == 0
+            total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
+    total, counts = np.ascontiguousarray(total), [level.tile_count for level in levels]
+    return Shaped(total, layers, shaping.depths, finest, shaping.tiles, counts, shaping.added, left_out, early)
 
 
 def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
@@ -223,16 +211,12 @@ def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
 
 
 def _left_out(shaping: Shaping, state: LevelState) -> tuple[float, float]:
-    """Return the largest change, metres, and the mean square change of tiles without finer levels; (0, 0) for none.
+    """Return the root mean square and the largest change of tiles without finer levels, metres; (0, 0) for none.
 
     If the last computed level is coarser than the raster, these are all its tiles. Else they are the raster's tiles
     that were not computed, with the changes of the coarser level.
     """
-    if state.level.number:
-        return state.max_change.max(), state.mean_square.mean()
-    not_computed = (
-        sorted(set(range(state.level.tile_count)) - set(shaping.tiles[0])) if not state.level.is_whole else []
-    )
-    return (
-        (state.max_change[not_computed].max(), state.mean_square[not_computed].mean()) if not_computed else (0.0, 0.0)
-    )
+    tiles = sorted(set(range(state.level.tile_count)) - set(() if state.level.number else shaping.tiles[0]))
+    if not tiles:
+        return 0.0, 0.0
+    return float(np.sqrt(state.mean_square[tiles].mean())), float(state.max_change[tiles].max())

@@ -82,7 +82,7 @@ def run_shape(
     with open_draft(path, folder, heights.lattice, room, ROOM_ELSEWHERE) as draft:
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
-        images = {file: load_image(file, tiles) for file in mask_files(stack)}
+        images = {file: load_image(file, tiles) for file in sorted(stack.mask_images)}
         shaped = shape(
             heights,
             stack,
@@ -143,11 +143,6 @@ def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> s
         tiles = [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
     content = METHOD, RECORD, store.VERSION, heights.raster.digest, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
-
-
-def mask_files(stack: Stack) -> list[str]:
-    """Return the image files of the stack's masks, sorted."""
-    return sorted({entry.mask.image for entry in stack.active if entry.mask is not None and entry.mask.image})
 
 
 def layer_units(heights: HeightField, stack: Stack) -> dict[str, str]:

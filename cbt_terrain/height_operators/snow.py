@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,18 +138,15 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
         """Return samples at the next coarser level, aligned with the whole level's samples."""
         return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
-    coarse = OperatorGround(
+    coarse = replace(  # with what `_snowfall` reads
+        ground,
         heights=halve_samples(ground.heights),
         step_x=2 * ground.step_x,
         step_y=2 * ground.step_y,
         first=(ground.first[0] // 2, ground.first[1] // 2),
-        whole=ground.whole,  # of this level; `_snowfall` does not read it
-        level=ground.level + 1,
         missing=None if ground.missing is None else halve_samples(ground.missing),
         mask=None if ground.mask is None else halve_samples(ground.mask),
         layers={name: halve_samples(a) for name, a in ground.layers.items() if name == "water_depth"},
-        seed=ground.seed,
-        threads=ground.threads,
     )
     shape = tuple(n + o for n, o in zip(ground.heights.shape, odd, strict=True))
     snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(coarse, values))
@@ -231,11 +229,6 @@ def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping
             high -= flux
 
 
-def _margin(_values: Mapping[str, float], step: float) -> float:
-    """Return the metres around a tile on which its snow depends. step: metres between samples."""
-    return max(HORIZON, REACH * SWEEPS * step)
-
-
 def example(evaluate: Evaluate) -> None:
     """Assert the depth on planes far above and below the line, and that slides conserve mass."""
     for height, depth in ((3000.0, 2.0), (0.0, 0.0)):
@@ -269,7 +262,7 @@ SNOW = HeightOperator(
         LandLayer("slides", "m", "Snow that slides have brought; where negative, taken", signed=True),
     ),
     reads=("water_depth",),
-    halo=_margin,
+    halo=lambda _values, step: max(HORIZON, REACH * SWEEPS * step),
     masks=True,
     limit="none: two neighbours at a time come to rest",
     conserves="slides keep the snow, to 2e-8",

@@ -101,6 +101,11 @@ class Stack:
         """Return the entries that are switched on and whose mask is not 0 everywhere."""
         return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
 
+    @property
+    def mask_images(self) -> set[str]:
+        """Return the image files of the active entries' masks."""
+        return {e.mask.image for e in self.active if e.mask is not None and e.mask.image}
+
     def check(self, where: str = "The stack") -> None:
         """Raise TerrainError for an invalid entry. where: subject of the error."""
         if len(self.entries) > MAX_ENTRIES:

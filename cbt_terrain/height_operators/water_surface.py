@@ -134,10 +134,10 @@ def water_surface(
     surface = Surface(positions, vertex_numbers[corners], line_numbers[sides], vertex_numbers[ends], attributes)
     depths = signed_depth.ravel()[used]
     surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)  # keeps the side of positive depths
-    replaced = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
+    replaced = {NORMALS: Attribute(_normals(surface), POINT)}
     for name in ("water_depth", "water_speed"):
-        replaced[name] = Attribute(np.maximum(replaced[name].array, 0.0), POINT, replaced[name].unit)
-    replaced[NORMALS] = Attribute(_normals(surface), POINT)
+        attribute = surface.attributes[name]
+        replaced[name] = replace(attribute, array=np.maximum(attribute.array, 0.0))
     return surface.with_attributes(replaced)
 
 

@@ -11,8 +11,8 @@ from adaptive_terrain.cbt_terrain.height_operators import fluvial
 from adaptive_terrain.cbt_terrain.height_operators.fluvial import step
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels, coarser, finer
-from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS, grow
-from river_grounds import aged, bed_of, rough
+from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
+from river_grounds import aged, bed_of, grow, rough
 
 LAYERS = ("sediment", "wear", "flow")
 

@@ -28,3 +28,11 @@ def aged(h, spacing, **given):
         h, spacing, spacing, **{k: given.pop(k) for k in ("mask", "missing", "seed", "threads") if k in given}
     )
     return apply_by_levels(RIVERS, ground, RIVERS.defaults() | given)
+
+
+def grow(start, uplift, spacing, threads=1, **given):
+    """Return the change of a range that grows out of `start` by uplift, metres a year, in 3 million years."""
+    values = {"years": 3e6, "erodibility": 1e-5, "rise": float(uplift.max())} | given
+    layers = {"uplift": (uplift / np.float32(values["rise"])).astype(np.float32)}
+    ground = OperatorGround(start, spacing, spacing, layers=layers, threads=threads)
+    return apply_by_levels(RIVERS, ground, RIVERS.defaults() | values)

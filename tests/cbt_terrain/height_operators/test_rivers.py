@@ -9,8 +9,8 @@ from adaptive_terrain.cbt_terrain.height_operators import fluvial
 from adaptive_terrain.cbt_terrain.height_operators.fluvial import step
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
-from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS, grow
-from river_grounds import aged, bed_of, rough
+from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
+from river_grounds import aged, bed_of, grow, rough
 
 PLAIN = {"hillslope": 0.0, "creep": 0.0, "variety": 0.0, "deposition": 0.0, "steepest": 89.9, "sea": -9000.0}
 LAYERS = ("sediment", "wear", "flow")

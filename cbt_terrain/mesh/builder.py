@@ -10,7 +10,7 @@ from ...kernels.field.domain import Domain
 from ...kernels.mesh import meshlet as meshlet_kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..history.frame import Leaves, Vertices
+from ..history.frame import Vertices
 from ..history.frame_history import DISPLACED, FrameHistory
 from ..run import launch
 from ..run.buffers import Buffers, bind
@@ -61,7 +61,9 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     _check_memory(triangles * 4**meshlet)
     weld(field, domain, history, level_in=arrays if tables else scratch)
     # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
-    point, parts = arrays.get("point", 0, wp.vec2i), _point_slices(leaves)  # 0: as large as the walk has made it
+    point = arrays.get("point", 0, wp.vec2i)  # 0: as large as the walk has made it
+    # The first entry and the number of the points of each slice.
+    parts = [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
     prefix, built = "leaf_", Vertices(domain, geomorph is not None)
     if tables:
         built.leaves, built.first_inner = triangles, vertices + edges * (tables.segments - 1)
@@ -101,11 +103,6 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
         built.swapped = [items for items in swapped if items.size]
     history.next.vertices = built
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})
-
-
-def _point_slices(leaves: Leaves) -> list[tuple[int, int]]:
-    """Return the first entry and the number of the points of each slice of leaves."""
-    return [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
 
 
 def _expand(

@@ -27,6 +27,7 @@ FEW = 64  # points of a square that is not divided
 EVEN = 1.5  # largest ratio of the densities of a square that is not divided
 MAX_CANDIDATES = 1 << 26  # 3.4 GB
 MAX_DIVIDED = MAX_CANDIDATES // (4 * FEW)  # squares of one size; each has more points than FEW
+QUARTERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.int32)  # of a square, column and row
 # The fields of `Squares` without a square, so that there is something to concatenate.
 NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int64), np.empty(0, bool)
 
@@ -98,18 +99,12 @@ def squares_in_view(
             final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))  # the last: clear
         if divided.sum() > MAX_DIVIDED:
             raise too_many_error(f"more than {MAX_CANDIDATES:,}")
-        numbers = _quarter(numbers[divided])
+        numbers = (2 * numbers[divided][:, None] + QUARTERS).reshape(-1, 2)
         halvings += 1
     squares = Squares(*map(np.concatenate, zip(NOTHING, *final_squares, strict=True)))
     if squares.count.sum() > MAX_CANDIDATES:
         raise too_many_error(f"more than {MAX_CANDIDATES:,}")
     return squares
-
-
-def _quarter(numbers: np.ndarray) -> np.ndarray:
-    """Return the quarters of squares, int32 [4 n, 2]. numbers: column and row of each square, int32 [n, 2]."""
-    quarters = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.int32)
-    return (2 * numbers[:, None] + quarters).reshape(-1, 2)
 
 
 def _pack_squares(field: HeightField, west: float, south: float, side: float) -> kernels.ScatterSquares:

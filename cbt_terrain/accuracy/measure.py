@@ -80,7 +80,14 @@ def measure(
     if view is None:
         sight = None
     else:
-        sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
+        own_sight = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
+        if sight is not None and sight.key != own_sight.key:
+            raise TerrainError(
+                "The sight is of another view or terrain",
+                expected="that of the mesh",
+                fix="make it by `look` with the same arguments",
+            )
+        sight = sight or own_sight
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()  # at samples; largest of each triangle
@@ -188,17 +195,6 @@ def shading_change(before: Surface, after: Surface, sight: Sight) -> Errors:
     (first, in_first), (second, in_second) = results
     change = 255.0 * lengths((first - second).T)
     return errors_of(change[(in_first >= 0) & (in_second >= 0)])
-
-
-def _checked_sight(sight: Sight | None, looked: Sight) -> Sight:
-    """Return the given sight, `looked` if there is none. Raises TerrainError for one of another view or terrain."""
-    if sight is not None and sight.key != looked.key:
-        raise TerrainError(
-            "The sight is of another view or terrain",
-            expected="that of the mesh",
-            fix="make it by `look` with the same arguments",
-        )
-    return sight or looked
 
 
 def _part_of_progress(on_progress: Progress, start: float, end: float) -> Progress:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh against the reference surface in metres: at every sample, along every edge, at any points."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +22,7 @@ from ..view.linear import add_up, lengths
 
 POINT_BITS = int(point_kernels.POINT_BITS)
 ROWS = 256  # rows of samples that are looked at together
+BLOCK = 1 << 20  # values that are squared together, so that temporary arrays stay small
 
 Progress = Callable[[float], None]
 
@@ -62,14 +63,10 @@ def errors_of(values: np.ndarray) -> Errors:
     highest = np.sort(values[p95_index:])
     p999_index = -(-values.size * 999 // 1000) - 1 - p95_index  # among the highest
     mean = float(np.sum(values, dtype=np.float64)) / values.size
-    squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks_of(values))
+    blocks = (values[first : first + BLOCK] for first in range(0, values.size, BLOCK))
+    squares = add_up(float(np.sum(np.square(block, dtype=np.float64))) for block in blocks)
     quantiles = float(highest[-1]), float(highest[0]), float(highest[p999_index])
     return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
-
-
-def _blocks_of(values: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield parts of a flat array of at most 2^20 values, so that temporary arrays stay small."""
-    return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
 
 
 def _ground_in(valid: np.ndarray, rows: slice) -> np.ndarray:

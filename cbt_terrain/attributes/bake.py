@@ -278,21 +278,14 @@ def _encode_band(values: np.ndarray, image: _Image) -> np.ndarray:
     coding, kind = image.coding, "f4"
     if coding.form == PNG:
         limit, kind = (255, "u1") if coding.depth == 8 else (65535, ">u2")
-        values = _srgb(values) if coding.srgb else values
+        if coding.srgb:  # by a table, since the last bits of numpy's powers differ by processor
+            values = np.interp(values, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
         steps = (values - np.float32(coding.low)) * np.float32(limit / (coding.high - coding.low))
         values = (np.clip(steps, 0, limit) + np.float32(0.5)).astype(np.uint16)
     out = np.zeros((len(values), coding.channels), kind)
     out[:, : values.size // len(values)] = values.reshape(len(values), -1)  # one row for each texel
     rows = out.reshape(-1, image.side, coding.channels)
     return rows.view(np.uint8).reshape(len(rows), -1) if coding.form == PNG else rows
-
-
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    """Apply the sRGB curve by a table, since the last bits of numpy's powers differ by processor.
-
-    linear: values 0 to 1.
-    """
-    return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
 
 
 def _index(ground: _MapGround, images: list[_Image], before: dict | None) -> dict:

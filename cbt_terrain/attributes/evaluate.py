@@ -183,7 +183,8 @@ def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dic
     values: dict[str, np.ndarray] = {}
     while steps:
         make = ATTRIBUTES[steps[0].name].make
-        group = [step for step in steps if ATTRIBUTES[step.name].make is make and _attributes_read(step) <= {*values}]
+        ready = [step for step in steps if {*ATTRIBUTES[step.name].reads_with(step.parameters)} <= {*values}]
+        group = [step for step in ready if ATTRIBUTES[step.name].make is make]
         values |= _compute_group(group, places, values)
         steps = [step for step in steps if step not in group]
     return values
@@ -215,11 +216,6 @@ def on_samples(
         levels = np.full(z.size, level, np.float32)
         places = SamplePoints(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
         yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
-
-
-def _attributes_read(step: AttributeRequest) -> set[str]:
-    """Return the names of the attributes that a step reads."""
-    return set(ATTRIBUTES[step.name].reads_with(step.parameters))
 
 
 def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:

@@ -51,8 +51,9 @@ def export_raster(
     for name in names or ():
         if name not in known:
             raise TerrainError(f"The store {store} has no layer {name!r}", expected=f"some of {', '.join(known)}")
-    files = {name: _file_of(file, name) for name in names or known}
+    files = {name: file.with_name(f"{file.stem}_{name}{file.suffix}") for name in names or known}
     if HEIGHTS in files:
+        files[HEIGHTS] = file
         field.raster.check_samples()
     WRITERS[file.suffix.lower()](field, Path(store), files, on_progress, step)
     return list(files.values())
@@ -70,11 +71,6 @@ def check_export(file: str | os.PathLike) -> Path:
     if is_device(file):
         raise TerrainError(f"{file} is a device or a pipe", expected="a file", fix="choose another name")
     return file
-
-
-def _file_of(file: Path, name: str) -> Path:
-    """Return the file of the heights or of a layer, from the file that the user named."""
-    return file if name == HEIGHTS else file.with_name(f"{file.stem}_{name}{file.suffix}")
 
 
 def _strips(rows: ExportedRows, number: int, count: int, on_progress: OnProgress) -> Iterator[np.ndarray]:

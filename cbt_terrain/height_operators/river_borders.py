@@ -128,7 +128,9 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
         return
     coarse = _coarse_samples(bed, ground, coarser)
     cell_weight, load, comes_in = _inflow(coarse, bed.shape)
-    ring = _ring(coarse, ground, comes_in)  # the outermost coarse samples with known receivers
+    # The outermost coarse samples with known receivers, shut where water that is in no lake would enter the tile.
+    at, cut = _around(coarse.to.shape, ground.rims, inset=1)
+    ring = _Ring(at, cut, (comes_in & ~coarse.wet)[at] & cut, coarse.flow[at])
     # Water of a lake on the ring leaves only at its sample with the largest area, and not there if it comes in there.
     for lake in _lakes(coarse, ring):
         largest = lake[np.argmax(ring.flow[lake])]
@@ -250,15 +252,6 @@ def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
         if near.max() > coarse.flow[j, i]:
             y[j, i], x[j, i] = np.array(np.unravel_index(near.argmax(), near.shape)) + (j - 1, i - 1)
     return y, x
-
-
-def _ring(coarse: _Coarse, ground: OperatorGround, comes_in: np.ndarray) -> _Ring:
-    """Return the ring of border samples, shut where water would flow into the tile from samples without a lake.
-
-    comes_in: bool [rows, columns], whether the coarser sample's water, followed downstream, enters the tile.
-    """
-    at, cut = _around(coarse.to.shape, ground.rims, inset=1)
-    return _Ring(at, cut, (comes_in & ~coarse.wet)[at] & cut, coarse.flow[at])
 
 
 def _entries(coarse: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -94,12 +94,9 @@ def run_shape(
             finish=finish,
         )
         built = SHAPING + (1.0 - SHAPING) * raster_part(heights)  # progress when only finer tiles are left
-
-        def on_build(fraction: float) -> None:
-            """Report the progress of measuring the raster's errors."""
-            on_progress(SHAPING + (built - SHAPING) * fraction, BUILDING)
-
-        field = _build(heights, shaped, draft, threads, on_build)
+        field = _build(
+            heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (built - SHAPING) * f, BUILDING)
+        )
         field = with_shaped_tiles(
             field, heights, threads, draft.allocate, lambda f: on_progress(built + (1.0 - built) * f, FINER), cache
         )

@@ -10,7 +10,6 @@ from ...kernels.mesh import weld as weld_kernels
 from ...kernels.mesh import weld_state
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..history.frame import Leaves
 from ..history.frame_history import FrameHistory
 from ..run import launch
 from ..run.buffers import Buffers, bind
@@ -45,7 +44,10 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     w.columns, w.rows = domain.columns, domain.rows
     bind(
         w,
-        **_slice_tables(leaves, scratch),
+        counts=scratch.table("slice_counts", leaves.counts, wp.int64),
+        leaf_base=scratch.table("slice_base", leaves.base, wp.int64),
+        squares=scratch.table("slice_squares", leaves.squares, wp.int32),
+        before=scratch.table("slice_before", leaves.before, wp.int32),
         side_base=side_base,
         code=arrays.get("code", 0, wp.uint16),  # as large as the walk has made it
         side=scratch.get("side", sides, wp.vec2i),
@@ -83,16 +85,6 @@ def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level
         "corner_edges": buffers.get(prefix + "corner_edges", 3 * triangles, wp.int32),
         "edges": buffers.get(prefix + "edges", edges, wp.vec2i),
         "level": level_in.get(prefix + "level", triangles, wp.int32),
-    }
-
-
-def _slice_tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
-    """Return the numbers and offsets of the slices of leaves as arrays for kernels, by name."""
-    return {
-        "counts": scratch.table("slice_counts", leaves.counts, wp.int64),
-        "leaf_base": scratch.table("slice_base", leaves.base, wp.int64),
-        "squares": scratch.table("slice_squares", leaves.squares, wp.int32),
-        "before": scratch.table("slice_before", leaves.before, wp.int32),
     }
 
 

@@ -10,7 +10,7 @@ from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
 from .linear import length, lengths, min_stretch, product, round_last_bits, solve
 from .spans import secant_of, slant_rows, slants_of
-from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from .view import KINDS, ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # Factor by which a terrain that is wholly out of view may be coarser: its smallest mesh is enough.
 OUT_OF_VIEW = 1e90
@@ -76,7 +76,7 @@ def localise(
         "planes": np.concatenate([planes, np.zeros((MAX_PLANES - len(planes), 4))]),
     }
     local = LocalView()
-    local.kind, local.plane_count = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(view.kind), len(planes)
+    local.kind, local.plane_count = KINDS.index(view.kind), len(planes)
     for name, value in numbers.items():
         if not np.isfinite(value).all():
             raise TerrainError(

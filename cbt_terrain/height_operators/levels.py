@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Transfers between levels, and the application of one operator over all levels."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -71,7 +71,7 @@ def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: 
     (rows, columns), change = ground.heights.shape, None
     ground = replace(ground, whole=(rows, columns))
     if max(rows, columns) > COARSEST:
-        change = interpolate_change(_apply_without_mask(effect, _coarser_ground(ground), values), (rows, columns))
+        change = interpolate_change(_apply_without_mask(effect, coarser_ground(ground), values), (rows, columns))
     if change is not None and effect.finest and max(rows, columns) > effect.finest:
         return change  # finer levels only interpolate
     return effect.apply(ground, values, change)
@@ -90,18 +90,18 @@ def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) 
     return Change(change.heights * mask, layers, change.state)
 
 
-def _coarser_ground(ground: OperatorGround) -> OperatorGround:
-    """Return a whole level's ground at every second sample, as an operator reads it at the next coarser level.
+def coarser_ground(ground: OperatorGround, halve: Callable[[np.ndarray], np.ndarray] = coarser) -> OperatorGround:
+    """Return a level's ground at every second sample, as an operator reads it at the next coarser level.
 
-    The caller sets `whole`.
+    The caller sets `whole` and `first`. halve: returns every second one of an array's samples.
     """
     return replace(
         ground,
         step_x=2 * ground.step_x,
         step_y=2 * ground.step_y,
         level=ground.level + 1,
-        heights=coarser(ground.heights),
-        missing=None if ground.missing is None else coarser(ground.missing),
-        mask=None if ground.mask is None else coarser(ground.mask),
-        layers={name: coarser(layer) for name, layer in ground.layers.items()},
+        heights=halve(ground.heights),
+        missing=None if ground.missing is None else halve(ground.missing),
+        mask=None if ground.mask is None else halve(ground.mask),
+        layers={name: halve(layer) for name, layer in ground.layers.items()},
     )

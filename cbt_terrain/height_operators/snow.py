@@ -16,7 +16,7 @@ from ..view.linear import length
 from .balance import balance_mass
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 from .levels import coarser as halved
-from .levels import finer
+from .levels import coarser_ground, finer
 
 if TYPE_CHECKING:
     from ...kernels.land import snow as kernels
@@ -138,16 +138,8 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
         """Return samples at the next coarser level, aligned with the whole level's samples."""
         return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
-    coarse = replace(  # with what `_snowfall` reads
-        ground,
-        heights=halve_samples(ground.heights),
-        step_x=2 * ground.step_x,
-        step_y=2 * ground.step_y,
-        first=(ground.first[0] // 2, ground.first[1] // 2),
-        missing=None if ground.missing is None else halve_samples(ground.missing),
-        mask=None if ground.mask is None else halve_samples(ground.mask),
-        layers={name: halve_samples(a) for name, a in ground.layers.items() if name == "water_depth"},
-    )
+    # `whole` stays that of this level: `_snowfall` does not read it.
+    coarse = replace(coarser_ground(ground, halve_samples), first=(ground.first[0] // 2, ground.first[1] // 2))
     shape = tuple(n + o for n, o in zip(ground.heights.shape, odd, strict=True))
     snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(coarse, values))
     return snowfall, clinging

@@ -4,6 +4,12 @@
 import bpy
 
 
+def marked_group_node(material, mark: str):
+    """Return the first group node of a material whose tree has the property `mark`; None without one, and for None."""
+    nodes = material.node_tree.nodes if material is not None and material.node_tree else ()
+    return next((node for node in nodes if node.type == "GROUP" and node.node_tree and mark in node.node_tree), None)
+
+
 class Nodes:
     """Methods that add a node to the tree and return its output (`add`: the node), and one that arranges all nodes."""
 

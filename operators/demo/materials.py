@@ -156,9 +156,9 @@ def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}
     colour = n.ramp(n.add("ShaderNodeMapRange", inputs).outputs["Result"], LEVEL_COLOURS)
     normal = n.add("ShaderNodeNewGeometry").outputs["Normal"]
-    facing = n.add("ShaderNodeVectorMath", {0: normal, 1: tuple(sun)}, operation="DOT_PRODUCT")
-    light = n.math("ADD", 0.42, n.math("MULTIPLY", n.math("MAXIMUM", facing.outputs["Value"], 0.0), 1.15))
-    shaded = n.add("ShaderNodeVectorMath", {0: colour, "Scale": light}, operation="SCALE").outputs["Vector"]
+    facing = n.vector("DOT_PRODUCT", normal, tuple(sun))
+    light = n.math("ADD", 0.42, n.math("MULTIPLY", n.math("MAXIMUM", facing, 0.0), 1.15))
+    shaded = n.scaled(colour, light)
     line = n.add("ShaderNodeWireframe", {"Size": 0.9}, use_pixel_size=True).outputs[0]
     n.finish(n.emission(n.mix(n.math("MULTIPLY", line, 0.75), shaded, INK)))
     return material

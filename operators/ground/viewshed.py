@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 
 from ..bridge import camera as cameras
+from ..bridge.nodes import Nodes
 from ..bridge.writer import UV_LAYER
 from ..session.polls import cancelled_by_errors
 from .chosen import GroundOperator, selected_objects, terrain_at
@@ -124,18 +125,13 @@ def _create_group(name: str):
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     for in_out in ("INPUT", "OUTPUT"):
         group.interface.new_socket(name="Geometry", in_out=in_out, socket_type="NodeSocketGeometry")
-    kinds = ("NodeGroupInput", "GeometryNodeInputNamedAttribute", "ShaderNodeVectorMath", "GeometryNodeImageTexture",
-             "GeometryNodeStoreNamedAttribute", "NodeGroupOutput")  # fmt: skip
-    begin, uv, to_image, texture, store, end = (group.nodes.new(kind) for kind in kinds)
-    for number, node in enumerate((begin, uv, to_image, texture, store, end)):
+    nodes = Nodes(group)
+    mesh = nodes.add("NodeGroupInput").outputs[0]
+    uv = nodes.add("GeometryNodeInputNamedAttribute", {"Name": UV_LAYER}, data_type="FLOAT_VECTOR").outputs["Attribute"]
+    to_image = nodes.vector("MULTIPLY_ADD", uv)
+    value = nodes.add("GeometryNodeImageTexture", {"Vector": to_image}, extension="EXTEND").outputs["Color"]
+    stored = nodes.add("GeometryNodeStoreNamedAttribute", {"Geometry": mesh, "Value": value, "Name": NAME})
+    nodes.add("NodeGroupOutput", {0: stored.outputs["Geometry"]})
+    for number, node in enumerate(group.nodes):
         node.location = (200 * number, 0)
-    uv.data_type, to_image.operation, texture.extension = "FLOAT_VECTOR", "MULTIPLY_ADD", "EXTEND"
-    uv.inputs["Name"].default_value, store.inputs["Name"].default_value = UV_LAYER, NAME
-    links = (
-        (begin.outputs[0], store.inputs["Geometry"]), (uv.outputs["Attribute"], to_image.inputs[0]),
-        (to_image.outputs["Vector"], texture.inputs["Vector"]), (texture.outputs["Color"], store.inputs["Value"]),
-        (store.outputs["Geometry"], end.inputs[0]),
-    )  # fmt: skip
-    for source, goal in links:
-        group.links.new(source, goal)
     return group

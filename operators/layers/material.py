@@ -13,7 +13,7 @@ import bpy
 
 from ...cbt_terrain.attributes.tiling import MARGIN
 from ..bridge.demand.trees import tree_of_new
-from ..bridge.nodes import Nodes
+from ..bridge.nodes import Nodes, marked_group_node
 
 GROUP = "Terrain Layers"
 PLAIN = (0.2, 0.19, 0.17)  # without any layer
@@ -101,7 +101,7 @@ def has_layers_group(obj) -> bool:
 
 def shows_layers(material) -> bool:
     """Return whether a material has the node group."""
-    return _group_node(material) is not None
+    return marked_group_node(material, MARK) is not None
 
 
 def has_no_material(obj) -> bool:
@@ -115,21 +115,13 @@ def _find_group(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
     None without one.
     """
     for slot in obj.material_slots:
-        node = _group_node(slot.material)
+        node = marked_group_node(slot.material, MARK)
         if node is not None:
             if slot.material.library is not None or _is_used_by_others(slot.material, obj):
                 slot.material = slot.material.copy()
-                node = _group_node(slot.material)
+                node = marked_group_node(slot.material, MARK)
                 node.node_tree = node.node_tree.copy()
             return slot.material, node
-    return None
-
-
-def _group_node(material) -> bpy.types.Node | None:
-    """Return the node of a material that has the group, None without one."""
-    for node in material.node_tree.nodes if material is not None and material.node_tree else ():
-        if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
-            return node
     return None
 
 

@@ -17,6 +17,7 @@ from ...cbt_terrain.attributes.folder import UDIM, read_index
 from ...cbt_terrain.attributes.tiling import MARGIN
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.named_file import blocks_reader
+from ..bridge.nodes import Nodes
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writer import UV_LAYER
 from ..land.shaped_land import store_of
@@ -162,27 +163,13 @@ def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
         return group
     group = bpy.data.node_groups.new(name, "ShaderNodeTree")
     group.interface.new_socket(name="Vector", in_out="OUTPUT", socket_type="NodeSocketVector")
-    place = group.nodes.new("ShaderNodeUVMap")
-    place.uv_map = UV_LAYER
-    vector = place.outputs["UV"]
+    n = Nodes(group)
+    vector = n.add("ShaderNodeUVMap", uv_map=UV_LAYER).outputs["UV"]
     if columns * rows > 1:
         counts = (float(columns), float(rows), 1.0)
-        scaled = _add_vector_math(group, "MULTIPLY", vector, counts)
-        whole = _add_vector_math(group, "FLOOR", scaled)
-        tile = _add_vector_math(group, "MINIMUM", whole, (columns - 1.0, rows - 1.0, 0.0))
-        inside = _add_vector_math(group, "MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
-        vector = _add_vector_math(group, "MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
-    group.links.new(vector, group.nodes.new("NodeGroupOutput").inputs["Vector"])
+        scaled = n.vector("MULTIPLY", vector, counts)
+        tile = n.vector("MINIMUM", n.vector("FLOOR", scaled), (columns - 1.0, rows - 1.0, 0.0))
+        inside = n.vector("MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
+        vector = n.vector("MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
+    n.add("NodeGroupOutput", {"Vector": vector})
     return group
-
-
-def _add_vector_math(tree, operation: str, *values) -> bpy.types.NodeSocket:
-    """Add a vector node to a tree; its inputs are sockets, which are linked, or numbers. Return the output."""
-    node = tree.nodes.new("ShaderNodeVectorMath")
-    node.operation = operation
-    for socket, value in zip(node.inputs, values, strict=False):
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, socket)
-        else:
-            socket.default_value = value
-    return node.outputs["Vector"]

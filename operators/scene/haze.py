@@ -10,7 +10,7 @@ import math
 
 import bpy
 
-from ..bridge.nodes import Nodes
+from ..bridge.nodes import Nodes, marked_group_node
 from ..layers.material import shows_layers
 from ..terrain import sight
 
@@ -31,7 +31,7 @@ def set_haze(obj, amount: float, color) -> None:
     box = sight.box_of(obj)
     sides, low = box.max(axis=0) - box.min(axis=0), float(box[:, 2].min())
     side = float(max(sides[:2]))
-    others = {other for other in bpy.data.materials if _node_of(other) is not None and not shows_layers(other)}
+    others = {other for other in bpy.data.materials if marked_group_node(other, MARK) and not shows_layers(other)}
     values = {
         COLOR: (*color, 1.0),
         DISTANCE: -side / math.log(1.0 - amount) if amount > 0.0 else 0.0,
@@ -45,16 +45,10 @@ def set_haze(obj, amount: float, color) -> None:
 def join_haze(material) -> None:
     """Give a new material the haze that another material of the file has, if there is one."""
     for other in bpy.data.materials:
-        if other is not material and (node := _node_of(other)) is not None:
+        if other is not material and (node := marked_group_node(other, MARK)) is not None:
             values = {name: node.inputs[name].default_value for name in (DISTANCE, BASE, HEIGHT)}
             _apply(material, values | {COLOR: tuple(node.inputs[COLOR].default_value)})
             return
-
-
-def _node_of(material):
-    """Return the material's group node whose tree carries MARK, which is the haze; None without one."""
-    nodes = material.node_tree.nodes if material.node_tree else ()
-    return next((node for node in nodes if node.type == "GROUP" and node.node_tree and MARK in node.node_tree), None)
 
 
 def _apply(material, values: dict) -> None:
@@ -64,7 +58,7 @@ def _apply(material, values: dict) -> None:
     """
     if material.library is not None:
         return
-    tree, node = material.node_tree, _node_of(material)
+    tree, node = material.node_tree, marked_group_node(material, MARK)
     output = tree.get_output_node("ALL")
     if node is None and output is not None and output.inputs["Surface"].is_linked and values[DISTANCE] > 0.0:
         node = Nodes(tree).add("ShaderNodeGroup", node_tree=haze_group())

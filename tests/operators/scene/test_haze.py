@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
+from adaptive_terrain.operators.bridge.nodes import marked_group_node
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.scene import haze
 from mathutils import Matrix, Vector
@@ -16,7 +17,7 @@ COLOR = (0.5, 0.6, 0.8)
 
 
 def node_of(material):
-    return haze._node_of(material)
+    return marked_group_node(material, haze.MARK)
 
 
 def hazy() -> list[str]:

@@ -10,7 +10,7 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
 from . import jobs
 from .session import session
-from .session.polls import cancelled_by_errors, invoke_with_file, on_terrain
+from .session.polls import cancelled_by_errors, invoke_with_file, on_terrain, on_terrain_object
 
 
 class JobOperator:
@@ -19,7 +19,7 @@ class JobOperator:
     A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work and returns a result that is not None;
     and `finish(context, obj, result)`, which puts the result into the file. `context` of `steps` is that of the first
     step only. One that leaves the terrain as it is has `shows_error_on_panel = False`: its errors are only reported,
-    and the panel keeps that of the last update.
+    and the panel keeps that of the last update. One that runs in Object Mode only has `needs_object_mode = True`.
 
     Attributes:
         job: the BackgroundJob, None before it is started.
@@ -30,13 +30,14 @@ class JobOperator:
 
     poll_s = jobs.POLL_S
     shows_error_on_panel = True
+    needs_object_mode = False
     beside_window = False
     job: jobs.BackgroundJob | None = None
 
     @classmethod
     def poll(cls, context):
         """Return whether the active object is a terrain without such a job; otherwise set the reason to show."""
-        if not on_terrain(cls, context):
+        if not (on_terrain_object if cls.needs_object_mode else on_terrain)(cls, context):
             return False
         cls.poll_message_set(f"{cls.kind.title} is under way: wait for it, or cancel it beside its progress bar")
         return jobs.find(cls.kind, context.object) is None

@@ -18,10 +18,10 @@ from .farm import registered as farm
 from .ground import keep_ground
 from .ground import properties as ground_properties
 from .ground import registered as ground
-from .importing import add_terrain, import_terrain, menus, move_stores, render_loaded, store_paths
+from .importing import add_terrain, import_terrain, menus, store_paths
 from .importing import registered as importing
 from .land import registered as land
-from .land import render_wait, shape_land
+from .land import render_wait
 from .layers import images
 from .layers import registered as layers
 from .maps import registered as maps
@@ -34,7 +34,7 @@ from .session import live, session
 from .terrain import properties as terrain_properties
 from .terrain import registered as terrain
 from .text import translations
-from .ui import object_menu, status_bar
+from .ui import object_menu, render_keys, status_bar
 from .ui import registered as ui
 
 # Groups of settings come before those that contain them: layers before scatter and terrain.
@@ -59,7 +59,7 @@ MENU_ENTRIES = (
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
 # Modules with timers, threads, keys and drawing; they stop before the operators go.
 SERVICES = (
-    *(writing, translations, store_paths, asset_library, render_wait, shape_land, render_loaded, overlay_panel),
+    *(writing, translations, store_paths, asset_library, render_wait, render_keys, overlay_panel),
     *(live, status_bar),
 )
 
@@ -75,7 +75,7 @@ def register() -> None:
     for menu, entry in MENU_ENTRIES:
         menu.append(entry)
     bpy.utils.register_preset_path(PRESETS)
-    move_stores.move_old_stores()
+    store_paths.move_old_stores()
     for service in SERVICES:
         service.start()
     if bpy.app.binary_path:

@@ -19,16 +19,11 @@ OFFSETS = np.array([0, 3], np.int32)
 CORNERS = np.arange(12, dtype=np.float32).reshape(6, 2) / 16
 
 
-def face_offsets(mesh) -> wp.array | None:
-    """Return a Warp array over the face offsets of a new mesh, int32 [faces], to write in place until its geometry
-    changes; None to use `foreach_set`.
+def array_in_place(items, dtype) -> wp.array | None:
+    """Return a Warp array over the polygons (int32) or a float2 attribute (vec2f) of a new mesh; None to use
+    `foreach_set`. Write it before the mesh's geometry changes.
     """
-    return _array_over(mesh.polygons, wp.int32) if writable_in_place() else None
-
-
-def vectors_2d(data) -> wp.array | None:
-    """Return a Warp array over a new float2 attribute, vec2f [items], to write in place; None to use `foreach_set`."""
-    return _array_over(data, wp.vec2f) if writable_in_place() else None
+    return _array_over(items, dtype) if writable_in_place() else None
 
 
 @cache

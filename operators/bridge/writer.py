@@ -22,6 +22,15 @@ NORMAL_ATTRIBUTE = "custom_normal"
 STORES_VERTEX_NORMALS = bpy.app.version >= (4, 5, 0)
 
 
+def new_child(terrain, name: str):
+    """Create a mesh object as a child of a terrain, in its collections; return it."""
+    child = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    child.parent = terrain
+    for collection in terrain.users_collection:
+        collection.objects.link(child)
+    return child
+
+
 def write_mesh(mesh, surface: Surface, *, smooth: bool = True, exact: bool = True) -> bool:
     """Replace the geometry and the attributes of a Blender mesh by those of `surface`.
 
@@ -98,8 +107,8 @@ def _write_geometry(mesh, surface: Surface) -> None:
     if not triangles:
         mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
         return
-    offsets = mesh_memory.face_offsets(mesh)
-    corner_uv = mesh_memory.vectors_2d(mesh.uv_layers[UV_LAYER].uv)
+    offsets = mesh_memory.array_in_place(mesh.polygons, wp.int32)
+    corner_uv = mesh_memory.array_in_place(mesh.uv_layers[UV_LAYER].uv, wp.vec2f)
     copied = None
     if corner_uv is None:
         copied = np.empty((3 * triangles, 2), np.float32)

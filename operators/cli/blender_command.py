@@ -12,9 +12,8 @@ _commands = []
 
 
 def register() -> None:
-    """Register the command `blender --command adaptive_terrain`, if this Blender has such commands."""
-    if hasattr(bpy.utils, "register_cli_command"):  # since 4.2
-        _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
+    """Register the command `blender --command adaptive_terrain`."""
+    _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
     if not bpy.app.binary_path:
         atexit.register(unregister)  # as a module Blender crashes at exit if it finds Python's registrations
 

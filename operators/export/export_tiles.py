@@ -20,7 +20,7 @@ from ..job_operator import FileJobOperator
 from ..land.bake_land import shaped_field
 from ..land.shape_land import check_is_shaped
 from ..session import session
-from ..session.polls import on_terrain_object, remember_object
+from ..session.polls import remember_object
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
 from .export_terrain import draw_formats
@@ -69,11 +69,7 @@ class LandExport(FileJobOperator):
 
     kind = jobs.EXPORT
     name_end = ""
-
-    @classmethod
-    def poll(cls, context):
-        """Return whether the active object is a terrain in Object Mode that no job exports."""
-        return on_terrain_object(cls, context) and super().poll(context)
+    needs_object_mode = True
 
     def propose(self, context) -> None:
         """Propose a file with the terrain's name.

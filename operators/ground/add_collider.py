@@ -5,7 +5,7 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.view.linear import lengths
-from ..bridge.writer import write_mesh
+from ..bridge.writer import new_child, write_mesh
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
@@ -69,12 +69,9 @@ def _bake_collider(terrain, depsgraph):
 
 
 def _add_collider(terrain):
-    """Create the object of a collider, parented to the terrain and hidden in renders."""
-    name = f"{terrain.name} Collider"
-    collider = bpy.data.objects.new(name, bpy.data.meshes.new(name))
-    collider.parent, collider.hide_render, collider.display_type = terrain, True, "WIRE"
-    for collection in terrain.users_collection:
-        collection.objects.link(collider)
+    """Create the object of a collider, which is hidden in renders."""
+    collider = new_child(terrain, f"{terrain.name} Collider")
+    collider.hide_render, collider.display_type = True, "WIRE"
     return collider
 
 

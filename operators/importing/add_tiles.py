@@ -90,7 +90,7 @@ class AddTiles(ChosenFiles, bpy.types.Operator):
 
         ImportTiles adds the new ones to the settings. It is cancelled with a report if none is new.
         """
-        known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
+        known = sources_of(settings)
         # Each new file once, at its last place, since later files cover earlier ones; reversed again below.
         new = {
             absolute_path(path): path for path in reversed(self.chosen()) if path and absolute_path(path) not in known
@@ -134,6 +134,11 @@ class ImportTiles(ImportOperator, bpy.types.Operator):
             if tile.name not in listed:
                 sources.add().path = tile.name
         ImportOperator.finish(self, context, obj, result)
+
+
+def sources_of(settings) -> list[str]:
+    """Return the absolute paths of a terrain's sources."""
+    return [absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))]
 
 
 def name_of(paths: list[str]) -> str:

@@ -21,7 +21,8 @@ def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
         is_seen = obj.evaluated_get(depsgraph).is_evaluated
         if is_seen and job is not None and job.child is not None and loaded_text(obj.adaptive_terrain):
             try:
-                if not view_tiles.suffice(obj, depsgraph):
+                loader = view_tiles.loader_of(obj)
+                if loader is None or not loader.wait_for(obj, depsgraph):
                     render_wait.wait_for_import(job.child)
             except TerrainError as error:
                 return [error]

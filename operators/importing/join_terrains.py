@@ -4,10 +4,10 @@
 import bpy
 
 from .. import jobs
-from ..bridge.scene_paths import absolute_path
 from ..scatter.request import scatters_of
 from ..session import session
 from ..terrain.properties import FILE
+from .add_tiles import sources_of
 from .import_terrain import ImportOperator
 
 
@@ -36,10 +36,10 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
         """
         settings, others = context.object.adaptive_terrain, others_of(context)
         self.joined = [other.session_uid for other in others]
-        paths = [*_sources_of(settings), *(path for other in others for path in _sources_of(other.adaptive_terrain))]
+        paths = [*sources_of(settings), *(path for other in others for path in sources_of(other.adaptive_terrain))]
         self.earlier = settings.source_path, [item.path for item in settings.more_sources]
         # The last file covers the others, so those of the active terrain come last.
-        first = len(_sources_of(settings))
+        first = len(sources_of(settings))
         _set_sources(settings, list(dict.fromkeys([*paths[first:], *paths[:first]])))
         try:
             return (yield from ImportOperator.steps(self, context, job))
@@ -76,11 +76,6 @@ def has_file(obj) -> bool:
 def others_of(context) -> list:
     """Return the selected terrains, besides the active one, whose source is a file, in the order of their names."""
     return sorted((o for o in context.selected_objects if o != context.object and has_file(o)), key=lambda o: o.name)
-
-
-def _sources_of(settings) -> list[str]:
-    """Return the absolute paths of a terrain's sources."""
-    return [absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))]
 
 
 def _set_sources(settings, paths: list[str]) -> None:

@@ -5,6 +5,7 @@ import bpy
 
 from ...cbt_terrain.rasters.source_formats import FORMATS
 from ..layers.properties import add_default_layers
+from ..session.polls import ObjectModeOperator
 from .add_tiles import ChosenFiles, name_of
 from .import_terrain import start_import
 
@@ -12,7 +13,7 @@ SUFFIXES = ";".join(FORMATS)
 LABEL = "Terrain from File"
 
 
-class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
+class AddTerrainFromFile(ChosenFiles, ObjectModeOperator, bpy.types.Operator):
     """Add a terrain, and import a height map, several files or a folder of them into it"""
 
     bl_idname = "mesh.adaptive_terrain_from_file"
@@ -30,12 +31,6 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
     highest: bpy.props.FloatProperty(
         name="Highest", description="Height of the highest value in the file, in metres", default=1000.0, unit="LENGTH"
     )
-
-    @classmethod
-    def poll(cls, context):
-        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
-        cls.poll_message_set("Switch to Object Mode")
-        return context.mode == "OBJECT"
 
     def draw(self, _context):
         """Draw the options of the file browser: rules for the files, and the range of heights."""
@@ -84,17 +79,15 @@ def draw_add_entry(self, _context):
     self.layout.operator(AddTerrainFromFile.bl_idname, icon="FILE_IMAGE")
 
 
-if hasattr(bpy.types, "FileHandler"):  # Blender 4.1
+class HeightMapDropped(bpy.types.FileHandler):
+    """Height maps that are dragged into a 3D viewport"""
 
-    class HeightMapDropped(bpy.types.FileHandler):
-        """Height maps that are dragged into a 3D viewport"""
+    bl_idname = "ADAPTIVE_TERRAIN_FH_height_map"
+    bl_label = LABEL
+    bl_import_operator = AddTerrainFromFile.bl_idname
+    bl_file_extensions = SUFFIXES
 
-        bl_idname = "ADAPTIVE_TERRAIN_FH_height_map"
-        bl_label = LABEL
-        bl_import_operator = AddTerrainFromFile.bl_idname
-        bl_file_extensions = SUFFIXES
-
-        @classmethod
-        def poll_drop(cls, context):
-            """Return whether files may be dropped here: in a 3D viewport in object mode."""
-            return context.area is not None and context.area.type == "VIEW_3D" and context.mode == "OBJECT"
+    @classmethod
+    def poll_drop(cls, context):
+        """Return whether files may be dropped here: in a 3D viewport in object mode."""
+        return context.area is not None and context.area.type == "VIEW_3D" and context.mode == "OBJECT"

@@ -76,8 +76,11 @@ class SourcePanel(TerrainSubpanel):
             row.operator("adaptive_terrain.add_tiles", icon="ADD")
             row.operator("adaptive_terrain.join", icon="AUTOMERGE_ON")
             if import_terrain.may_hold_several(settings):
-                _draw_overlaps(column, settings)
+                for name in ("priority", "blend", "sample_step"):
+                    column.prop(settings, name)
             (_draw_mosaic if several else _draw_file)(column, settings)
+            draw_switched(column, settings, "use_no_data", "no_data")
+            column.prop(settings, "holes")
         else:
             column.prop(settings, "island_size")
         if not several or settings.use_extent:  # an import of several files refuses an extent
@@ -106,14 +109,8 @@ def is_stale(obj) -> bool:
         return True
 
 
-def _draw_overlaps(column, settings) -> None:
-    """Draw how several files form one terrain."""
-    for name in ("priority", "blend", "sample_step"):
-        column.prop(settings, name)
-
-
 def _draw_file(column, settings) -> None:
-    """Draw the options of one file: those that its format has, its missing values and holes."""
+    """Draw the options of one file: those that its format has."""
     if import_terrain.is_raw(settings.source_path):
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
@@ -126,16 +123,12 @@ def _draw_file(column, settings) -> None:
     column.prop(settings, "first_row_south")
     if has_option(settings.source_path, BAND):
         column.prop(settings, "project")
-    draw_switched(column, settings, "use_no_data", "no_data")
-    column.prop(settings, "holes")
 
 
 def _draw_mosaic(column, settings) -> None:
     """Draw the options of several files that one file has, too."""
     for name in ("band", "encoding", "cell", "project"):
         column.prop(settings, name)
-    draw_switched(column, settings, "use_no_data", "no_data")
-    column.prop(settings, "holes")
 
 
 class ImportedPanel(TerrainSubpanel):

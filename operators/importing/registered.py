@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Classes and handlers of imports, in the order of their registration."""
 
-from . import menus, pack_store, store_paths
+from . import pack_store, store_paths
 from .add_terrain import AddTerrain
 from .add_tiles import AddTiles, ImportTiles
 from .import_terrain import ImportAdded, ImportTerrain
 from .join_terrains import JoinTerrains
-from .menus import AddTerrainFromFile
+from .menus import AddTerrainFromFile, HeightMapDropped
 from .pack_store import OfferPack, PackStore
 from .render_loaded import RenderLoaded
 
 CLASSES = (
     *(ImportTerrain, ImportAdded, AddTerrain, AddTiles, ImportTiles, JoinTerrains, AddTerrainFromFile),
-    *([menus.HeightMapDropped] if hasattr(menus, "HeightMapDropped") else []),
-    *(PackStore, OfferPack, RenderLoaded),
+    *(HeightMapDropped, PackStore, OfferPack, RenderLoaded),
 )
 HANDLERS = (
     *store_paths.HANDLERS.items(),

@@ -16,7 +16,6 @@ from . import view_tiles
 from .imported import loaded_text
 
 LOOK_S = 0.5  # between looks at the loaded tiles
-_keys: list[tuple] = []  # keymap, and an entry of it
 
 
 def unfinished(scene) -> list:
@@ -75,9 +74,10 @@ def _is_loaded(context) -> bool:
     True too if a store cannot be read, which the render reports.
     """
     depsgraph = context.evaluated_depsgraph_get()
+    loaders = [(view_tiles.loader_of(obj), obj) for obj in unfinished(context.scene)]
     try:
         # A list: `all` alone would stop at the first terrain whose tiles are being loaded.
-        return all([view_tiles.load_for_render(obj, depsgraph) for obj in unfinished(context.scene)])
+        return all([loader is not None and loader.load_for_render(obj, depsgraph) for loader, obj in loaders])
     except TerrainError:
         return True
 
@@ -94,19 +94,3 @@ def _render_soon(window) -> None:
             operator("INVOKE_DEFAULT")
 
     bpy.app.timers.register(go_on, first_interval=0.0)
-
-
-def start() -> None:
-    """Give F12 to RenderLoaded, before all others; they get it where its poll fails."""
-    config = bpy.context.window_manager.keyconfigs.addon
-    if config is None or bpy.app.background:
-        return
-    keymap = config.keymaps.new("Screen")
-    _keys.append((keymap, keymap.keymap_items.new(RenderLoaded.bl_idname, "F12", "PRESS", head=True)))
-
-
-def stop() -> None:
-    """Remove the key that `start` has added."""
-    for keymap, item in _keys:
-        keymap.keymap_items.remove(item)
-    _keys.clear()

@@ -2,7 +2,7 @@
 """Where stores are written: beside a saved .blend file, else in a data folder that survives an uninstall.
 
 Blender deletes an extension's user folder with the extension. Up to version 0.2.0 stores of unsaved files were there;
-move_stores.py moves them.
+store_paths.py moves them.
 """
 
 import os

@@ -7,13 +7,14 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ...cbt_terrain.field.moving import find_moved
+from ...cbt_terrain.field.moving import MovedStores, find_moved, move_stores
 from ..bridge.scene_paths import absolute_path
 from ..session import session
 from ..text.console import print_line
-from .store_location import RELATIVE, data_folder, deleted_folder
+from .store_location import RELATIVE, data_folder, deleted_folder, old_folders
 
 FOUND = "found"  # a topic
+DELETES = "which Blender deletes with the extension"
 notices: dict[str, str] = {}  # by topic, about moved stores, for the panel
 _paths_before: dict[int, str] = {}  # by session_uid: paths before a save to another folder
 
@@ -144,6 +145,33 @@ def show_notice(topic: str, notice: str) -> None:
     """Print a notice, and show it on the panel until another one has the same topic."""
     print_line(f"Adaptive Terrain: {notice}")
     notices[topic] = notice
+
+
+def move_old_stores() -> None:
+    """Move the stores of earlier versions into the data folder, at each start of Blender.
+
+    Stores that cannot be moved stay, and the next start tries again.
+    """
+    for old in old_folders():
+        try:
+            moved = move_stores(old, data_folder())
+        except OSError as reason:
+            moved = MovedStores(failures=[f"{old}: {reason.strerror or reason}"])
+        _report_moves(moved, old)
+
+
+def _report_moves(moved: MovedStores, old: Path) -> None:
+    """Report the stores that were moved out of the folder `old`, and those that could not be."""
+    new = data_folder()
+    if moved.failures:
+        show_notice(
+            f"kept in {old}",
+            f"Stores could not be moved to {new} ({'; '.join(moved.failures)}). They are in {old}, {DELETES}: make "
+            "room, or change the rights, and start Blender again.",
+        )
+    if moved.stores:
+        names = ", ".join(moved.stores)
+        show_notice(f"moved from {old}", f"Stores were moved out of {old}, {DELETES}, into {new}: {names}.")
 
 
 HANDLERS = {

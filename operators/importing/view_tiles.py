@@ -142,11 +142,6 @@ class TileLoader:
         # Without missing tiles the store may still be too coarse, as loaded tiles may leave out samples of the source.
         return not has_started and is_fine_enough(self._store, [_seen_by(obj, depsgraph, request.RENDER)])
 
-    def close(self) -> None:
-        """End the child."""
-        if self.child is not None:
-            self.child.cancel()
-
 
 @contextmanager
 def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoader]:
@@ -159,25 +154,13 @@ def loading(uid: int, settings: ImportSettings, store: str) -> Iterator[TileLoad
         yield loader
     finally:
         del _loaders[uid]
-        loader.close()
+        if loader.child is not None:
+            loader.child.cancel()
 
 
-def suffice(obj, depsgraph) -> bool:
-    """Load the tiles of an incomplete terrain that a render lacks; return whether it needs no further detail.
-
-    False if no import with a TileLoader runs for the terrain. Raises TerrainError after Esc.
-    """
-    loader = _loaders.get(obj.session_uid)
-    return loader is not None and loader.wait_for(obj, depsgraph)
-
-
-def load_for_render(obj, depsgraph) -> bool:
-    """Load the tiles that a render of an incomplete terrain needs beside the window; return True if it needs none.
-
-    False if no import with a TileLoader runs for the terrain. Raises TerrainError if its store cannot be read.
-    """
-    loader = _loaders.get(obj.session_uid)
-    return loader is not None and loader.load_for_render(obj, depsgraph)
+def loader_of(obj) -> TileLoader | None:
+    """Return the TileLoader of an incomplete terrain, None if no import with one runs for it."""
+    return _loaders.get(obj.session_uid)
 
 
 def _seen_by(obj, depsgraph, mode: str) -> "SeenLand":

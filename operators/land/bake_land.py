@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.height_operators import derived_store
@@ -16,11 +15,9 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path, store_path
 from ..importing import imported
 from ..importing.store_location import baked_folder
-from ..job_operator import JobOperator
 from ..session import session
-from ..session.polls import on_terrain_object
-from . import shape_land
 from .request import land_of
+from .shape_land import ShapedLandJob, wanted_land
 
 
 def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
@@ -33,7 +30,7 @@ def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
     return lambda: derived_store.raster_of(store, land, session.open_field, verified=True)
 
 
-class BakeLand(JobOperator, bpy.types.Operator):
+class BakeLand(ShapedLandJob, bpy.types.Operator):
     """Make the shaped land the terrain's own heights, and empty the list. The imported heights stay on disk"""
 
     bl_idname = "adaptive_terrain.bake_land"
@@ -41,23 +38,14 @@ class BakeLand(JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     kind = jobs.BAKE_LAND
-    shows_error_on_panel = False
 
     @classmethod
     def poll(cls, context):
         """Return whether the active terrain has an entry that is on; otherwise set the reason that Blender shows."""
-        if not (on_terrain_object(cls, context) and super().poll(context)):
+        if not super().poll(context):
             return False
         cls.poll_message_set("There is nothing to bake: the list is empty, or all its entries are switched off")
         return any(entry.on for entry in context.object.adaptive_terrain.land.entries)
-
-    def invoke(self, context, event):
-        """Refuse land that is not shaped yet: its shaping has its own job."""
-        try:
-            shape_land.check_is_shaped(context.object, context.evaluated_depsgraph_get())
-        except TerrainError as error:
-            return self.fail(context.object, str(error))
-        return JobOperator.invoke(self, context, event)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Copy the shaped land to a new store on a thread; return the land, and the store's path for the settings.
@@ -65,7 +53,7 @@ class BakeLand(JobOperator, bpy.types.Operator):
         The new store is beside the old one if `baked_folder` allows that.
         """
         store_path(context.object)  # raises TerrainError before any work
-        land = shape_land.wanted_land(context.object, context.evaluated_depsgraph_get())
+        land = wanted_land(context.object, context.evaluated_depsgraph_get())
         folder = unused_path(baked_folder(context.object))
         target = absolute_path(folder)
 

@@ -60,6 +60,21 @@ def check_is_shaped(obj, depsgraph) -> None:
         )
 
 
+class ShapedLandJob(JobOperator):
+    """Base of jobs on the shaped land of a terrain in Object Mode."""
+
+    shows_error_on_panel = False
+    needs_object_mode = True
+
+    def invoke(self, context, event):
+        """Start the job, or refuse land that is not shaped yet: its shaping has its own job."""
+        try:
+            check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            return self.fail(context.object, str(error))
+        return JobOperator.invoke(self, context, event)
+
+
 def _check_is_visible(obj, depsgraph) -> None:
     """Raise TerrainError for a terrain that is hidden in viewports and renders, which is never shaped."""
     if obj.hide_render and not obj.visible_get(view_layer=depsgraph.view_layer):
@@ -237,25 +252,3 @@ class FinishShaping(bpy.types.Operator):
         """Let the child process stop after its present level; the finished levels become the land."""
         jobs.find(jobs.SHAPE, context.object).child.finish_early()
         return {"FINISHED"}
-
-
-_keys: list[tuple] = []  # keymap, and an entry of it
-
-
-def start() -> None:
-    """Give the keys of a render to ShapeAndRender; Blender's own get them where its poll fails."""
-    config = bpy.context.window_manager.keyconfigs.addon
-    if config is None or bpy.app.background:
-        return
-    keymap = config.keymaps.new("Screen")
-    for animation in (False, True):
-        item = keymap.keymap_items.new(ShapeAndRender.bl_idname, "F12", "PRESS", ctrl=animation)
-        item.properties.animation = animation
-        _keys.append((keymap, item))
-
-
-def stop() -> None:
-    """Remove the keys that `start` has added."""
-    for keymap, item in _keys:
-        keymap.keymap_items.remove(item)
-    _keys.clear()

@@ -17,17 +17,16 @@ from ...cbt_terrain.run import launch
 from .. import jobs
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.evaluated import anchor_of
+from ..bridge.nodes import Nodes
 from ..bridge.scene_paths import store_path
-from ..bridge.writer import write_mesh
-from ..job_operator import JobOperator
+from ..bridge.writer import new_child, write_mesh
 from ..scatter.dry_ground import follow_sea
 from ..scene.haze import join_haze
 from ..session import session
-from ..session.polls import on_terrain_object
 from ..text.numbers import length_text
 from ..text.translations import phrase
 from .request import land_of
-from .shape_land import check_is_shaped
+from .shape_land import ShapedLandJob
 from .water_object import LEVEL, MARK, SEA, existing_water, shown_sea
 
 MATERIAL = "Terrain Water"
@@ -36,7 +35,7 @@ CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
 DEEP_METRES = 4.0
 
 
-class AddWaterSurface(JobOperator, bpy.types.Operator):
+class AddWaterSurface(ShapedLandJob, bpy.types.Operator):
     """Add the terrain's lakes, rivers and sea as an object with a water material. Press it again after the land has
     changed"""
 
@@ -45,7 +44,6 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     kind = jobs.WATER
-    shows_error_on_panel = False
 
     level: bpy.props.FloatProperty(
         name="Sea Level",
@@ -53,22 +51,6 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         "covers the lowest twentieth of the ground",
         unit="LENGTH", options={"SKIP_SAVE"},
     )  # fmt: skip
-
-    @classmethod
-    def poll(cls, context):
-        """Return whether the active object is a terrain in Object Mode without a running job for its water.
-
-        If not, set the reason.
-        """
-        return on_terrain_object(cls, context) and super().poll(context)
-
-    def invoke(self, context, event):
-        """Start the job if the land is shaped as its entries say; otherwise report why it cannot start."""
-        try:
-            check_is_shaped(context.object, context.evaluated_depsgraph_get())
-        except TerrainError as error:
-            return self.fail(context.object, str(error))
-        return JobOperator.invoke(self, context, event)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Compute the water on a thread; return the chosen sea level, None without one, and `_water_mesh`'s result.
@@ -140,14 +122,10 @@ def draw_button(layout, terrain) -> None:
 
 
 def _add_water(terrain):
-    """Create an object for the water of a terrain, parented to it, with a water material."""
-    name = f"{terrain.name} Water"
-    water = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    """Create an object for the water of a terrain, with a water material."""
+    water = new_child(terrain, f"{terrain.name} Water")
     water[MARK] = True
-    water.parent = terrain
     water.data.materials.append(bpy.data.materials.get(MATERIAL) or new_water_material())
-    for collection in terrain.users_collection:
-        collection.objects.link(water)
     return water
 
 
@@ -159,22 +137,15 @@ def new_water_material() -> bpy.types.Material:
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = SHALLOW  # in viewports that show no materials
     tree = tree_of_new(material)
-    nodes, links = tree.nodes, tree.links
-    shader = nodes["Principled BSDF"]
+    nodes, shader = Nodes(tree), tree.nodes["Principled BSDF"]
     shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = 0.06, 1.333
-    depth = nodes.new("ShaderNodeAttribute")
-    depth.attribute_name, depth.location = "water_depth", (-700, 200)
-    for k, (low, high, socket) in enumerate(((SHALLOW, DEEP, "Base Color"), (CLEAR, OPAQUE, "Alpha"))):
-        values = (low, high) if k == 0 else [(a, a, a, 1.0) for a in (low, high)]
-        ramp = nodes.new("ShaderNodeValToRGB")
-        ramp.location = (-300, 300 - 250 * k)
+    depth = nodes.add("ShaderNodeAttribute", attribute_name="water_depth", location=(-700, 200)).outputs["Fac"]
+    alphas = [(alpha, alpha, alpha, 1.0) for alpha in (CLEAR, OPAQUE)]
+    for socket, values, y in (("Base Color", (SHALLOW, DEEP), 300), ("Alpha", alphas, 50)):
+        fraction = nodes.add("ShaderNodeMath", {0: depth, 1: DEEP_METRES}, operation="DIVIDE", location=(-500, y))
+        ramp = nodes.add("ShaderNodeValToRGB", {"Fac": fraction.outputs[0]}, location=(-300, y))
         for element, colour in zip(ramp.color_ramp.elements, values, strict=True):
             element.color = colour
-        fraction = nodes.new("ShaderNodeMath")  # of DEEP_METRES
-        fraction.operation, fraction.location = "DIVIDE", (-500, 300 - 250 * k)
-        fraction.inputs[1].default_value = DEEP_METRES
-        links.new(depth.outputs["Fac"], fraction.inputs[0])
-        links.new(fraction.outputs[0], ramp.inputs["Fac"])
-        links.new(ramp.outputs["Color"], shader.inputs[socket])
+        tree.links.new(ramp.outputs["Color"], shader.inputs[socket])
     join_haze(material)
     return material

@@ -6,8 +6,9 @@ from bpy.app.handlers import persistent
 
 from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import store_path
+from ..bridge.writer import new_child
 from ..session import session
-from ..session.polls import TerrainObjectOperator
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from . import starter
 from .dry_ground import keep_dry
 from .fitting import FULL_OF_CONES, PER_SIDE, REACH_HEIGHTS, put_numbers, rounded, scale_of
@@ -40,17 +41,14 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
         """Add the scatter and its points before returning: a script calls it."""
         return self._add(context, waits=True)
 
-    def _add(self, context, waits: bool):
+    @cancelled_by_errors
+    def _add(self, context, *, waits: bool):
         """Add a scatter to the active terrain, fitted to its size and kept out of water.
 
         waits: update the terrain now, so that the points are there; otherwise the live update makes them.
         """
         terrain = context.object
-        try:
-            west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
         spacing = rounded(max(east - west, north - south) / PER_SIDE)
         obj = new_scatter(terrain, spacing)
         note = keep_dry(obj.adaptive_scatter, terrain)
@@ -72,14 +70,11 @@ def new_scatter(terrain, spacing: float):
 
     spacing: metres between points, in the terrain's space.
     """
-    obj = bpy.data.objects.new(f"{terrain.name} Scatter", bpy.data.meshes.new(f"{terrain.name} Scatter"))
+    obj = new_child(terrain, f"{terrain.name} Scatter")
     settings, in_world = obj.adaptive_scatter, spacing * scale_of(terrain)
     settings.enabled, settings.seed = True, len(scatters_of(terrain))
     full_until, reach = FULL_OF_CONES * in_world, REACH_HEIGHTS * in_world
     put_numbers(settings, spacing, full_until=full_until, reach=reach, first=True)
-    obj.parent = terrain
-    for collection in terrain.users_collection:
-        collection.objects.link(obj)
     add_modifier(obj, in_world)
     return obj
 

@@ -6,6 +6,7 @@ import bpy
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
 from ..scene.haze import join_haze
+from ..session.polls import ObjectModeOperator
 from . import starter_forms
 from .habitats import set_habitat
 from .request import is_scatter
@@ -38,7 +39,7 @@ MATERIALS = {
 DIFFERENCE = 0.3  # between the colours of instances: the range of red, as a fraction of its mean
 
 
-class AddStarterCollection(bpy.types.Operator):
+class AddStarterCollection(ObjectModeOperator, bpy.types.Operator):
     """Add conifers, broadleaves, bushes, grass and rocks to the file, as a hidden collection, and scatter one kind of
     them"""
 
@@ -47,12 +48,6 @@ class AddStarterCollection(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     kind: bpy.props.EnumProperty(name="Kind", description="Objects to scatter", items=KIND_ITEMS)
-
-    @classmethod
-    def poll(cls, context):
-        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
-        cls.poll_message_set("Switch to Object Mode")
-        return context.mode == "OBJECT"
 
     def execute(self, context):
         """Add the collections and put the chosen kind on the active scatter, if there is one."""

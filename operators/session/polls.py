@@ -59,6 +59,16 @@ class TerrainObjectOperator:
         return on_terrain_object(cls, context)
 
 
+class ObjectModeOperator:
+    """Base of operators in Object Mode on any object."""
+
+    @classmethod
+    def poll(cls, context):
+        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
+        cls.poll_message_set(IN_A_MODE)
+        return context.mode == "OBJECT"
+
+
 def remember_object(operator, context) -> None:
     """Keep which object an operator acts on: a panel's button names it only until a dialog or a wait begins."""
     operator.object_uid = None if context.object is None else context.object.session_uid
@@ -106,13 +116,13 @@ def run_nested(operator, run: Callable, how: str, **properties) -> set[str]:
 
 
 def cancelled_by_errors(execute: Callable) -> Callable:
-    """Decorate an operator's `execute(self, context)`: a TerrainError or an OSError is reported and cancels it."""
+    """Decorate `execute` or another method of an operator: a TerrainError or an OSError is reported and cancels it."""
 
     @functools.wraps(execute)
-    def run(self, context):  # Blender counts the arguments
+    def run(self, context, **options):  # Blender counts the positional arguments
         """Run the operator; report a TerrainError or an OSError and cancel instead of raising it."""
         try:
-            return execute(self, context)
+            return execute(self, context, **options)
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -22,26 +22,20 @@ from ..land import shaped_land, water_object
 from ..scatter.request import scatters_of
 from ..session import live, session
 from ..session.pauses import handlers_paused
-from ..session.polls import IN_A_MODE, cancelled_by_errors
+from ..session.polls import ObjectModeOperator, cancelled_by_errors
 from ..session.shot import frames_of
 
 MAX_FRAMES = 24  # of a shot that are looked at
 FOLLOWED = 0.5  # fraction of a move that shows that constraints have moved an object already
 
 
-class MoveWorld(bpy.types.Operator):
+class MoveWorld(ObjectModeOperator, bpy.types.Operator):
     """Move all objects so that the camera's path, or without a camera the 3D cursor, is at the world's origin.
     Coordinates are precise there; far away they are rounded to centimetres and more"""
 
     bl_idname = "adaptive_terrain.move_world"
     bl_label = "Move World Here"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        """Return whether Blender is in Object Mode; if not, set the reason that it shows."""
-        cls.poll_message_set(IN_A_MODE)
-        return context.mode == "OBJECT"
 
     @cancelled_by_errors
     def execute(self, context):

@@ -273,8 +273,8 @@ def test_a_render_loads_the_tiles_that_it_sees(terrain, held):
     before = tiles_of(terrain)
     terrain.adaptive_terrain.render.error_px = 1.0
     look_down(terrain, 700.0, 400.0)
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert not view_tiles.suffice(terrain, depsgraph), "between its samples may be more than a pixel"
+    loader, depsgraph = view_tiles.loader_of(terrain), bpy.context.evaluated_depsgraph_get()
+    assert not loader.wait_for(terrain, depsgraph), "between its samples may be more than a pixel"
     assert tiles_of(terrain) > before
     look_down(terrain, -900.0, 600.0)
     near = tiles_of(terrain)

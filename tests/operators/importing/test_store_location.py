@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.importing import move_stores, store_location, store_paths
+from adaptive_terrain.operators.importing import store_location, store_paths
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.land import bake_land, shape_land
 from land_scenes import add
@@ -20,9 +20,8 @@ def folders(tmp_path, monkeypatch):
     old = tmp_path / "extensions" / ".user" / "user_default" / "adaptive_terrain" / "stores"
     new = tmp_path / "datafiles" / "adaptive_terrain" / "stores"
     old.mkdir(parents=True)
-    for module in (store_location, store_paths, move_stores):
-        monkeypatch.setattr(module, "data_folder", lambda: new)
     for module in (store_location, store_paths):
+        monkeypatch.setattr(module, "data_folder", lambda: new)
         monkeypatch.setattr(module, "deleted_folder", lambda: tmp_path / "extensions" / ".user")
     monkeypatch.setattr(store_paths, "notices", {})
     return old, new
@@ -46,7 +45,7 @@ def test_a_file_names_its_store_where_it_was_moved(scene, add_terrain, store, fo
     image.source, image.use_fake_user = "FILE", True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"), relative_remap=False)
     key = open_store(old / "hills").key
-    move_stores.move_old_stores()
+    store_paths.move_old_stores()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "valley.blend"))
     assert bpy.data.objects["Terrain"].adaptive_terrain.store == str(new / "hills")
     assert open_store(new / "hills").key == key and not old.exists()
@@ -89,9 +88,9 @@ def test_stores_that_cannot_be_moved_are_named(scene, store, folders, monkeypatc
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "rename", refuse)
-        move_stores.move_old_stores()
+        store_paths.move_old_stores()
     assert open_store(old / "hills") and "could not be moved" in capsys.readouterr().out
-    move_stores.move_old_stores()
+    store_paths.move_old_stores()
     assert open_store(new / "hills") and "hills." in capsys.readouterr().out
 
 

@@ -2,6 +2,7 @@
 """What the levels of shaped land cost and change: a part of the page of `accuracy`, for stores made by `shape`."""
 
 from itertools import groupby
+from operator import itemgetter
 
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.height_operators.catalogue import operator_of
@@ -46,7 +47,8 @@ def _finest_level_text(added: list[dict]) -> str:
     It is "" if there is one level only, or if some were known before, so that their times are not those of this run.
     added: records of a shaped store's provenance, one a level and operator.
     """
-    by_level = [list(group) for _, group in groupby(sorted(added, key=_level_of), key=_level_of)]  # 0 is the finest
+    level_of = itemgetter("level")  # 0 is the finest
+    by_level = [list(group) for _, group in groupby(sorted(added, key=level_of), key=level_of)]
     if len(by_level) < 2 or not all(record["computed"] for record in added):
         return ""
     finest, ms = by_level[0], sum(record["ms"] for record in added)
@@ -56,8 +58,3 @@ def _finest_level_text(added: list[dict]) -> str:
         f"Without the finest level, {finest[0]['spacing_m']:.3g} m, it would have taken {saved:.0%} less time, and "
         f"been off by {largest['rms_m']:.2g} m rms and {largest['most_m']:.2g} m at most ({largest['effect']})."
     )
-
-
-def _level_of(record: dict) -> int:
-    """Return the level of a record, for sorting."""
-    return record["level"]

@@ -136,7 +136,7 @@ def front_blocks(subject: AccuracySubject) -> list:
         *picture_strip(subject),
         *(Text(sentence) for sentence in cost_sentences(subject)),
     ]
-    for unit in dict.fromkeys(row.setting.unit for row in rows):
+    for unit in by_unit(rows):
         blocks += error_plots(subject, unit, current)
     return blocks + [Text(note) for note in subject.notes + timing_notes(subject)]
 
@@ -290,9 +290,9 @@ def overview_table(rows: list[Row], current: Setting | None) -> Table:
     Each unit has a front of triangles, and one of times if these are steady. current: the setting to mark, or None.
     """
     fronts = {}
-    for unit in dict.fromkeys(row.setting.unit for row in rows):
-        for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
-            front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
+    for of_unit in by_unit(rows).values():
+        for cost in ("triangles",) if unsteady_row(of_unit) else ("ms", "triangles"):
+            front = pareto_rows(of_unit, cost)
             fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
     head = ["setting", "bound", "measured", "measured / requested", "triangles", "ms", "mesh, MB", "buffers, MB"]
     lines = []

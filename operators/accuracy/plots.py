@@ -2,6 +2,7 @@
 """Plots of a report about accuracy: error against time and against triangles, and which settings nothing beats."""
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from ...cbt_terrain.accuracy.sweep_settings import Setting
@@ -51,15 +52,11 @@ def plot_curves(rows: "list[Row]", cost: str, current: "Row | None") -> list[Cur
         coarse_first = sorted(candidates, key=lambda row: -row.setting.error)
         return [(cost_of(row, cost), error(row)) for row in coarse_first]
 
-    def measured(row: "Row") -> float:
-        """Return the measured error of a row."""
-        return row.error
-
     def bound(row: "Row") -> float:
         """Return the bound of a row, infinity if it has none."""
         return row.bound if row.bound < LARGEST else math.inf  # not drawn
 
-    interpolation = rows[0].setting.interpolation
+    measured, interpolation = attrgetter("error"), rows[0].setting.interpolation
     all_plain = [row for row in rows if row.setting.is_plain]
     plain = [row for row in all_plain if row.setting.interpolation == interpolation]
     other = [row for row in all_plain if row.setting.interpolation != interpolation]

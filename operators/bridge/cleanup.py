@@ -8,6 +8,7 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
+from .evaluated import transform_points
 
 
 @dataclass(frozen=True)
@@ -68,17 +69,10 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
     mesh.vertices.foreach_get("co", vertices)
     indices = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", indices)
-    placed = _transform(_transform(vertices.reshape(-1, 3), matrix), terrain_from_world)
+    placed = transform_points(terrain_from_world, transform_points(matrix, vertices.reshape(-1, 3)))
     triangles = placed[indices].reshape(-1, 3, 3)[:, :, :2]
     if not np.isfinite(triangles).all():
         raise TerrainError(
             f"The {what} {obj.name!r} has a vertex or a matrix that is not finite", fix="check its mesh and parents"
         )
     return triangles
-
-
-def _transform(points: np.ndarray, matrix) -> np.ndarray:
-    """Transform points [n, 3] by a 4 x 4 matrix term by term, since BLAS rounds differently on other processors."""
-    matrix = np.array(matrix, np.float64)
-    x, y, z = points[:, None].transpose(2, 0, 1)  # [n, 1] each
-    return x * matrix[:3, 0] + y * matrix[:3, 1] + z * matrix[:3, 2] + matrix[:3, 3]

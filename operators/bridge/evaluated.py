@@ -108,6 +108,12 @@ def raster_placement_of(terrain) -> np.ndarray:
     return about_middle(placement_of(terrain), anchor_of(terrain))
 
 
+def transform_points(matrix, points: np.ndarray) -> np.ndarray:
+    """Transform points [n, 3] by a 4 x 4 matrix; return float64 [n, 3], the same bits on every processor."""
+    matrix = np.array(matrix, np.float64)
+    return product(points, matrix[:3, :3].T) + matrix[:3, 3]
+
+
 def about_middle(placement: np.ndarray, anchor: tuple[float, float]) -> np.ndarray:
     """Return the placement, float64 [4, 4], of a space that begins at the raster's middle instead of the anchor."""
     shift = np.eye(4)

@@ -116,14 +116,13 @@ def parse_effects(text: str) -> tuple[str, ...] | None:
     Returns () for `none`, and None for `auto`, which each verb explains. Raises ValueError for an unknown name.
     """
     from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
-    from ..text.effect_lines import unknown_attribute
 
     if text in ("auto", "none"):
         return None if text == "auto" else ()
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
     for name in names:
         if name not in ATTRIBUTES:
-            raise ValueError(unknown_attribute(name))
+            raise ValueError(f"{name!r} is no effect; expected some of {', '.join(ATTRIBUTES)}")
     return names
 
 

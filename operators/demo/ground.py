@@ -4,8 +4,11 @@
 import math
 from dataclasses import dataclass, field
 
+from ..layers.properties import set_band
+
 UP_TO_34, FROM_43, FROM_53 = (math.radians(degrees) for degrees in (34.0, 43.0, 53.0))
 NARROW = math.radians(7.0)
+OPEN = math.inf
 
 
 @dataclass(frozen=True)
@@ -15,14 +18,14 @@ class Cover:
     Attributes:
         color: linear RGB.
         noise: size of the noise in metres.
-        bands: limits (low, high, edge) by quantity; None is an open limit.
+        bands: limits (low, high, edge) by quantity; infinite ones are open.
         ragged, strength: as of a terrain's layer.
     """
 
     name: str
     color: tuple[float, float, float]
     noise: float
-    bands: dict[str, tuple[float | None, float | None, float]] = field(default_factory=dict)
+    bands: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     ragged: float = 1.0
     strength: float = 1.0
 
@@ -30,16 +33,16 @@ class Cover:
 # From the lowest to the highest.
 COVERS = (
     Cover("Grass", (0.085, 0.098, 0.033), 300.0),
-    Cover("Heath", (0.098, 0.078, 0.042), 420.0, {"height": (330.0, None, 220.0)}, 1.4, 0.85),
+    Cover("Heath", (0.098, 0.078, 0.042), 420.0, {"height": (330.0, OPEN, 220.0)}, 1.4, 0.85),
     Cover(
-        "Forest", (0.030, 0.044, 0.017), 260.0, {"height": (14.0, 360.0, 90.0), "slope": (None, UP_TO_34, NARROW)}, 1.6
+        "Forest", (0.030, 0.044, 0.017), 260.0, {"height": (14.0, 360.0, 90.0), "slope": (-OPEN, UP_TO_34, NARROW)}, 1.6
     ),
-    Cover("Meadow", (0.098, 0.108, 0.034), 150.0, {"sediment": (1.5, None, 1.5), "height": (3.0, None, 3.0)}, 0.8),
-    Cover("Scree", (0.135, 0.124, 0.114), 120.0, {"scree": (2.0, None, 3.0)}, 0.8),
-    Cover("Rock", (0.086, 0.077, 0.069), 90.0, {"slope": (FROM_43, None, NARROW)}, 1.2),
-    Cover("Cliff", (0.050, 0.047, 0.046), 60.0, {"slope": (FROM_53, None, NARROW)}, 1.0),
-    Cover("Beach", (0.25, 0.21, 0.155), 80.0, {"height": (None, 1.1, 1.0), "slope": (None, UP_TO_34, NARROW)}, 0.6),
-    Cover("Snow", (0.84, 0.87, 0.92), 60.0, {"snow": (0.4, None, 0.2)}, 0.6),
+    Cover("Meadow", (0.098, 0.108, 0.034), 150.0, {"sediment": (1.5, OPEN, 1.5), "height": (3.0, OPEN, 3.0)}, 0.8),
+    Cover("Scree", (0.135, 0.124, 0.114), 120.0, {"scree": (2.0, OPEN, 3.0)}, 0.8),
+    Cover("Rock", (0.086, 0.077, 0.069), 90.0, {"slope": (FROM_43, OPEN, NARROW)}, 1.2),
+    Cover("Cliff", (0.050, 0.047, 0.046), 60.0, {"slope": (FROM_53, OPEN, NARROW)}, 1.0),
+    Cover("Beach", (0.25, 0.21, 0.155), 80.0, {"height": (-OPEN, 1.1, 1.0), "slope": (-OPEN, UP_TO_34, NARROW)}, 0.6),
+    Cover("Snow", (0.84, 0.87, 0.92), 60.0, {"snow": (0.4, OPEN, 0.2)}, 0.6),
 )
 
 
@@ -50,9 +53,5 @@ def set_layers(settings) -> None:
         layer = settings.layers.add()
         layer.name, layer.color, layer.noise_size = cover.name, cover.color, cover.noise
         layer.ragged, layer.strength, layer.seed = cover.ragged, cover.strength, number
-        for quantity, (low, high, edge) in cover.bands.items():
-            band = getattr(layer, quantity)
-            ends = band.bl_rna.properties["low"]
-            band.use, band.edge = True, edge
-            band.low = ends.hard_min if low is None else low
-            band.high = ends.hard_max if high is None else high
+        for quantity, limits in cover.bands.items():
+            set_band(getattr(layer, quantity), *limits)

@@ -12,12 +12,12 @@ from ...cbt_terrain.errors import TerrainError
 from ..session.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
-from .bounds import corners_of
 from .chosen import GroundOperator, active_terrain, chosen_grounds, objects_to_move, selected_objects
-from .drop_points import drop_points
 from .properties import ON
 
 ORIGIN, BOUNDS = "ORIGIN", "BOUNDS"
+NOTHING = np.zeros((0, 3))
+GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GPENCIL", "GREASEPENCIL"}
 
 
 @dataclass(frozen=True)
@@ -165,6 +165,50 @@ class DropToGround(GroundOperator, bpy.types.Operator):
         return held
 
 
+def drop_points(obj, world: Matrix, ground, offset: float) -> None:
+    """Move each control point of a curve object, with its handles, to the ground along the world's Z axis.
+
+    Points without ground stay. Raises TerrainError if none can be moved.
+
+    Args:
+        world: the object's matrix to the world.
+        ground: list of WorldGround.
+        offset: metres above the ground.
+    """
+    curve, name = obj.data, f"The object {obj.name!r}"
+    if moves.is_linked(curve):
+        raise TerrainError(f"{name} has a curve that is linked from a library", fix="make it local")
+    if curve.users > 1:
+        raise TerrainError(f"{name} shares its curve with others", fix="make it a single user")
+    if curve.shape_keys is not None:
+        raise TerrainError(f"{name} has shape keys, which hold the points", fix="remove them")
+    if curve.dimensions == "2D":
+        raise TerrainError(f"{name} is a flat curve", fix="set its Shape to 3D")
+    points = [point for spline in curve.splines for point in (*spline.bezier_points, *spline.points)]
+    if not points:
+        raise TerrainError(f"{name} has a curve without points", fix="add some")
+    if world.determinant() == 0.0:
+        raise TerrainError(f"{name} has a scale of 0", fix="give it another")
+    positions = np.array([world @ point.co.to_3d() for point in points])
+    heights = world_ground.find_below(ground, positions).heights
+    if not np.isfinite(heights).any():
+        raise TerrainError(f"{name} has no ground above or below its points", fix="move it over the terrain")
+    up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))  # a metre up in the world, in the curve's space
+    for point, position, height in zip(points, positions, heights.tolist(), strict=True):
+        if np.isfinite(height):
+            _move_point(point, up * (height + offset - position[2]))
+    curve.update_tag()
+
+
+def _move_point(point, by: Vector) -> None:
+    """Move a control point and its handles by a vector of the curve's space."""
+    if hasattr(point, "handle_left"):
+        handles = point.handle_left + by, point.handle_right + by
+        point.co, point.handle_left, point.handle_right = point.co + by, *handles
+    else:
+        point.co = (*(point.co.to_3d() + by), point.co.w)
+
+
 def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
     """Return the pose that puts an evaluated object on the ground, None without ground.
 
@@ -193,3 +237,36 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
 def _middle(corners: np.ndarray) -> np.ndarray:
     """Return the middle of the box around corners, float64 [3]."""
     return (corners.min(axis=0) + corners.max(axis=0)) / 2
+
+
+def corners_of(obj, depsgraph) -> np.ndarray:
+    """Return the corners of the boxes around an object, its rendered children and instanced collections.
+
+    Returns:
+        float64 [n, 3], metres of the world; the object's origin if there is no geometry.
+    """
+    shown = [obj, *(child for child in obj.children_recursive if not child.hide_render)]
+    found = [_object_corners(item.evaluated_get(depsgraph)) for item in shown]
+    corners = np.concatenate(found)
+    if not len(corners):
+        return np.array([obj.evaluated_get(depsgraph).matrix_world.translation], np.float64)
+    return corners
+
+
+def _object_corners(evaluated) -> np.ndarray:
+    """Return the corners of the box of one evaluated object, and of its instanced collection, float64 [n, 3]."""
+    found = [NOTHING]
+    if evaluated.type in GEOMETRY:
+        found.append(_box_corners(evaluated, evaluated.matrix_world))
+    collection = evaluated.instance_collection if evaluated.instance_type == "COLLECTION" else None
+    if collection is not None:
+        to_world = evaluated.matrix_world @ Matrix.Translation(-collection.instance_offset)
+        for item in collection.all_objects:
+            if item.type in GEOMETRY:
+                found.append(_box_corners(item, to_world @ item.matrix_world))
+    return np.concatenate(found)
+
+
+def _box_corners(obj, matrix: Matrix) -> np.ndarray:
+    """Return the corners of an object's bounding box, transformed by `matrix`, float64 [8, 3]."""
+    return np.array([matrix @ Vector(corner) for corner in obj.bound_box], np.float64)

@@ -8,6 +8,7 @@ change.
 """
 
 import math
+from contextlib import suppress
 
 import numpy as np
 from bpy.app.handlers import persistent
@@ -239,12 +240,10 @@ def settle_shown(scene, depsgraph) -> bool:
         return True
     if not warmup.prepare_modules(["query.ground", "query.rays"]):
         return False
-    try:
+    with suppress(TerrainError):  # the terrain's update reports it
         grounds = world_ground.grounds_of(scene, depsgraph, waits=False)
         if _settled.get(scene.session_uid) != _state_key(objects, grounds, depsgraph):
             settle_now(scene, depsgraph, waits=False)
-    except TerrainError:
-        pass  # the terrain's update reports it
     return True
 
 

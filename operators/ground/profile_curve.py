@@ -194,9 +194,7 @@ def _new_curve(context, name: str, lines: list[np.ndarray]):
     data.dimensions = "3D"
     first = next(p for line in lines for p in line if np.isfinite(p).all())
     for line in lines:
-        # Where parts with heights begin and end, in turn.
-        borders = np.flatnonzero(np.diff(np.r_[False, np.isfinite(line[:, 2]), False].astype(np.int8)))
-        for begin, end in borders.reshape(-1, 2):
+        for begin, end in profile_plot.runs_of(np.isfinite(line[:, 2])):
             if end - begin < 2:
                 continue
             spline = data.splines.new("POLY")

@@ -14,6 +14,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.view.criterion import Criterion
 from ...cbt_terrain.view.linear import inverse, product
+from ..bridge.evaluated import transform_points
 from ..bridge.scene_origin import coordinates_text
 from ..land.properties import SEEN
 from ..session import session
@@ -45,11 +46,11 @@ class WorldGround:
 
     def to_local(self, points: np.ndarray) -> np.ndarray:
         """Transform points of the world, float64 [n, 3], to the terrain's space."""
-        return _transform_points(inverse(self.placement), points)
+        return transform_points(inverse(self.placement), points)
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """Transform points of the terrain's space, float64 [n, 3], to the world."""
-        return _transform_points(self.placement, points)
+        return transform_points(self.placement, points)
 
     def top(self) -> float:
         """Return a height of the world above all of the terrain, from which rays may start downwards."""
@@ -68,8 +69,8 @@ class WorldGround:
         from ...cbt_terrain.query.rays import pick
 
         to_local = inverse(self.placement)
-        local_directions = _transform_vectors(to_local[:3, :3], directions)
-        local_origins = _transform_points(to_local, origins)
+        local_directions = product(directions, to_local[:3, :3].T)
+        local_origins = transform_points(to_local, origins)
         return self.to_world(pick(self.field, local_origins, local_directions, **self.scale_and_offset).points)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
@@ -77,7 +78,7 @@ class WorldGround:
         from ...cbt_terrain.query.ground import ground_at
 
         local = ground_at(self.field, self.to_local(points)[:, :2], **self.scale_and_offset).normals
-        normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)  # by the inverse transpose
+        normals = product(local, inverse(self.placement)[:3, :3])  # by the inverse transpose
         normals = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]
         return np.where(normals[:, 2:] < 0.0, -normals, normals)
 
@@ -182,13 +183,3 @@ def first_hit(grounds: Sequence[WorldGround], origin, direction) -> tuple[np.nda
         if np.isfinite(point).all() and (nearest is None or along < nearest[0]):
             nearest = along, point, number
     return nearest and nearest[1:]
-
-
-def _transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Transform points [n, 3] by a matrix [4, 4]."""
-    return _transform_vectors(matrix[:3, :3], points) + matrix[:3, 3]
-
-
-def _transform_vectors(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Transform vectors [n, 3] by a matrix [3, 3]."""
-    return product(vectors, matrix.T)

@@ -11,13 +11,7 @@ from ..text.console import print_line
 from . import stack as land_stack
 from .properties import SEEN
 
-
-def _notify(sentence: str) -> None:
-    """Print a sentence of the engine about its stores."""
-    print_line(f"Adaptive Terrain: {sentence}")
-
-
-derived_store.notify = _notify
+derived_store.notify = lambda sentence: print_line(f"Adaptive Terrain: {sentence}")
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:

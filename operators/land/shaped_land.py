@@ -114,8 +114,7 @@ def store_of(obj) -> str:
     stack.
     """
     source = absolute_path(obj.adaptive_terrain.store)
-    request = session.record_of(obj).status.request
-    shown = _shaped_store(request) if request is not None else ""
+    shown = _shaped_store(session.record_of(obj).status.request)
     # The user may have chosen another source since the request.
     return shown if Path(shown).parent == folder_beside(source) else source
 
@@ -126,10 +125,12 @@ def field_of(obj) -> HeightField:
 
 
 def _shaped_store(request) -> str:
-    """Return the store of a request's mesh, "" if the mesh shows a preview of the stack.
+    """Return the store of a request's mesh, "" if the mesh shows a preview of the stack, or without a request.
 
     Land that `waits` is used as shaped land, other land as a preview.
     """
+    if request is None:
+        return ""
     if request.land is None:
         return request.store
     return request.land.folder if request.land.waits else ""
@@ -170,7 +171,8 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
             note = phrase("{} takes too long for a preview: Shape Now", slow) if slow else phrase(NOTES[PREVIEW])
             ms = _by_number(numbers, preview.ms)
             return LandState(active=True, shown=PREVIEW, step_m=preview.step_m, ms=ms, note=note)
-    info = _shaping_info(_shaped_store(request)) if request is not None and _shaped_store(request) else None
+    shown = _shaped_store(request)
+    info = _read_provenance(shown, stores.changed_ns(shown)) if shown else None
     if info is None:
         return LandState(active=True, note=_why_not_shown(obj))
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""  # built, all
@@ -210,14 +212,6 @@ class _ShapingInfo:
     finished_early: bool
     doubtful: str  # an effect whose tiles may not fit, or ""
     whole_effect: str  # an effect that computes whole levels though only some tiles were requested, or ""
-
-
-def _shaping_info(store: str) -> _ShapingInfo | None:
-    """Return the provenance of a shaped store, None for a store that no stack has made."""
-    try:
-        return _read_provenance(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
-    except OSError:
-        return None
 
 
 @functools.lru_cache(maxsize=64)

@@ -14,6 +14,7 @@ from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..importing.imported import imported_of
+from ..layers.properties import set_band
 from . import masks as land_masks
 from .entries import add_entry
 from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
@@ -196,9 +197,6 @@ def _fill_mask(mask, source: HeightMask) -> list[str]:
             aspect.use, aspect.direction = True, math.radians(rule.direction % 360.0)
             aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge  # low: a cosine
         else:
-            band, convert = getattr(mask, rule.of), math.radians if rule.of == SLOPE else float
-            limits = band.bl_rna.properties["low"]
-            band.use, band.edge = True, convert(rule.edge)
-            band.low = limits.hard_min if math.isinf(rule.low) else convert(rule.low)
-            band.high = limits.hard_max if math.isinf(rule.high) else convert(rule.high)
+            convert = math.radians if rule.of == SLOPE else float
+            set_band(getattr(mask, rule.of), convert(rule.low), convert(rule.high), convert(rule.edge))
     return left_out

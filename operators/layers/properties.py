@@ -172,6 +172,13 @@ for _kind, _group in BANDS.items():
     LayerSettings.__annotations__[_kind] = PointerProperty(type=_group)
 
 
+def set_band(band, low: float, high: float, edge: float) -> None:
+    """Switch a band of BANDS on, with these limits; an infinite one is open, and becomes an end of the band's range."""
+    ends = band.bl_rna.properties["low"]
+    band.use, band.edge = True, edge
+    band.low, band.high = max(low, ends.hard_min), min(high, ends.hard_max)
+
+
 def add_default_layers(settings) -> None:
     """Add the default layers to a terrain that has none, for the user to change: grass, scree, rock and snow."""
     for declared, color in zip(rules.DEFAULT, DEFAULT_COLORS, strict=True):
@@ -180,10 +187,7 @@ def add_default_layers(settings) -> None:
             setattr(layer, name, getattr(declared, name))
         layer.color = color
         for rule in declared.rules:
-            band = getattr(layer, rule.of)
-            limits = band.bl_rna.properties["low"]
-            band.use, band.edge = True, rule.edge
-            band.low, band.high = max(rule.low, limits.hard_min), min(rule.high, limits.hard_max)
+            set_band(getattr(layer, rule.of), rule.low, rule.high, rule.edge)
 
 
 MIN_NOISE_M = 0.002  # metres: a property cannot hold the size 0 of no noise

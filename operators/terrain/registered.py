@@ -3,10 +3,9 @@
 
 from .detail_properties import RenderDetail, ViewportDetail
 from .frame_terrain import FrameTerrain
-from .freeze_detail import FreezeDetail
 from .move_world import MoveWorld
 from .properties import CleanupSettings, SceneSettings, SourceFile, TerrainSettings
-from .update_terrain import LockInterface, UpdateTerrain
+from .update_terrain import FreezeDetail, LockInterface, UpdateTerrain
 
 CLASSES = (
     *(ViewportDetail, RenderDetail, CleanupSettings, SourceFile, TerrainSettings, SceneSettings),

@@ -28,10 +28,11 @@ from ..bridge.cleanup import Cleanup, plan_triangles
 from ..bridge.evaluated import anchor_of, evaluated_or_still, placement_of, raster_placement_of
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
+from ..layers.properties import layers_of
 from ..scatter.request import Scatters, gather_scatters
 from .camera_source import follows_viewport
 from .detail_properties import value_of
-from .layered_ground import ground_of
+from .displacement_properties import displacement_of
 from .overrides import NO_OVERRIDES, Overrides
 from .properties import CHOSEN_CAMERA
 
@@ -136,7 +137,7 @@ def gather(
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
         detail = settings.render if mode == RENDER else settings.viewport
-        with _name_terrain_in_errors(obj):
+        with _name_terrain_in_errors(obj.name):
             criterion = criterion_from(detail, overrides)
         if overrides.criterion.keys().isdisjoint(ERRORS):
             criterion, note = within_time(criterion, detail)
@@ -144,7 +145,7 @@ def gather(
             curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
     views = []
     if criterion.needs_view:
-        with _name_terrain_in_errors(obj):
+        with _name_terrain_in_errors(obj.name):
             views = _find_views(evaluated, depsgraph, mode, camera, resolution)
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
@@ -198,12 +199,24 @@ def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
 
 
 @contextmanager
-def _name_terrain_in_errors(obj):
+def _name_terrain_in_errors(name: str):
     """Add the terrain's name to TerrainErrors of the `with` block: a scene may have several."""
     try:
         yield
     except TerrainError as error:
-        raise error.within(f"The terrain {obj.name!r} cannot be refined") from None
+        raise error.within(f"The terrain {name!r} cannot be refined") from None
+
+
+def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
+    """Return the displacement of a terrain and of its splat layers; None if no amplitude is above 0.
+
+    name: the terrain's, for errors. Raises TerrainError.
+    """
+    with _name_terrain_in_errors(name):  # a driver or a script may set any number
+        everywhere = displacement_of(settings.ground)
+        found = ((number, displacement_of(layer.detail)) for number, layer in enumerate(settings.layers))
+        details = tuple((number, detail) for number, detail in found if detail is not None)
+        return LayeredDetail(everywhere, layers_of(settings), details) if details else everywhere
 
 
 def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:

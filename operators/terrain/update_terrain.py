@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Update the mesh now, and make renders safe."""
+"""Update the mesh now, freeze its triangles, and make renders safe."""
 
 from types import ModuleType
 
@@ -32,6 +32,23 @@ class UpdateTerrain(UpdatingOperator, bpy.types.Operator):
         """Update the active terrain for the viewport, and report its triangles."""
         session.update_object(context.object)
         self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
+        return {"FINISHED"}
+
+
+class FreezeDetail(UpdatingOperator, bpy.types.Operator):
+    """Keep the present triangles, whatever the camera sees, in renders too. Press it again to let the mesh follow the
+    camera"""
+
+    bl_idname = "adaptive_terrain.freeze"
+    bl_label = "Freeze Detail"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @cancelled_by_errors
+    def execute(self, context):
+        """Store the present triangles in the terrain's settings, or release them if it is frozen."""
+        settings = context.object.adaptive_terrain
+        settings.frozen = "" if settings.frozen else session.freeze(context.object)
+        self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")
         return {"FINISHED"}
 
 

@@ -48,7 +48,6 @@ class Progress:
     """
 
     def __init__(self, total: float, label: str, show: bool | str | None = None):
-        """Draw the bar at its start. show: OPENJD for per cents on stdout; None for a bar in a terminal only."""
         self.total, self.label = total, one_line(label)
         self.show = sys.stderr.isatty() if show is None else show
         self.done = self._worked = 0.0
@@ -93,7 +92,10 @@ class Progress:
             return
         fraction = self.done / self.total if self.total else 1.0
         if self.show == OPENJD:
-            self._draw_line(f"openjd_progress: {int(100 * fraction)}")
+            line = f"openjd_progress: {int(100 * fraction)}"
+            if line != self._drawn:
+                self._drawn = line
+                print(line, flush=True)
             return
         filled = int(BAR_WIDTH * fraction)
         left = self.left_s()
@@ -103,12 +105,6 @@ class Progress:
             self._drawn = bar
             sys.stderr.write(f"\r\x1b[K{bar}")
             sys.stderr.flush()
-
-    def _draw_line(self, line: str) -> None:
-        """Print a line to stdout unless it is the same as the last one."""
-        if line != self._drawn:
-            self._drawn = line
-            print(line, flush=True)
 
     def _clear(self) -> None:
         """Erase the bar's line in the terminal, before other output."""

@@ -4,7 +4,6 @@
 from collections.abc import Callable
 
 from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeDeclaration
-from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from .numbers import plain
 
 BYTES = 4  # of a float32
@@ -70,8 +69,3 @@ def cost_text(status, say: Callable[..., str]) -> str:
 def cost_figures(took) -> str:
     """Format time and memory as `12.1 ms, 0.4 MB`. took: has `ms` and `nbytes`, such as an EffectStatus."""
     return f"{plain(took.ms)} ms, {plain(took.nbytes / 1e6)} MB"
-
-
-def unknown_attribute(name: str) -> str:
-    """Return the error text for a name that no attribute has."""
-    return f"{name!r} is no effect; expected some of {', '.join(ATTRIBUTES)}"

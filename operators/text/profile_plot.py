@@ -34,8 +34,9 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     for metres in _round_values(low - margin, high + margin):
         parts.append(path([(LEFT, y(metres)), (WIDTH - RIGHT, y(metres))], LINE, 1))
         parts.append(text(LEFT - 8, y(metres) + 4, f"{plain(metres, 6)} m", "end"))
-    for piece in _split_at_gaps(along[drawn], heights[drawn]):
-        pixels = [(x(a), y(h)) for a, h in piece.tolist()]
+    points = np.stack([along, heights], axis=1)[drawn]
+    for begin, end in runs_of(known[drawn]):
+        pixels = [(x(a), y(h)) for a, h in points[begin:end].tolist()]
         floor = HEIGHT - BOTTOM
         parts.append(path([(pixels[0][0], floor), *pixels, (pixels[-1][0], floor)], "none", 0, WASH))
         parts.append(path(pixels, TEAL, 2))
@@ -55,9 +56,6 @@ def _round_values(low: float, high: float) -> list[float]:
     return [n * step for n in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
-def _split_at_gaps(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
-    """Return the parts of the line between gaps without ground, float64 [k, 2] each: distance and height."""
-    points = np.stack([along, heights], axis=1)
-    is_known = np.r_[False, np.isfinite(heights), False].astype(np.int8)
-    borders = np.flatnonzero(np.diff(is_known))  # begin and end of each part in turn
-    return [points[begin:end] for begin, end in borders.reshape(-1, 2)]
+def runs_of(flags: np.ndarray) -> np.ndarray:
+    """Return where runs of True begin and end in `flags`, bool [n]: int [k, 2]."""
+    return np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8))).reshape(-1, 2)

@@ -4,6 +4,8 @@
 It is always one row, so that nothing below it moves while a user aims at it.
 """
 
+from contextlib import suppress
+
 import bpy
 import numpy as np
 
@@ -96,7 +98,7 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
     It is the first that applies: the viewport beside the panel cuts the terrain off; the camera is underground, far
     from the origin, sees nothing of it or cuts it off. Three times "" if all is well or the view cannot be known.
     """
-    try:
+    with suppress(TerrainError):  # the update reports it
         box = sight.box_of(obj)
         if _viewport_cuts(context, box):
             return "View cuts it off", FRAME, "Frame"
@@ -112,8 +114,6 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
             return SEES_NOTHING, CAMERA_TO_VIEW, "To View"
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
-    except TerrainError:
-        pass  # the update reports it
     return "", "", ""
 
 

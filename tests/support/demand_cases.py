@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cases of demand: each builds scenes and yields the attributes that are read of the mesh, and the expected ones.
 
-`demand(obj, mode="RENDER", exports=())` is handed in: the bpy modules and the real program have it by other names.
+`demand(obj, mode="RENDER")` is handed in: the bpy modules and the real program have it by other names.
 """
 
 import bpy
@@ -352,12 +352,6 @@ def drivers(demand):
             obj.driver_remove("location")
 
 
-def exports(demand):
-    obj, _, _ = worn()
-    yield "an export of PLY", demand(obj, exports=("ply",)), {ALL}
-    yield "an export of STL", demand(obj, exports=("stl",)), set()
-
-
 def unknown_engines(demand):
     class Engine(bpy.types.RenderEngine):
         bl_idname, bl_label = "TEST_ENGINE", "Test"
@@ -386,5 +380,5 @@ CASES = [
     links_that_count, mixed_colours, mixed_shaders, animated_nodes, groups_used_twice, nested_groups,
     outputs_of_engines, other_outputs, slots_and_overrides, colours_and_uvs, weights_of_zero, scripts_in_shaders,
     named_attributes, names_that_are_given, switches, materials_by_nodes, instances, other_objects,
-    objects_in_collections, plain_modifiers, twins, drivers, exports, unknown_engines, rays_of_others,
+    objects_in_collections, plain_modifiers, twins, drivers, unknown_engines, rays_of_others,
 ]  # fmt: skip

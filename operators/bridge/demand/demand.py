@@ -9,15 +9,12 @@ from typing import NamedTuple
 
 from ....cbt_terrain.attributes.attribute import GEOMETRY, PICTURE
 from .drivers import read_drivers
-from .found import ACTIVE_COLOR, ALL, Demand
+from .found import ALL, Demand
 from .geometry import Sources, is_enabled, read_modifier, read_particles, sets_material_index
 from .materials import ENGINES, WORKBENCH, Shading, read_material, read_rays, read_workbench, shading_of, used_slots
 from .screens import read_screens
 
 RENDER = "RENDER"
-# What file formats export in addition to UVs and normals, which every mesh has.
-EXPORTS = {"ply": ALL, "usd": ALL, "abc": ACTIVE_COLOR, "obj": ACTIVE_COLOR, "gltf": ACTIVE_COLOR, "fbx": ACTIVE_COLOR}
-NOTHING_EXPORTED = ("stl",)
 
 
 @dataclass
@@ -51,7 +48,7 @@ class _Search:
         return f"{'' if obj == self.terrain else f'object {obj.name}, '}modifier {modifier.name}"
 
 
-def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = ()) -> Demand:
+def find_demand(obj, depsgraph, mode: str = RENDER) -> Demand:
     """Return the attributes of the mesh of `obj` that a scene reads, with their readers.
 
     Names are those of attributes, or special ones of found.py.
@@ -59,7 +56,6 @@ def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = (
     Args:
         depsgraph: the scene's dependency graph.
         mode: "RENDER" or "VIEWPORT", which differ in modifiers, view layers and windows.
-        exports: extensions of the files to export.
     """
     scene, render = depsgraph.scene.original, mode == RENDER
     layers = [layer for layer in scene.view_layers if layer.use or not render]
@@ -78,9 +74,6 @@ def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = (
         read_material(found, material, search.shading)
     read_rays(found, materials, search.shading)
     read_drivers(found, obj, shown, scene)
-    for extension in exports:
-        if extension not in NOTHING_EXPORTED:
-            found.add(EXPORTS.get(extension, ALL), f"export of {extension}", GEOMETRY)
     return found
 
 

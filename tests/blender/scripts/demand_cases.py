@@ -12,8 +12,8 @@ sys.path.insert(0, support)
 from demand_cases import CASES  # noqa: E402
 
 
-def demanded(obj, mode="RENDER", exports=()):
-    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
+def demanded(obj, mode="RENDER"):
+    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode)
 
 
 held, failed = 0, []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.session import session
-from adaptive_terrain.operators.terrain.layered_ground import ground_of
+from adaptive_terrain.operators.terrain.request import ground_of
 from blender_meshes import digest_alone
 
 

@@ -9,8 +9,8 @@ from demand_cases import CASES
 from demand_trees import Moved, colour, emit, group, mix, new_object, worn
 
 
-def demanded(obj, mode="RENDER", exports=()):
-    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
+def demanded(obj, mode="RENDER"):
+    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)

@@ -2,7 +2,7 @@
 """The unfinished work of an import by tile in a store's folder: a new one, or that of a killed import, found again."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import codes, store_folder
-from ..field.lattice import Lattice
+from ..field.lattice import Lattice, lattice_for
 from ..field.store import Draft
 from ..run import partial_files
 from ..tiling.moved_tiles import copy_moved, tiles_moved
@@ -38,6 +38,12 @@ def open_work(wanted: TileWork, source: TileSource) -> Iterator[tuple[Draft, Til
     needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
     with open_draft(path, wanted.folder.name, lattice, needed, doubt=DOUBT.format(source.settings.name)) as draft:
         yield draft, work
+
+
+def count_tiles(size: Sequence[int]) -> int:
+    """Return the number of tiles of an import of all samples. size: columns and rows of the raster."""
+    columns, rows = (max(count, 2) for count in size)
+    return len(TileGrid(lattice_for(columns, rows), TILE_BITS))
 
 
 def work_of(folder: Path, source: TileSource, lattice: Lattice, digest: str) -> TileWork:

@@ -49,7 +49,7 @@ def start_crew(settings: ImportSettings, module: str) -> Crew:
     the function `idle_main`. Raises TerrainError for sources that name no file.
     """
     count = launch.default_threads()
-    if count < 2 or not _may_be_large(settings):
+    if count < 2 or not may_be_large(settings):
         return Crew()
     try:
         return ProcessCrew(module, count)
@@ -57,7 +57,7 @@ def start_crew(settings: ImportSettings, module: str) -> Crew:
         return Crew()
 
 
-def _may_be_large(settings: ImportSettings) -> bool:
+def may_be_large(settings: ImportSettings) -> bool:
     """Return whether an import is large enough for processes: a large built-in terrain, or MIN_BYTES of files.
 
     A tile index counts, whose files are not known yet. A missing file does not.

@@ -137,7 +137,7 @@ def _not_begun(path: Path) -> TerrainError:
     """Return the error about a part of an import before the import was begun."""
     return TerrainError(
         f"No import of these sources and settings was begun in {path}",
-        fix="begin it (--only begin), with the same sources and options",
+        fix="begin it (--only begin; a farm's job: run it from its first step) with the same sources and options",
     )
 
 

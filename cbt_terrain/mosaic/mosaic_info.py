@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report on a mosaic that is not imported; a sandboxed child process reads the files."""
+"""The report on height maps that are not imported; a sandboxed child process reads the files."""
 
 import dataclasses
 import tempfile
@@ -8,8 +8,8 @@ from typing import Any
 
 from ..field import store_folder
 from ..formats.archives import UnpackedFiles
-from ..importing.source_info import describe_alone
-from ..importing.source_list import files_of, has_archives
+from ..importing.source_info import describe_alone, describe_source
+from ..importing.source_list import files_of, has_archives, may_name_several
 from ..rasters.raster import ImportSettings
 from ..run import child
 from ..sandbox.guard import guard_import
@@ -17,6 +17,11 @@ from ..sandbox.store_job import READING, Tell, ask, serve
 from .import_child import SCANNED, has_several, paths_of, unpacked_sources
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic
+
+
+def describe_heights(settings: ImportSettings) -> dict:
+    """Return the description of a height map or of a mosaic of several, by their headers. Raises TerrainError."""
+    return describe_sources(settings) if may_name_several(settings) else describe_source(settings)
 
 
 def describe_sources(settings: ImportSettings) -> dict:

@@ -9,7 +9,7 @@ MAX_MEMORY_GIB = 1e6
 FRAMES = "A,B-C,D-E:STEP"
 CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
 SCENE = {"type": path, "metavar": "X.blend", "required": True}
-JOB_STORES = {"type": path, "metavar": "DIR", "help": "a farm job's stores, for terrains with incomplete ones"}
+JOB_STORES = {"type": path, "metavar": "DIR", "help": "a farm job's stores, if its steps share imports"}
 
 
 def add_submit(verb: argparse.ArgumentParser) -> None:
@@ -36,6 +36,8 @@ def add_submit(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")
     outside = "also bring files from outside the scene's folder that are no images, height maps or stores"
     verb.add_argument("--allow-outside", action="store_true", help=outside)
+    alone = "workers see no common disk: one of them imports a large missing store"
+    verb.add_argument("--no-shared-disk", dest="shared_disk", action="store_false", help=alone)
 
 
 def add_prepare(verb: argparse.ArgumentParser) -> None:
@@ -45,7 +47,7 @@ def add_prepare(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--scene", **SCENE)
     frames = argparse_type(parse_frames)
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
-    only = "import stores, shape land and bake maps, or a step of a farm's job with incomplete stores"
+    only = "import stores, shape land and bake maps, or a step of a farm's job that shares imports"
     parts = "stores", "land", "view", "tiles", "load", "read", "fill", "measure"
     verb.add_argument("--only", choices=parts, help=only)
     verb.add_argument("--share", type=share, metavar="K/N", help="of the tiles, with --only tiles, read, measure (all)")

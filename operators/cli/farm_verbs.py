@@ -83,6 +83,7 @@ def run_submit(arguments) -> None:
         extension=arguments.extension,
         min_memory_gib=arguments.min_memory,
         allow_outside=arguments.allow_outside,
+        shared_disk=arguments.shared_disk,
     )
     for line in [*lines, *(f"note: {note}" for note in notes)]:
         print_line(line)

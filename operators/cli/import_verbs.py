@@ -75,6 +75,7 @@ def _check_contents(arguments, settings) -> None:
 
 def _write_import_job(arguments, settings) -> list[str]:
     """Write the job of an import for a farm, and return lines about it."""
+    from ...cbt_terrain.mosaic.mosaic_info import describe_heights
     from ..farm.import_job import write_import_job
 
     described = describe_heights(settings)
@@ -122,22 +123,11 @@ def _described(arguments, is_store: bool) -> dict:
         from ...cbt_terrain.mesh.archive import read_npz
 
         return read_npz(Path(paths[0]))["info"]
+    from ...cbt_terrain.mosaic.mosaic_info import describe_heights
+
     settings = _import_settings(arguments, source=paths[0], more_sources=paths[1:])
     _check_contents(arguments, settings)
     return describe_heights(settings)
-
-
-def describe_heights(settings) -> dict:
-    """Return the description of a height map or of a mosaic of several."""
-    from ...cbt_terrain.importing.source_list import may_name_several
-
-    if may_name_several(settings):
-        from ...cbt_terrain.mosaic.mosaic_info import describe_sources
-
-        return describe_sources(settings)
-    from ...cbt_terrain.importing.source_info import describe_source
-
-    return describe_source(settings)
 
 
 def _verify_store(path) -> None:

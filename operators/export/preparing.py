@@ -20,7 +20,7 @@ from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
-from ..importing.shot_import import begin_import, import_part, is_begun
+from ..importing.shot_import import begin_import, forget_import, import_part, is_begun, shared_tiles
 from ..importing.shot_tiles import can_load_tiles, job_store, load_tiles, plan_tiles, read_tiles, use_job_stores
 from ..land.request import land_of
 from ..land.shape_land import wanted_land
@@ -107,24 +107,32 @@ def read_view(obj, task: Preparation) -> None:
 def load_view(obj, task: Preparation) -> None:
     """Load the tiles that the frames see into a job's store; if that is not enough, begin the import of all samples.
 
-    `import_share` and `import_store` then do the rest. Raises TerrainError.
+    Also begin the import of a missing store that several computers share. `import_share` and `import_store` then do
+    the rest. Raises TerrainError.
     """
-    if not can_load_tiles(store_folder_of(obj)) or is_begun(obj, task.stores, task.frames):
-        return
-    text = load_tiles(obj, task.frames, task.stores, task.on_progress)
-    task.say(f"{obj.name}: {text or _begin_import(obj, task)}")
+    store = store_folder_of(obj)
+    if can_load_tiles(store):
+        if not is_begun(obj, task.stores, task.frames):
+            text = load_tiles(obj, task.frames, task.stores, task.on_progress)
+            task.say(f"{obj.name}: {text or _begin_import(obj, task)}")
+    elif is_missing(store):
+        if shared_tiles(obj):
+            task.say(f"{obj.name}: {_begin_import(obj, task)}")
+        else:
+            forget_import(obj, task.stores)
 
 
 def _begin_import(obj, task: Preparation) -> str:
     """Begin the import of all samples by the workers of a job, and return a text about it. Raises TerrainError."""
     assert task.stores is not None, "only a job begins it"
-    return begin_import(obj, task.frames, task.stores)
+    why = "the frames need all samples" if can_load_tiles(store_folder_of(obj)) else "the store needs all samples"
+    return f"{why}, of which {begin_import(obj, task.frames, task.stores):,} tiles are imported by several computers"
 
 
 def import_share(step: str, obj, task: Preparation) -> None:
     """Do this process's share of a step of the import that `load_view` has begun, if any. Raises TerrainError."""
     assert task.stores is not None, "the command line has checked it"
-    if can_load_tiles(store_folder_of(obj)):
+    if is_missing(store_folder_of(obj)):
         if text := import_part(obj, task.stores, step, task.share, task.on_progress):
             task.say(f"{obj.name}: {text}")
 

@@ -33,8 +33,8 @@ STORES_PARAMETER = """- name: StoresDir
   type: PATH
   objectType: DIRECTORY
   dataFlow: INOUT
-  description: Stores of this job, with the tiles that its frames see."""
-MAX_SHARES, SHARE_TILES = 16, 8  # of tasks that share the tiles in view: one for SHARE_TILES tiles, MAX_SHARES at most
+  description: Stores of this job, with the tiles that its frames see, and records of imports that tasks share."""
+MAX_SHARES, SHARE_TILES = 16, 8  # of tasks that share an import: one for SHARE_TILES tiles, MAX_SHARES at most
 MAX_NAME, MAX_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
@@ -54,8 +54,9 @@ class FarmJob:
         output_folders: folders that a worker writes before the frames.
         platforms: platforms of the zip, by Blender's names.
         min_memory_gib: required memory of a worker, 0 for any.
-        stores: folder of the job's stores, in which tiles in view are loaded; None without any.
-        max_tiles: the largest number of tiles that may be in view of a terrain.
+        stores: folder of the job's stores and of records of shared imports; None if tasks share no import.
+        max_tiles: the largest number of tiles of a terrain that tasks share.
+        has_view: whether tasks load the tiles in view of incomplete stores.
     """
 
     name: str
@@ -73,6 +74,7 @@ class FarmJob:
     min_memory_gib: float = 0.0
     stores: Path | None = None
     max_tiles: int = 0
+    has_view: bool = False
 
 
 def write_bundle(job: FarmJob, folder: Path) -> None:
@@ -107,14 +109,13 @@ def job_template(job: FarmJob, guard: str) -> str:
     steps = read_template("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8  # of the embedded file in job.yaml
     text = read_template("job.yaml") + steps
-    has_tiles = job.stores is not None  # the job loads tiles in view into its own stores
-    view_steps = read_template("view_steps.yaml").replace("@SHARES@", str(_num_shares(job)))
-    after_tiles = "  dependencies: [{dependsOn: Measure}]\n"
+    is_shared = job.stores is not None
+    after_shares = "  dependencies: [{dependsOn: Measure}]\n"
     parts = {
-        "@VIEW_STEPS@\n": view_steps if has_tiles else "",
-        "  @AFTER_TILES@\n": after_tiles if has_tiles else "",
-        "@STORES_PARAMETER@\n": f"{STORES_PARAMETER}\n" if has_tiles else "",
-        '"@JOB_STORES@", ': '--job-stores, "{{Param.StoresDir}}", ' if has_tiles else "",
+        "@SHARED_STEPS@\n": _shared_steps(job) if is_shared else "",
+        "  @AFTER_SHARES@\n": after_shares if is_shared else "",
+        "@STORES_PARAMETER@\n": f"{STORES_PARAMETER}\n" if is_shared else "",
+        '"@JOB_STORES@", ': '--job-stores, "{{Param.StoresDir}}", ' if is_shared else "",
         "  @HOST_REQUIREMENTS@\n": host_requirements(job),
         "@GUARD@": guard.strip().replace("\n", f"\n{indent}"),
     }
@@ -123,8 +124,15 @@ def job_template(job: FarmJob, guard: str) -> str:
     return text
 
 
+def _shared_steps(job: FarmJob) -> str:
+    """Return the steps of imports that tasks share: of tiles in view, with incomplete stores, and of all samples."""
+    first, begin = ("view_steps.yaml", "Load") if job.has_view else ("begin_step.yaml", "Begin")
+    text = read_template(first) + read_template("shared_steps.yaml").replace("@BEGIN@", begin)
+    return text.replace("@SHARES@", str(_num_shares(job)))
+
+
 def _num_shares(job: FarmJob) -> int:
-    """Return the number of tasks that share a step of an import; 0 for a job without tiles in view."""
+    """Return the number of tasks that share a step of an import; 0 for a job without such imports."""
     return min(MAX_SHARES, -(-job.max_tiles // SHARE_TILES))
 
 

@@ -14,7 +14,7 @@ const JOB_TYPE = {
             description: "Such as 47, 1-30 or 3, 5-10, 47-327" },
         { key: "chunk_size", type: "int32", default: 4, description: "Frames of one task", visible: "submission" },
         { key: "import_tasks", type: "int32", default: IMPORT_TASKS, visible: "submission",
-            description: "Tasks that share the import of terrains with incomplete stores; 0 if all stores are complete" },
+            description: "Tasks that share the import of missing or incomplete stores, on a shared disk; 0: one task imports them" },
         { key: "render_output_path", type: "string", subtype: "file_path", editable: false,
             eval: "str(Path(abspath('//render')) / '{timestamp}' / '######')" },
         { key: "blendfile", type: "string", required: true, description: "The .blend file", visible: "web" },
@@ -29,7 +29,7 @@ function outputPath(job) {
     return job.settings.render_output_path.replaceAll("{timestamp}", formatTimestampLocal(job.created));
 }
 
-// Return the folder of the stores in which the job loads the tiles that its frames see.
+// Return the folder of the stores in which the job loads the tiles that its frames see, and records shared imports.
 function jobStores(job) {
     return path.join(path.dirname(outputPath(job)), "stores");
 }

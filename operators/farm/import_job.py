@@ -10,11 +10,10 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.lands import LANDS
-from ...cbt_terrain.field.lattice import lattice_for
+from ...cbt_terrain.importing.import_work import count_tiles
 from ...cbt_terrain.importing.source_list import files_of
 from ...cbt_terrain.importing.tile_import import TILED_PARTS
 from ...cbt_terrain.rasters.raster import ImportSettings
-from ...cbt_terrain.tiling.tile_grid import TileGrid
 from ..export.exporting import make_folder, write_files
 from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_json
 
@@ -30,7 +29,7 @@ def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path,
     size: columns and rows of the raster. store: folder that the job writes. chunk: tiles of one task. Raises
     TerrainError for files that cannot be written.
     """
-    tiles = len(TileGrid(lattice_for(*(max(count, 2) for count in size))))
+    tiles = count_tiles(size)
     values = {"StoreDir": str(store.absolute()), "Tiles": range_text(range(tiles)), "ChunkSize": str(chunk)}
     make_folder(folder)
     write_files(folder, {TEMPLATE: import_template(settings), OPENJD_VALUES: to_yaml_json(values)})

@@ -21,6 +21,7 @@ from ..export.preparing import is_missing, store_folder_of
 from ..export.scene_files import scene_files
 from ..importing.import_terrain import settings_of
 from ..importing.imported import loaded_text
+from ..importing.shot_import import shared_tiles
 from ..importing.shot_tiles import can_load_tiles, num_tiles
 from ..maps.properties import map_folder
 from ..maps.request import maps_shown_by_materials
@@ -31,6 +32,7 @@ from .outside_files import check_outside, named_some
 
 FRAMES, STORES, INSTALLED = "frames", "stores", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
+NEEDS_SHARED_DISK = "All workers need the store and its height maps under the same paths, on a shared disk"
 
 
 def submit(
@@ -44,6 +46,7 @@ def submit(
     extension: str | None,
     min_memory_gib: float = 0.0,
     allow_outside: bool = False,
+    shared_disk: bool = True,
 ) -> tuple[list[str], list[str]]:
     """Write the job of the open, saved file into the folder `out`.
 
@@ -57,6 +60,7 @@ def submit(
         extension: a zip that workers install for this job, INSTALLED for the running one, None if they have it.
         min_memory_gib: required memory of a worker, 0 for any.
         allow_outside: allow any file from outside the scene's folder.
+        shared_disk: let workers share the import of a large missing store; they need its files on one disk.
 
     Raises:
         TerrainError: the scene lacks a file, or one may not be copied.
@@ -68,10 +72,8 @@ def submit(
     files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if os.path.isfile(path)))
     height_maps, folders, outputs, notes, tiles = [], [], [], [], []
     for obj in objects:
-        _add_terrain(obj, height_maps, folders, outputs)
-        if loaded_text(obj.adaptive_terrain):
-            tiles.append(num_tiles(store_folder_of(obj)))
-            notes.append(_incomplete_note(obj, tiles[-1]))
+        tiles.append(_add_terrain(obj, height_maps, folders, outputs, shared_disk))
+        notes += _import_notes(obj, tiles[-1])
         if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_folder_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
@@ -104,6 +106,7 @@ def submit(
         min_memory_gib=min_memory_gib,
         stores=out / STORES if any(tiles) else None,
         max_tiles=max(tiles, default=0),
+        has_view=any(can_load_tiles(store_folder_of(obj)) for obj in objects),
     )
     write_bundle(job, out)
     lines = [f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"]
@@ -111,33 +114,46 @@ def submit(
     return lines, notes
 
 
-def _incomplete_note(obj, num_tiles: int) -> str:
-    """Return the note about the import of a terrain with an incomplete store before the frames.
+def _import_notes(obj, num_tiles: int) -> list[str]:
+    """Return the notes about the import of a terrain before the frames.
 
-    num_tiles: of those that may be in view, 0 if all samples are imported.
+    num_tiles: of those that workers share, 0 if one worker imports all samples, if any.
     """
-    text = f"{obj.name}: {loaded_text(obj.adaptive_terrain)}; the job "
-    if not num_tiles:
-        return text + "imports all of it first"
-    return text + (
-        f"first imports the tiles that its frames see, at most {num_tiles:,}, or all samples if the frames need more "
-        "detail. All workers need the store and its height maps under the same paths, on a shared disk"
-    )
+    store, loaded = store_folder_of(obj), loaded_text(obj.adaptive_terrain)
+    state = f"{obj.name}: {loaded or 'its store is missing'}; the job"
+    if can_load_tiles(store):
+        return [
+            f"{state} first imports the tiles that its frames see, at most {num_tiles:,}, or all samples if the frames "
+            f"need more detail. {NEEDS_SHARED_DISK}"
+        ]
+    if num_tiles:
+        return [
+            f"{state} first imports all of it, {num_tiles:,} tiles that workers share. {NEEDS_SHARED_DISK}; without "
+            "one, switch off Shared Disk (--no-shared-disk)"
+        ]
+    return [f"{state} imports all of it first"] if loaded else []
 
 
-def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:
-    """Add the files and folders of one terrain to the lists of a job.
+def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path], shared_disk: bool) -> int:
+    """Add the files and folders of one terrain to the lists of a job, and return the number of tiles to share.
 
     height_maps: files to import. folders: existing stores, land and maps. outputs: folders that earlier steps of
-    the job write.
+    the job write. shared_disk: whether workers share imports; the store and the height maps of a shared one are in no
+    list. Raises TerrainError.
     """
-    store = store_folder_of(obj)
+    store, tiles = store_folder_of(obj), 0
     if can_load_tiles(store):  # workers share its disk
+        if not shared_disk:
+            what = f"The store of {obj.name!r} is incomplete, and without a shared disk a farm cannot complete it"
+            raise TerrainError(what, fix="import all of it before you submit")
         folders.append(store)
+        tiles = num_tiles(store)
     elif is_missing(store):
-        outputs.append(store)
-        if built_in_land(obj.adaptive_terrain) is None:
-            height_maps += _height_maps(obj, store)
+        sources = _height_maps(obj, store) if built_in_land(obj.adaptive_terrain) is None else []
+        tiles = shared_tiles(obj) if shared_disk else 0
+        if not tiles:
+            outputs.append(store)
+            height_maps += sources
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
@@ -146,6 +162,7 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
         check_folder(folder)
     outputs += derived
     folders += [folder for folder in derived if folder.is_dir()]
+    return tiles
 
 
 def _height_maps(obj, store: Path) -> list[Path]:

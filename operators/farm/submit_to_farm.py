@@ -53,6 +53,13 @@ class SubmitToFarm(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    shared_disk: bpy.props.BoolProperty(
+        name="Shared Disk",
+        description="The farm's computers see stores and height maps under the same paths, and share the import of a "
+        "large missing store. Switch it off for farms that copy files, such as Deadline Cloud",
+        default=True,
+    )
+
     @classmethod
     def poll(cls, context):
         """Return whether the file is saved and its scene has a terrain; otherwise set the reason that Blender shows."""
@@ -91,6 +98,7 @@ class SubmitToFarm(bpy.types.Operator):
             formats=() if self.render else ("npz",),
             extension=INSTALLED if self.bring else None,
             allow_outside=self.allow_outside,
+            shared_disk=self.shared_disk,
         )
         for kind, texts in (("INFO", lines), ("WARNING", notes)):
             for text in texts:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import of all samples of a terrain by several computers, for a farm's job whose frames need them.
+"""Import of all samples of a terrain by several computers, for a farm's job.
 
-A file beside the job's stores records that a terrain needs all samples. The steps of its import (`import --only`) then
-write into the terrain's own store, and do nothing for a terrain without that record.
+It is of a large raster whose store is missing, or whose tiles in view are not enough for the frames. A file beside the
+job's stores records that it has begun. The steps of the import (`import --only`) then write into the terrain's own
+store, and do nothing for a terrain without that record.
 """
 
 import json
@@ -13,11 +14,18 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import unwritable
-from ...cbt_terrain.field.store import read_json
+from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.field.store import JSON_NAME, read_json
 from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.importing.import_work import count_tiles
 from ...cbt_terrain.importing.read_ahead import share_of
 from ...cbt_terrain.importing.refining import first_picture
+from ...cbt_terrain.importing.source_list import has_archives, names_several
+from ...cbt_terrain.importing.tile_crew import may_be_large
 from ...cbt_terrain.importing.tile_import import BEGIN, TILED_PARTS, ImportPart
+from ...cbt_terrain.mosaic.mosaic_info import describe_heights
+from ...cbt_terrain.rasters.raster import ImportSettings
+from ...cbt_terrain.rasters.source_formats import CELL, suffixes_with
 from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.owned_files import open_folder, remove_file
 from ...cbt_terrain.run.partial_files import written_beside
@@ -27,11 +35,36 @@ from .import_terrain import settings_of
 SUFFIX = ".all.json"  # of the record of a terrain that needs all samples
 MAX_BYTES = 1 << 20
 TILES = "tiles"
+# Tiles of the smallest import that several computers share. Sharing adds four steps, one after the other, which start
+# Blender for 5 s each. A computer with 8 cores reads and measures 64 tiles in that time.
+MIN_TILES = 64
 
 
-def begin_import(obj, frames: Sequence[int], stores: Path) -> str:
-    """Begin the import of all samples of a terrain that frames need, and record it; return a text about it.
+def shared_tiles(obj) -> int:
+    """Return the number of tiles of the import of a terrain without a complete store, 0 if one computer does it.
 
+    Several computers share it from MIN_TILES tiles on, if each can read a part of the source: an archive would be
+    unpacked, and points gridded, by all of them. The headers of the files are read. Raises TerrainError.
+    """
+    settings = settings_of(obj)
+    if not may_be_large(settings) or _is_read_whole(settings):
+        return 0
+    count = count_tiles(describe_heights(settings)["raster"])
+    return count if count >= MIN_TILES else 0
+
+
+def _is_read_whole(settings: ImportSettings) -> bool:
+    """Return whether any part of an import reads the whole source: an archive, or one file of points."""
+    if settings.source in LANDS:
+        return False
+    is_points = not names_several(settings) and settings.source.lower().endswith(suffixes_with(CELL))
+    return is_points or has_archives(settings)
+
+
+def begin_import(obj, frames: Sequence[int], stores: Path) -> int:
+    """Begin the import of all samples of a terrain, and record it; return the number of its tiles.
+
+    What an earlier call has begun for the same sources and settings is continued. frames: those that need the samples.
     stores: the folder of the job's stores. Raises TerrainError.
     """
     report = import_source(settings_of(obj), store_path(obj), part=ImportPart(BEGIN))
@@ -43,11 +76,11 @@ def begin_import(obj, frames: Sequence[int], stores: Path) -> str:
             partial.write_text(json.dumps(_state(obj, frames) | {TILES: report.get(TILES, 0)}), encoding="utf-8")
     except OSError as reason:
         raise unwritable(f"The folder {stores}", reason) from reason
-    return f"the frames need all samples, of which {report.get(TILES, 0):,} tiles are imported by several computers"
+    return report.get(TILES, 0)
 
 
 def is_begun(obj, stores: Path | None, frames: Sequence[int] | None = None) -> bool:
-    """Return whether a job has begun to import all samples of a terrain whose store has a first picture.
+    """Return whether a job has begun to import all samples of a terrain without a complete store.
 
     frames: those that the job has begun it for, with the .blend file as it is now; None for any.
     """
@@ -80,8 +113,9 @@ def forget_import(obj, stores: Path | None) -> None:
 
 
 def _state(obj, frames: Sequence[int]) -> dict:
-    """Return the picture, frames and file for which an import of all samples is begun, as JSON."""
-    picture = read_json(first_picture(Path(store_path(obj))))["digest"]
+    """Return the first picture, "" without one, the frames and the file for which an import is begun, as JSON."""
+    store = Path(store_path(obj))
+    picture = read_json(first_picture(store))["digest"] if os.path.exists(store / JSON_NAME) else ""
     changed = os.stat(bpy.data.filepath).st_mtime_ns if bpy.data.filepath else 0
     return {"picture": picture, "frames": sorted(frames), "blend_ns": changed}
 

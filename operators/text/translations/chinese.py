@@ -329,6 +329,7 @@ LABELS = {
     "Shaped": "已塑形",
     "Shaping": "正在塑形",
     "Shaping land, {} ({})": "正在塑造地貌, {} ({})",
+    "Shared Disk": "共享磁盘",
     "Shot": "镜头",
     "Show in Viewport": "在视图中显示",
     "Show Message": "显示消息",

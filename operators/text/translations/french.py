@@ -333,6 +333,7 @@ LABELS = {
     "Shaped": "Façonné",
     "Shaping": "Façonnage",
     "Shaping land, {} ({})": "Façonnage du paysage, {} ({})",
+    "Shared Disk": "Disque partagé",
     "Shot": "Plan",
     "Show in Viewport": "Afficher dans la vue 3D",
     "Show Message": "Afficher le message",

@@ -333,6 +333,7 @@ LABELS = {
     "Shaped": "Geformt",
     "Shaping": "Formen",
     "Shaping land, {} ({})": "Landschaft wird geformt, {} ({})",
+    "Shared Disk": "Gemeinsames Laufwerk",
     "Shot": "Aufnahme",
     "Show in Viewport": "Im Ansichtsfenster anzeigen",
     "Show Message": "Meldung anzeigen",

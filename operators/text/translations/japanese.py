@@ -331,6 +331,7 @@ LABELS = {
     "Shaped": "造形済み",
     "Shaping": "造形中",
     "Shaping land, {} ({})": "地勢を造形中、{} ({})",
+    "Shared Disk": "共有ディスク",
     "Shot": "ショット",
     "Show in Viewport": "ビューポートに表示",
     "Show Message": "メッセージを表示",

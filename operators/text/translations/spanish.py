@@ -333,6 +333,7 @@ LABELS = {
     "Shaped": "Modelado",
     "Shaping": "Modelando",
     "Shaping land, {} ({})": "Modelando el paisaje, {} ({})",
+    "Shared Disk": "Disco compartido",
     "Shot": "Toma",
     "Show in Viewport": "Mostrar en la vista",
     "Show Message": "Mostrar mensaje",

@@ -2,7 +2,7 @@
 """Options of `import` and `info` about the contents of files, for one file and for several as one terrain."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.importing import import_process, source_info
+from adaptive_terrain.cbt_terrain.importing import import_process
 from adaptive_terrain.cbt_terrain.mosaic import mosaic_info
 from store_exports import run
 
@@ -16,8 +16,8 @@ def seen(tmp_path, monkeypatch):
     (tmp_path / "tiles" / "a.laz").write_bytes(b"a")
     settings = []
     monkeypatch.setattr(import_process, "import_source", lambda given, *_: settings.append(given) or {})
-    for module, name in (mosaic_info, "describe_sources"), (source_info, "describe_source"):
-        monkeypatch.setattr(module, name, lambda given: settings.append(given) or {})
+    for name in ("describe_sources", "describe_source"):
+        monkeypatch.setattr(mosaic_info, name, lambda given: settings.append(given) or {})
     return settings
 
 

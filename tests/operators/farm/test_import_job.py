@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing import import_work
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.cli import command_line, parser
@@ -36,14 +37,14 @@ def work(arguments):
 """
 
 
-def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatch):  # noqa: F811
+def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled):  # noqa: F811
     heights = hills(120, 90)
     heights[20:40, 30:70] = np.nan
     np.save(tmp_path / "a.npy", heights)
     settings = ImportSettings(str(tmp_path / "a.npy"), extent=(1190.0, 890.0), holes=True)
     tiled(None)
     run_import(settings, tmp_path / "whole")
-    monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
+    tiled(5)
     lines = import_job.write_import_job(settings, (120, 90), tmp_path / "store", tmp_path / "job", 6)
     assert lines[0].endswith("is a job of 12 tiles, 6 a task")
     command = lines[1].removeprefix("to run it on this machine: ").replace("openjd run", f"{openjd()} run")
@@ -57,7 +58,7 @@ def test_openjd_runs_an_import_from_begin_to_publish(tmp_path, tiled, monkeypatc
 
 def test_a_task_has_twelve_tiles_by_default(tmp_path, capsys, monkeypatch):
     np.save(tmp_path / "a.npy", hills(120, 90))
-    monkeypatch.setattr(import_job, "TileGrid", lambda lattice, of=import_job.TileGrid: of(lattice, 5))
+    monkeypatch.setattr(import_work, "TILE_BITS", 5)
     job = "import", tmp_path / "a.npy", "--store", tmp_path / "store", "--job", tmp_path / "job"
     assert run(*job) == 0 and "a job of 12 tiles, 12 a task" in capsys.readouterr().out
     assert run(*job, "--chunk", "3") == 0 and "a job of 12 tiles, 3 a task" in capsys.readouterr().out

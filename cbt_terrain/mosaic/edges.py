@@ -2,8 +2,9 @@
 """Edges of a mosaic: how far the heights of two files are apart that meet without an overlap.
 
 They are compared in the middle of the open cell between both files, to which the two outermost samples of each are
-extrapolated, so that a slope is no step. The median along an edge counts: a cliff is on a part of it, but a wrong unit
-or vertical datum is on all of it.
+extrapolated, so that a slope is no step. The same comparison inside the two files tells how much of that is their land,
+which is subtracted. The median along an edge counts: a cliff is on a part of it, but a wrong unit or vertical datum is
+on all of it.
 """
 
 from collections.abc import Iterator
@@ -52,7 +53,11 @@ def find_edges(composite: Composite) -> StepReport:
     names: list[tuple[str, str]] = []
     for edge in chosen:
         composite.on_piece()
-        step = _border(composite, edge, is_second=True) - _border(composite, edge, is_second=False)
+        first, step_in_first = _border(composite, edge, is_second=False)
+        second, step_in_second = _border(composite, edge, is_second=True)
+        step = second - first
+        of_land = 0.5 * (step_in_first + step_in_second)
+        step -= np.where(np.isfinite(of_land), of_land, 0.0)
         known = step[np.isfinite(step)]
         if len(known):
             steps.append(float(np.median(known)) * abs(composite.scale))
@@ -81,24 +86,33 @@ def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:
                 yield TileEdge(lattice, number, other, axis)
 
 
-def _border(composite: Composite, edge: TileEdge, is_second: bool) -> np.ndarray:
-    """Return the values of one file of an edge, extrapolated by half a sample beyond its border: float64 [n].
+def _border(composite: Composite, edge: TileEdge, is_second: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values of one file of an edge half a sample beyond its border, and its own steps: both float64 [n].
 
-    They are NaN where one of its two outermost samples is missing, and in the composite's unit, before its scale.
-    is_second: take the second file of the edge, else the first.
+    The values are extrapolated, and NaN where one of the two outermost samples is missing. The steps are what the same
+    comparison finds inside the file, two samples further in, and 0 in a file of fewer than 4 samples across. Both are
+    in the composite's unit, before its scale. is_second: take the second file of the edge, else the first.
     """
     number = edge.second if is_second else edge.first
     rectangle, axis = edge.lattice.rectangles[number], edge.axis
     low, high = edge.line()
     size, offset = int(rectangle[axis + 2] - rectangle[axis]) + 1, low - int(rectangle[1 - axis])
-    depth = min(size, 2)
+    depth = min(size, 4)
     # First sample and count of the outermost samples, across the edge and along it.
     across, along = (0 if is_second else size - depth, depth), (offset, high - low + 1)
     rows, columns = (along, across) if axis == 0 else (across, along)
     window = composite.tile_window(int(edge.lattice.tiles[number]), *rows, *columns)
     lines = window.T if axis == 0 else window
-    outer, inner = (lines[0], lines[-1]) if is_second else (lines[-1], lines[0])
-    return outer + 0.5 * (outer - inner)
+    lines = lines if is_second else lines[::-1]  # from the border inwards
+    step = np.zeros(len(lines[0]))
+    if depth == 4:
+        step = _half_beyond(lines[2], lines[3]) - _half_beyond(lines[1], lines[0])
+    return _half_beyond(lines[0], lines[min(1, depth - 1)]), step if is_second else -step
+
+
+def _half_beyond(near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """Return values extrapolated from two neighbouring samples by half a sample beyond the near one."""
+    return near + 0.5 * (near - far)
 
 
 def _middle(composite: Composite, edge: TileEdge) -> tuple[float, float]:

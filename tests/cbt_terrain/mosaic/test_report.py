@@ -74,6 +74,22 @@ def test_a_step_between_files_that_only_meet_is_an_edge(tmp_path, turned):
         assert (x, y) in middles
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_rough_land_is_no_step_between_files(tmp_path, axis):
+    """Extrapolation from the two outermost samples alone would find a step of 4.5 m in these waves."""
+    waves = 500.0 * np.sin(np.pi / 12 * (np.arange(40) - 19.5))
+    for offset in (0.0, 5.0):
+        whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 40)
+        whole.heights[:] = waves[None, :] if axis == 0 else waves[:, None]
+        files = []
+        for part in range(2):
+            rows, columns = ((0, 40), (20 * part, 20)) if axis == 0 else ((20 * part, 20), (0, 40))
+            whole.heights += offset * part
+            files.append(whole.write(tmp_path / f"{offset}_{part}.tif", *rows, *columns))
+        [step] = find_edges(opened(*files)).steps
+        assert step == pytest.approx(offset, abs=0.8)
+
+
 def test_edges_pass_the_date_line(tmp_path):
     west, east = (sheet("EPSG:4326", x, 0.01, 1e-3, 1e-3, 20, 20) for x in (180 - 0.02, -180.0))
     west.heights[:], east.heights[:] = 5.0, 9.0

@@ -37,7 +37,7 @@ def grounds():
     y, x = np.mgrid[0:60, 0:45]
     cliffs = np.where(x + 0.3 * y > 30, 700.0, 0.0) + np.where(y > 40, 301.0, 0.0)
     fields = [rough(33, 65, 4, relief=300.0), from_array(cliffs.astype(np.float32), 2.0)]
-    tiled = finer_field(33, 40, 3, ((0, 0), (1, 1)), 3, 60.0), finer_field(24, 24, 6, ((1, 1), (5, 5)), 5)
+    tiled = finer_field(33, 40, 3, ((0, 0), (1, 1)), 3, 60.0), finer_field(12, 12, 6, ((2, 2),), 5)
     fields += tiled
     return [*fields, *(interpolated(field, "bicubic") for field in fields[:3])]
 

@@ -44,9 +44,9 @@ def updates() -> list[dict[str, bytes]]:
     """Return surfaces that use every snippet: several squares and slices, points on and between samples, meshlets."""
     found = []
     for shape, criterion in (
-        ((33, 97), Criterion(error_px=0.3, max_depth=16)),
-        ((65, 65), Criterion(error_px=0.0, edge_px=8.0)),
-        ((33, 65), Criterion(error_px=0.5, meshlet=1)),
+        ((33, 97), Criterion(error_px=0.6, max_depth=16)),
+        ((65, 65), Criterion(error_px=0.0, edge_px=16.0)),
+        ((33, 65), Criterion(error_px=1.0, meshlet=1)),
         ((65, 65), Criterion(error_px=2.0, meshlet=3)),
     ):
         terrain = Terrain(rough(*shape), 3)

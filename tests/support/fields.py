@@ -135,7 +135,7 @@ def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None
 def bezier_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
     """Return the heights alone, in a third of the time."""
     control, place = _patches(field, plane)
-    return _weigh(control, *(_bernstein(place[:, k])[0] for k in (0, 1)))
+    return _weigh(control, *(_bernstein_values(place[:, k]) for k in (0, 1)))
 
 
 def _patches(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -154,14 +154,19 @@ def _patches(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = No
 
 
 def _weigh(control: np.ndarray, across: np.ndarray, up: np.ndarray) -> np.ndarray:
-    return np.einsum("nji,ni,nj->n", control, across, up)
+    return np.einsum("nj,nj->n", np.einsum("nji,ni->nj", control, across), up)
 
 
 def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cubic Bernstein polynomials [n, 4] and their derivatives."""
     r = 1 - t
-    values = np.stack([r**3, 3 * t * r**2, 3 * t**2 * r, t**3], axis=1)
-    return values, np.stack([-3 * r**2, 3 * r**2 - 6 * t * r, 6 * t * r - 3 * t**2, 3 * t**2], axis=1)
+    slopes = np.stack([-3 * r**2, 3 * r**2 - 6 * t * r, 6 * t * r - 3 * t**2, 3 * t**2], axis=1)
+    return _bernstein_values(t), slopes
+
+
+def _bernstein_values(t: np.ndarray) -> np.ndarray:
+    r = 1 - t
+    return np.stack([r * r * r, 3 * t * r * r, 3 * t * t * r, t * t * t], axis=1)  # a power takes ten times as long
 
 
 def least_triangles(field: HeightField, meshlet: int) -> int:

@@ -33,14 +33,16 @@ def heights_with_tiles(field: HeightField, plane: np.ndarray, bicubic: Heights) 
 def _differences(field: HeightField, node: np.ndarray, plane: np.ndarray, bicubic: Heights) -> np.ndarray:
     """Return the differences from the bicubic surface at finer samples; node: column and row, plane: position."""
     lattice, tiles = field.lattice, field.raster.finer
-    flat = bilinear(lattice, np.asarray(field.heights(), np.float64), plane)
-    heights, is_there = flat.copy(), np.zeros(len(node), bool)
+    heights, is_there = np.zeros(len(node)), np.zeros(len(node), bool)
     for row, column in np.argwhere(tiles.numbers >= 0):
         x, y = (node - SIDE * np.array([column, row])).T
         inside = (x >= 0) & (y >= 0) & (x <= SIDE) & (y <= SIDE)
         heights[inside] = tiles.heights[tiles.numbers[row, column], 1 + y[inside], 1 + x[inside]]
         is_there |= inside
-    return np.where(is_there, (heights - flat) - _weights(field, node) * (bicubic(plane) - flat), 0.0)
+    found, node, plane = np.zeros(len(node)), node[is_there], plane[is_there]
+    flat = bilinear(lattice, np.asarray(field.heights(), np.float64), plane)
+    found[is_there] = (heights[is_there] - flat) - _weights(field, node) * (bicubic(plane) - flat)
+    return found
 
 
 def _weights(field: HeightField, node: np.ndarray) -> np.ndarray:
@@ -49,11 +51,12 @@ def _weights(field: HeightField, node: np.ndarray) -> np.ndarray:
     margin = min(2 << tiles.bits, SIDE // 2)
     rows, columns = (-(-(cells << tiles.bits) // SIDE) for cells in (lattice.cells_y, lattice.cells_x))
     there = tiles.numbers >= 0  # also beyond the border
-    weights = np.ones(len(node))
+    nearest = np.full(len(node), margin)
+    away_x, away_y = (
+        [np.maximum(np.maximum(SIDE * n - at, at - SIDE * n - SIDE), 0) for n in range(count)]
+        for at, count in zip(np.ascontiguousarray(node.T), (columns, rows), strict=True)
+    )
     for row, column in np.ndindex(rows, columns):
-        if there[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].all():
-            continue
-        first = SIDE * np.array([column, row])
-        distance = np.maximum(np.maximum(first - node, node - first - SIDE), 0).max(axis=1)
-        weights = np.minimum(weights, distance / margin)
-    return weights
+        if not there[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].all():
+            np.minimum(nearest, np.maximum(away_x[column], away_y[row]), out=nearest)
+    return nearest / margin

@@ -2,6 +2,7 @@
 """How much too coarse a diamond is, written anew from its definition, in plain arithmetic."""
 
 import math
+from functools import cache
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PERSPECTIVE, View
@@ -11,8 +12,11 @@ from fields import errors_of, ranges_of
 
 def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
     """Error and heights of the diamond split at sample coordinates (x, y)."""
-    low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in ranges_of(field))
-    return float(errors_of(field)[error_index(field.lattice, depth, int(x), int(y))]), low, high
+    low, high = (field.range_base + float(codes[int(y), int(x)]) * field.range_step for codes in _ranges(field))
+    return float(_errors(field)[error_index(field.lattice, depth, int(x), int(y))]), low, high
+
+
+_ranges, _errors = cache(ranges_of), cache(errors_of)  # of a field, for all its diamonds
 
 
 def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:
@@ -50,6 +54,7 @@ def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded:
     return view.pixels_per_unit * error * min(max(slant, smallest), largest) / depth_m
 
 
+@cache
 def slants_of(view: View) -> tuple[float, float]:
     """Return how far a metre of height looks, 1 m deep in the frame, at least and at most; half of it counts."""
     x, y = (np.linspace(*ends, 401) for ends in view.bounds())

@@ -3,6 +3,7 @@
 
 import heapq
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -17,17 +18,18 @@ def flooded(h, holes):
     rows, columns = h.shape
     inner = np.zeros(h.shape, bool)
     inner[1:-1, 1:-1] = True
-    level = np.where(inner & ~holes, np.inf, h)
-    waiting = [(h[at], at) for at in zip(*np.nonzero(np.isfinite(level)), strict=True)]
+    known = ~(inner & ~holes)
+    heights, level = h.tolist(), np.where(known, h, np.inf).tolist()
+    waiting = [(heights[j][i], (j, i)) for j, i in np.argwhere(known).tolist()]
     heapq.heapify(waiting)
     while waiting:
         z, (j, i) = heapq.heappop(waiting)
         for a, b in AROUND:
             y, x = j + a, i + b
-            if 0 <= y < rows and 0 <= x < columns and np.isinf(level[y, x]):
-                level[y, x] = max(h[y, x], z)
-                heapq.heappush(waiting, (level[y, x], (y, x)))
-    return level
+            if 0 <= y < rows and 0 <= x < columns and level[y][x] == math.inf:
+                level[y][x] = max(heights[y][x], z)
+                heapq.heappush(waiting, (level[y][x], (y, x)))
+    return np.array(level)
 
 
 def gathered(drainage, filled, step_x, step_y):
@@ -36,21 +38,21 @@ def gathered(drainage, filled, step_x, step_y):
     share = {(a, b): 0.5 * step_x * step_y / (a * a * step_y**2 + b * b * step_x**2) for a, b in AROUND}
     for b in (-1, 1):
         share[0, b], share[b, 0] = 0.5 * step_y / step_x, 0.5 * step_x / step_y
-    z, to = filled.astype(np.float64), drainage.to.reshape(shape).astype(int)
-    area = np.ones(shape)
+    z, to = filled.astype(np.float64).tolist(), drainage.to.reshape(shape).astype(int).tolist()
+    area = np.ones(shape).tolist()
     rank = np.empty(filled.size, int)
     rank[drainage.order] = np.arange(filled.size)
-    for at in np.lexsort((rank, -z.ravel())):
-        j, i = divmod(int(at), shape[1])
-        if to[j, i] == 4:
+    for at in np.lexsort((rank, -filled.astype(np.float64).ravel())).tolist():
+        j, i = divmod(at, shape[1])
+        if to[j][i] == 4:
             continue
-        falls = {(a, b): max(z[j, i] - z[j + a, i + b], 0.0) * share[a, b] for a, b in AROUND}
+        falls = {(a, b): max(z[j][i] - z[j + a][i + b], 0.0) * share[a, b] for a, b in AROUND}
         total = sum(falls.values())
         if total == 0.0:
-            falls, total = {(to[j, i] // 3 - 1, to[j, i] % 3 - 1): 1.0}, 1.0
+            falls, total = {(to[j][i] // 3 - 1, to[j][i] % 3 - 1): 1.0}, 1.0
         for (a, b), fall in falls.items():
-            area[j + a, i + b] += area[j, i] * fall / total
-    return area
+            area[j + a][i + b] += area[j][i] * fall / total
+    return np.array(area)
 
 
 def terrain(kind, rows=41, columns=57):

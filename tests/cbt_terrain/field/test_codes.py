@@ -78,8 +78,14 @@ def assert_nested(field, meshlet: int) -> None:
             assert (cell[one] >= below[two] / part).all() and (below[one] >= below[two] / part).all()
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("kind", KINDS)
+# Every kind and every shape twice in every run.
+PAIRS = [(i, j) for i in range(len(KINDS)) for j in range(len(SHAPES))]
+CASES = [
+    pytest.param(KINDS[i], SHAPES[j], marks=[] if (j - i) % 5 in (0, 2) else pytest.mark.thorough) for i, j in PAIRS
+]
+
+
+@pytest.mark.parametrize(("kind", "shape"), CASES)
 def test_errors_in_bytes_are_nested_at_every_depth(kind, shape):
     field = from_array(heights_of(kind, shape), 10.0)
     for surface in (field, interpolated(field, "bicubic")):
@@ -148,10 +154,10 @@ def test_meshes_of_random_views_have_no_crack(kind, surface):
     terrain = Terrain(field, 1)
     for meshlet in (0, 0, 0, 0, 1):
         view = random_view(rng, field)
-        asked = Criterion(error_px=float(10 ** rng.uniform(-1, 1)), max_triangles=30_000, meshlet=meshlet)
+        asked = Criterion(error_px=float(10 ** rng.uniform(-1, 1)), max_triangles=10_000, meshlet=meshlet)
         assert_invariants(terrain.update(asked, [view]).surface, field.lattice, meshlet)
     metres = float(extent(field)[2]) * 1e-4 + 1e-4  # far below the cells, everywhere
-    asked = Criterion(error_px=0.0, error_m=metres, max_depth=field.lattice.cell_depth + 4, max_triangles=60_000)
+    asked = Criterion(error_px=0.0, error_m=metres, max_depth=field.lattice.cell_depth + 4, max_triangles=20_000)
     assert_invariants(terrain.update(asked).surface, field.lattice)
 
 

@@ -272,7 +272,7 @@ def test_the_measurement_sees_what_numpy_sees():
     """The measurement uses independent code and points: never above the bound, and near the maximum of dense points."""
     for interpolation in ("bilinear", "bicubic"):
         field = field_of("padded", DETAILS["soft"], interpolation)
-        view = replace(ground_view(field, above=5.0), resolution=(240, 135))
+        view = replace(ground_view(field, above=5.0), resolution=(160, 90))
         found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.15), [view])
         measured = measure(field, found.surface, view, threads=1)
         below = places_in(found.surface)

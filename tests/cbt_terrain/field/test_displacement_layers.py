@@ -240,7 +240,7 @@ def test_pixels_that_no_leaf_can_show_are_smoothed_away():
 
 def test_the_measurement_sees_what_numpy_sees():
     field = field_of((27, 40), grounds((27, 40))["three"])
-    view = replace(ground_view(field, above=5.0), resolution=(240, 135))
+    view = replace(ground_view(field, above=5.0), resolution=(160, 90))
     found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.6, max_triangles=1000), [view])
     measured = measure(field, found.surface, view, threads=1)
     below = places_in(found.surface)

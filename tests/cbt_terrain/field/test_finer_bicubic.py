@@ -90,7 +90,7 @@ def test_a_view_of_tiles_takes_few_more_triangles_than_bilinear():
 def test_edges_and_areas_have_no_cracks(field):
     step = field.lattice.step_x / (1 << field.raster.finer.bits)
     at = np.array(field.lattice.rectangle()[:2]) + SIDE * step * np.array([0.6, 0.9])
-    view = View.look((*at, 160.0), (*(at + 400), 60.0))
+    view = View.look((*at, 160.0), (*(at + 400), 60.0), resolution=(960, 540))
     for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
         update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
         assert_invariants(update.surface, field.lattice)
@@ -157,7 +157,7 @@ def test_normals_are_those_of_the_slopes(field):
 
 
 def test_threads_change_no_byte_of_the_tiles():
-    plain = finer_field(65, 65, 4, ((2, 2),))
+    plain = finer_field(33, 40, 4, ((0, 0),), relief=20.0)
     with mock.patch.object(launch, "default_threads", return_value=1):
         one = bicubic(plain.with_raster(path=None))
     with mock.patch.object(launch, "default_threads", return_value=3):

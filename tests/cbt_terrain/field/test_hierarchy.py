@@ -20,7 +20,7 @@ def bilinear(samples, x, y):
     """Return heights of the reference surface at arrays of sample coordinates."""
     i = np.clip(np.floor(x).astype(int), 0, samples.shape[1] - 2)
     j = np.clip(np.floor(y).astype(int), 0, samples.shape[0] - 2)
-    u, v, h = x - i, y - j, samples.astype(np.float64)
+    u, v, h = x - i, y - j, np.asarray(samples, np.float64)
     return (1 - v) * ((1 - u) * h[j, i] + u * h[j, i + 1]) + v * ((1 - u) * h[j + 1, i] + u * h[j + 1, i + 1])
 
 
@@ -71,7 +71,7 @@ def triangle_errors(samples, triangle, fine=4):
 
 def brute(samples, columns, rows, levels):
     """Return dicts by split vertex (in half samples): errors and range, children, depth."""
-    side = 2 << levels
+    side, samples = 2 << levels, samples.astype(np.float64)
     nodes, children, depth_of = {}, {}, {}
 
     def walk(triangle, depth):

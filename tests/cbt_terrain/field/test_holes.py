@@ -41,16 +41,17 @@ def kinds_of(surface, holes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """bool [T] twice: whether a triangle has points in cells that are holes, and in others. Nothing beyond the rim."""
     rows, columns = holes.shape
     cells = surface.positions[:, :2].astype(np.float64) / STEP + (columns / 2, rows / 2)
-    corners = cells[surface.triangles]
+    corners = np.ascontiguousarray(cells[surface.triangles].transpose(1, 2, 0)).reshape(3, -1)
     random = np.random.default_rng(0)
-    found = np.zeros((2, len(corners)), bool)
+    # 0: a hole, 1: another cell, 2: beyond the rim.
+    kinds = np.pad(np.where(holes, 0, 1), ((0, 1), (0, 1)), constant_values=2)
+    found = np.zeros((3, len(surface.triangles)), bool)
     for weights in random.dirichlet(np.ones(3), 60):
-        x, y = np.floor(np.tensordot(weights, corners, axes=(0, 1))).astype(int).T
-        inside = (x < columns) & (y < rows)
-        hole = np.zeros(len(x), bool)
-        hole[inside] = holes[y[inside], x[inside]]
-        found |= inside & np.stack([hole, ~hole])
-    return found
+        x, y = np.floor(weights @ corners).astype(int).reshape(2, -1)
+        kind = kinds[np.minimum(y, rows), np.minimum(x, columns)]
+        for number in range(2):
+            found[number] |= kind == number
+    return found[0], found[1]
 
 
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])

@@ -115,16 +115,20 @@ def _are_covered(missing: np.ndarray, shape: tuple[int, int], shift: int) -> np.
     vertices of the group. A diamond's box reaches 3 halves of a side from a cell's centre, and one side from the
     middle of a side.
     """
-    j, i = np.indices(shape, np.int32, sparse=True)
-    odd_x, odd_y = i & 1, j & 1
-    is_larger = (odd_x | odd_y) == 0  # the two coarser depths of the group
-    is_edge = np.where(is_larger, (i ^ j) >> 1 & 1, odd_x ^ odd_y)  # else the vertex is a cell's centre
-    reach = np.where(is_larger, 2, 1) * (3 - is_edge) << shift
-    ends = []
-    for at, count in ((j, missing.shape[0] - 1), (i, missing.shape[1] - 1)):
-        ends.append((np.clip((at << shift) - reach, 0, count), np.clip((at << shift) + reach + 1, 0, count)))
-    (south, north), (west, east) = ends
-    return missing[north, east] - missing[north, west] - missing[south, east] + missing[south, west] == 0
+    covered = np.empty(shape, bool)
+    for row, column in np.ndindex(4, 4):  # the reach depends on these remainders of a vertex's row and column
+        is_larger = not (row | column) & 1  # the two coarser depths of the group
+        is_edge = ((row ^ column) >> 1 if is_larger else row ^ column) & 1  # else the vertex is a cell's centre
+        reach = (2 if is_larger else 1) * (3 - is_edge) << shift
+        ends = []
+        for first, vertices, samples in zip((row, column), shape, missing.shape, strict=True):
+            at = np.arange(first, vertices, 4) << shift
+            ends.append((np.clip(at - reach, 0, samples - 1), np.clip(at + reach + 1, 0, samples - 1)))
+        (south, north), (west, east) = ends
+        ahead = missing[np.ix_(north, east)] - missing[np.ix_(north, west)]
+        behind = missing[np.ix_(south, east)] - missing[np.ix_(south, west)]
+        covered[row::4, column::4] = ahead == behind
+    return covered
 
 
 def fill_ranges(

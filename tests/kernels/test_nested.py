@@ -23,7 +23,7 @@ from fields import extent, rough
 from finer_fields import finer_field
 from twins import load
 
-VIEWS = max(120, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")))
+VIEWS = max(80, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")))
 WAYS = 40  # down the diamonds, of each view
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces to be cut, and checks that hold for any part of one."""
 
+from functools import cache
+
 import numpy as np
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -9,8 +11,13 @@ from fields import rough
 
 def surface_of(seed: int, error_m: float, meshlet: int, step: float = 10.0):
     """Return a surface in new arrays."""
+    return _surface(seed, error_m, meshlet, step).copy()
+
+
+@cache
+def _surface(seed: int, error_m: float, meshlet: int, step: float):
     field = rough(33, 65, seed, step=step)
-    return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)).surface.copy()
+    return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)).surface
 
 
 def assert_welded(surface) -> np.ndarray:

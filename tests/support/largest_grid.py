@@ -3,6 +3,7 @@
 
 import mmap
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.blocks import level_shapes
@@ -35,13 +36,7 @@ def corner_terrain(columns: int, rows: int) -> HeightField:
 
     All squares have finer tiles: the level ones share tile 0.
     """
-
-    def read(box: TileBox) -> np.ndarray:
-        return hill_heights(np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None])
-
-    plain = from_array(np.zeros((SMALL + 1, SMALL + 1), np.float32), 256.0, 256.0)
-    known = [(SMALL - 1 - i, SMALL - 1 - j) for j in range(KNOWN) for i in range(KNOWN)]
-    small = with_finer_tiles(plain, BITS, known, read)
+    small = _small_terrain()
     lattice = lattice_for(columns + 1, rows + 1, 256.0, 256.0)
     raster = replace(
         small.raster,
@@ -55,6 +50,18 @@ def corner_terrain(columns: int, rows: int) -> HeightField:
     ranges = virtual_zeros((lattice.range_count, 2), np.uint16)
     exponents = (small.exponents[0],) * (lattice.groups + 1)
     return replace(small, raster=raster, error=error, ranges=ranges, exponents=exponents)
+
+
+@cache
+def _small_terrain() -> HeightField:
+    """Return the small raster with the hills."""
+
+    def read(box: TileBox) -> np.ndarray:
+        return hill_heights(np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)[:, None])
+
+    plain = from_array(np.zeros((SMALL + 1, SMALL + 1), np.float32), 256.0, 256.0)
+    known = [(SMALL - 1 - i, SMALL - 1 - j) for j in range(KNOWN) for i in range(KNOWN)]
+    return with_finer_tiles(plain, BITS, known, read)
 
 
 def _in_corner(tiles: FinerTiles, lattice) -> FinerTiles:

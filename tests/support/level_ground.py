@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scenes of level ground, where only edges and areas ask."""
 
+from functools import cache
+
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
@@ -8,7 +10,8 @@ from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, View
 
 
-def level_scenes() -> list[tuple[HeightField, Criterion, list[View], float]]:
+@cache
+def level_scenes() -> tuple[tuple[HeightField, Criterion, list[View], float], ...]:
     """Ground that hardly rises, seen from near and far, edges and areas asked for, and a vertical scale.
 
     Of the last half some are seen without perspective, by two views at once, from the height of the ground, or asked
@@ -31,7 +34,7 @@ def level_scenes() -> list[tuple[HeightField, Criterion, list[View], float]]:
             views = [View.look(eye, target, kind=ORTHOGRAPHIC, ortho_width=0.3 * size[0])]
         if k >= 15 and k % 5 == 2:
             views.append(View.look(0.5 * eye, target))
-        px = float(10 ** rng.uniform(0.3, 2))
+        px = float(10 ** rng.uniform(0.6, 2))
         asked = ({"edge_px": px}, {"area_px": px**2}, {"edge_px": px, "area_px": 0.3 * px**2})[k % 3]
         if k >= 15 and k % 5 == 3:
             asked = asked | {"error_px": 0.1 * px}
@@ -39,4 +42,4 @@ def level_scenes() -> list[tuple[HeightField, Criterion, list[View], float]]:
         found.append(
             (field, Criterion(**{"error_px": 0.0} | asked | limits), views, float(rng.choice([1.0, -2.0, 0.0])))
         )
-    return found
+    return tuple(found)

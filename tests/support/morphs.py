@@ -26,18 +26,21 @@ def mean_ratio(k: float, parts: int = 4000) -> float:
     return float((np.diff(weight(ratio, k)) * (ratio[1:] + ratio[:-1]) / 2).sum())
 
 
-def mean_of_meshes(field: HeightField, criterion: Criterion, views, plane, parts: int, **placed) -> np.ndarray:
-    """float64 [n]: at points [n, 2] the mean of the heights of `parts` meshes, from the finest to k times its error."""
-    k, terrain, mean = criterion.morph, Terrain(field, 1), np.zeros(len(plane))
-    ends = np.linspace(0.0, 1.0, parts + 1)
-    shares = np.diff(ends * ends * (3 - 2 * ends))
-    for u, share in zip((ends[1:] + ends[:-1]) / 2, shares, strict=True):
+def means_of_meshes(field: HeightField, criterion: Criterion, views, plane, parts: int, **placed) -> list[np.ndarray]:
+    """Return the means of the heights of `parts` and of 3 * `parts` meshes at points [n, 2], float64 [n] each.
+
+    The meshes go from the finest to k times its error. The middle of a part is that of one of its thirds.
+    """
+    k, terrain, heights = criterion.morph, Terrain(field, 1), []
+    for u in (np.arange(3 * parts) + 0.5) / (3 * parts):
         factor = 1 / (1 - u * (1 - 1 / k)) / mean_ratio(k)
         asked = {name: getattr(criterion, name) * factor for name in ("error_px", "edge_px", "error_m")}
         area = criterion.area_px * factor**2
         coarser = Criterion(**{**vars(criterion), **asked, "area_px": area, "morph": AT_ONCE})
-        mean += share * mesh_heights(terrain.update(coarser, views, **placed).surface, plane)
-    return mean
+        heights.append(mesh_heights(terrain.update(coarser, views, **placed).surface, plane))
+    ends = np.linspace(0.0, 1.0, 3 * parts + 1)
+    weights = ends * ends * (3 - 2 * ends)
+    return [np.diff(weights[::3]) @ heights[1::3], np.diff(weights) @ heights]
 
 
 def risen_points(field: HeightField, view: View, error_px: float, k: float, rounded: float) -> tuple[dict, dict]:

@@ -53,15 +53,18 @@ def parabolas(t, e):
 def first_contact(field, origin, direction, scale=1.0, offset=0.0) -> float:
     """Return the first t at which a line meets a bilinear surface, by the roots of each piece; infinite without one."""
     t, e, ground = pieces(field, origin, direction, np.inf, scale, offset)
-    for n in np.flatnonzero(ground):
-        a, b, c = (float(v[n]) for v in parabolas(t, e))
-        small = 1e-12 * max(abs(a), abs(b), abs(c), 1e-3)
-        roots = np.roots([0.0 if abs(v) < small else v for v in (a, b)] + [c])
-        real = roots.real[np.abs(roots.imag) < 1e-9]
-        real = real[(real > -EDGE) & (real < 1 + EDGE)]
-        if len(real) or c == 0.0:
-            return t[n, 0] + (0.0 if c == 0.0 else min(real)) * (t[n, 2] - t[n, 0])
-    return np.inf
+    a, b, c = parabolas(t, e)
+    small = 1e-12 * np.maximum(np.abs([a, b, c]).max(axis=0), 1e-3)
+    a, b = (np.where(np.abs(v) < small, 0.0, v) for v in (a, b))
+    square = b * b - 4 * a * c
+    with np.errstate(all="ignore"):
+        q = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
+        roots = np.stack([q / a, c / q])
+    roots[:, square < -((2e-9 * a) ** 2)] = np.inf  # complex by more than rounding
+    roots[~((roots > -EDGE) & (roots < 1 + EDGE))] = np.inf
+    first = np.where(c == 0.0, 0.0, roots.min(axis=0))
+    met = np.flatnonzero(ground & (first < np.inf))
+    return t[met[0], 0] + first[met[0]] * (t[met[0], 2] - t[met[0], 0]) if len(met) else np.inf
 
 
 def least_clearance(field, start, end, scale=1.0, offset=0.0) -> float:

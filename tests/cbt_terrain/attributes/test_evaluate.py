@@ -40,7 +40,7 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
     rng, heights = np.random.default_rng(seed), field()
     terrain, kept = Terrain(heights, 2), Evaluations(threads=2)
     now, known = view(rng), 0
-    for frame in range(30):
+    for frame in range(20):
         if rng.random() < 0.15:
             now = view(rng)
         matrix = now.world_to_camera.copy()

@@ -265,18 +265,19 @@ def test_maps_have_the_finer_step_where_heights_are_finer(field, tmp_path, small
     for tile in np.flatnonzero(met):
         x0, y0 = tiles.first_texel(tile, 256)
         step_x, step_y = tiles.texel(256)
-        x, y = np.meshgrid(x0 + np.arange(256) * step_x, y0 - np.arange(256) * step_y)
+        rows = np.arange(tile % 2, 256, 2)
+        x, y = np.meshgrid(x0 + np.arange(256) * step_x, y0 - rows * step_y)
         west, south, east, north = field.lattice.rectangle()
         places = np.stack([np.clip(x, west, east), np.clip(y, south, north), 0 * x], -1).astype(np.float32)
         levels = np.full(places[..., 0].size, read_level(tiles, 256, 32.0), np.float32)
         limit_levels(field, places.reshape(-1, 3), levels)
         wanted = make(SamplePoints(field, places.reshape(-1, 3), levels), {"slope": {}}, {})["slope"]
-        found = image(tmp_path / "finer", tile)
-        np.testing.assert_allclose(found, wanted.reshape(256, 256), rtol=1e-3, atol=1e-6)
-        inner = (levels == levels.min()).reshape(256, 256) & (levels.min() < -3)
-        np.testing.assert_allclose(found[inner], image(tmp_path / "dense", tile)[inner], rtol=1e-3)
+        found, inside = image(tmp_path / "finer", tile)[rows], image(tmp_path / "dense", tile)[rows]
+        np.testing.assert_allclose(found, wanted.reshape(found.shape), rtol=1e-3, atol=1e-6)
+        inner = (levels == levels.min()).reshape(found.shape) & (levels.min() < -3)
+        np.testing.assert_allclose(found[inner], inside[inner], rtol=1e-3)
         exact += inner.sum()
-    assert exact > 100_000
+    assert exact > 50_000
 
 
 def image(folder, tile: int) -> np.ndarray:

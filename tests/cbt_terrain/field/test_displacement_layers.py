@@ -242,7 +242,7 @@ def test_the_measurement_sees_what_numpy_sees():
     field = field_of((27, 40), grounds((27, 40))["three"])
     view = replace(ground_view(field, above=5.0), resolution=(160, 90))
     found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.6, max_triangles=1000), [view])
-    measured = measure(field, found.surface, view, threads=1)
+    measured = measure(field, found.surface, view, random_points=20_000, threads=1)
     below = places_in(found.surface)
     off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()
     assert 0.7 * off < measured.vertical_max_m <= found.bound_m

@@ -75,7 +75,7 @@ def test_bound_in_metres_holds_over_the_whole_mesh(field, dense):
 
 def test_edges_and_areas_have_no_cracks(field):
     at = np.array(field.lattice.rectangle()[:2]) + SIDE * 2.0 * np.array([2.6, 3.4])
-    view = View.look((*at, 160.0), (*(at + 400), 60.0))
+    view = View.look((*at, 160.0), (*(at + 400), 60.0), resolution=(960, 540))
     for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
         update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
         assert_invariants(update.surface, field.lattice)

@@ -22,7 +22,7 @@ from fields import extent, reference_heights, rough, sample_position
 from matplotlib.tri import Triangulation
 from rasters import jacksboro
 
-ROUNDS = max(50, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 5)
+ROUNDS = max(36, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 5)
 KINDS = (
     *("rough", "noise", "spike", "cliff", "checkerboard", "plane", "constant", "strip", "real", "vast"),
     *("padded", "padded noise"),

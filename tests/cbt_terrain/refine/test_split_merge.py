@@ -19,7 +19,7 @@ from fields import rough
 
 ASKS = ("error", "metres", "edge", "area", "all", "hidden", "budget")
 # Of each kind; with ADAPTIVE_TERRAIN_FUZZ more than 500 in all.
-VIEWS = 75 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) else 4
+VIEWS = 75 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) else 3
 
 
 @cache

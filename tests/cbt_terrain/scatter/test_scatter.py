@@ -22,7 +22,7 @@ from scatter_by_hand import grown_by_hand, heights_by_hand, places_by_hand, want
 from scattered_frames import ScatteredFrames
 
 SHAPE = 70, 101  # of a raster that fits no lattice
-SCATTER = Scatter(spacing=7.0, full_until=150.0, variation=0.0, margin_deg=0.0, seed=3)
+SCATTER = Scatter(spacing=8.0, full_until=150.0, variation=0.0, margin_deg=0.0, seed=3)
 NEAR = View.look((-420.0, -300.0, 160.0), (0, 0, 0), resolution=(640, 360), clip=(1.0, 700.0))
 VIEWS = {
     "perspective": [NEAR],
@@ -174,7 +174,7 @@ def test_seeds_and_variants_differ(field):
 def test_every_prefix_of_the_tile_keeps_apart_and_is_no_lattice(count):
     """Measure distances to the nearest point of nine tiles in units of the densest packing."""
     place = tile().place[:count].astype(np.float64) / UNITS
-    some = place[:: max(1, count // 400)]
+    some = place[:: max(1, count // 200)]
     apart = np.abs(some[:, None] - place)
     squared = (np.minimum(apart, 1 - apart) ** 2).sum(axis=2)
     squared[squared == 0] = 2
@@ -196,7 +196,7 @@ def test_windows_have_the_ranks_of_their_parts_of_the_tile():
     assert own.windows(np.array([4, 1]), square, shift).tolist() == [2 * 16 + 1, 2 * 8 + 7]
 
 
-@pytest.mark.parametrize("few, tiles", [(1, 24), pytest.param(4, 16, marks=pytest.mark.thorough), (64, 6)])
+@pytest.mark.parametrize("few, tiles", [(1, 24), pytest.param(4, 16, marks=pytest.mark.thorough), (64, 4)])
 def test_a_thin_scatter_neither_repeats_nor_has_close_points(few, tiles):
     """In tiles seen from far above, hardly any points coincide with those moved by a tile, by half a tile or by both.
     They keep the distance of points inside a tile, and few are missing."""

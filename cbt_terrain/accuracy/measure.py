@@ -80,14 +80,14 @@ def measure(
     if view is None:
         sight = None
     else:
-        own_sight = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
-        if sight is not None and sight.key != own_sight.key:
+        new_sight = look(field, view, placement, vertical_scale, vertical_offset, threads=threads)
+        if sight is not None and sight.key != new_sight.key:
             raise TerrainError(
                 "The sight is of another view or terrain",
                 expected="that of the mesh",
                 fix="make it by `look` with the same arguments",
             )
-        sight = sight or own_sight
+        sight = sight or new_sight
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()  # at samples; largest of each triangle

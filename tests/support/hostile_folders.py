@@ -16,6 +16,7 @@ import sys
 import time
 import traceback
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 LIMIT_S = 120  # only ends a hang
@@ -46,25 +47,38 @@ def main(folder: str, first: str, count: str) -> None:
         rng = random.Random(seed)
         work = base / f"mutant{seed}"
         shutil.copytree(base / "plain", work, symlinks=True)
-        precious = work / "precious"
-        (precious / "thesis").mkdir(parents=True)
-        for name in ("mine.txt", "store.json", "thesis/chapter.tex"):
-            (precious / name).write_text("mine")
+        make_precious(work)
         kind = ("land", "scene", "summary", "file")[seed % 4]
         done, arguments, prepare = MUTATIONS[kind](work, scene, rng)
         writable = {work / "out", work / "gift" / "st_land"}
         if not os.path.lexists(work / "gift" / "st" / "store.json"):
             writable.add(work / "gift" / "st")  # a verb may import the store again, and remove its old arrays
-        before = _contents(work, kind, writable)
-        status, text, seconds = in_fork(lambda a=arguments, p=prepare: _run(p, a))
-        fault = fault_of(status, text, seconds)
-        if fault is None and _contents(work, kind, writable) != before:
-            fault = "changed files that are not its own"
-        if fault is not None:
-            sys.exit(f"mutant {seed} ({kind}: {done}; {' '.join(arguments)}): {fault}\n{text[-3000:]}")
-        ends[f"{kind} {'refused' if status else 'fine'}"] += 1
+        name = f"mutant {seed} ({kind}: {done}; {' '.join(arguments)})"
+        end = end_of(partial(_run, prepare, arguments), partial(_contents, work, kind, writable), name)
+        ends[f"{kind} {end}"] += 1
         shutil.rmtree(work)
     print(json.dumps(ends))
+
+
+def make_precious(work: Path) -> Path:
+    """Write files that no verb may change into a new folder; return the folder."""
+    precious = work / "precious"
+    (precious / "thesis").mkdir(parents=True)
+    for name in ("mine.txt", "store.json", "thesis/chapter.tex"):
+        (precious / name).write_text("mine")
+    return precious
+
+
+def end_of(do, contents, mutant: str) -> str:
+    """Run `do` in a fork; return "fine" or "refused", or end the program at a fault or where `contents()` changes."""
+    before = contents()
+    status, text, seconds = in_fork(do)
+    fault = fault_of(status, text, seconds)
+    if fault is None and contents() != before:
+        fault = "changed files that are not its own"
+    if fault is not None:
+        sys.exit(f"{mutant}: {fault}\n{text[-3000:]}")
+    return "refused" if status else "fine"
 
 
 def _make_project(folder: Path) -> str:
@@ -285,8 +299,7 @@ def _contents(work: Path, kind: str, writable: set[Path]) -> dict:
         if at in writable:
             folders.clear()
             if not at.is_symlink():
-                guests = [p for p in at.rglob("guest.txt")]
-                found |= {str(p): p.read_text() for p in guests}
+                found |= {str(p): p.read_text() for p in at.rglob("guest.txt")}
                 continue
         for name in (*folders, *files):
             path = at / name

@@ -11,9 +11,8 @@ bpy = pytest.importorskip("bpy")
 from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
 from adaptive_terrain.operators.session import session  # noqa: E402
 from adaptive_terrain.operators.terrain.request import VIEWPORT, gather  # noqa: E402
+from blender_meshes import assert_blender_invariants, corner_normals, positions  # noqa: E402
 from fields import scattered, screen_error  # noqa: E402
-from invariants import assert_blender_invariants  # noqa: E402
-from live_windows import positions  # noqa: E402
 
 
 @pytest.fixture
@@ -172,10 +171,7 @@ def test_case_33_normals_of_a_mirrored_terrain_point_up(scene, terrain, scale):
     assert update.bound_px <= max(1.0, update.relaxed) + 1e-9
     evaluated = terrain.evaluated_get(bpy.context.evaluated_depsgraph_get())
     to_world = np.linalg.inv(np.array(evaluated.matrix_world)[:3, :3]).T
-    mesh = evaluated.to_mesh()
-    normals = np.empty(3 * len(mesh.loops), np.float32)
-    mesh.corner_normals.foreach_get("vector", normals)
-    up = (normals.reshape(-1, 3) @ to_world.T)[:, 2] * np.sign(scale[2])
+    up = (corner_normals(evaluated.to_mesh()) @ to_world.T)[:, 2] * np.sign(scale[2])
     evaluated.to_mesh_clear()
     assert up.min() > 0, "a negative height scale turns the ground over"
 

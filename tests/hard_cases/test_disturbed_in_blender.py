@@ -5,7 +5,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,8 @@ bpy = pytest.importorskip("bpy")
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
 from adaptive_terrain.operators.session import live, session  # noqa: E402
-from blender_meshes import digest  # noqa: E402
-from live_windows import positions, show_window  # noqa: E402
+from blender_meshes import digest, positions  # noqa: E402
+from live_windows import show_window, turns  # noqa: E402
 from rasters import hills, imported  # noqa: E402
 
 
@@ -30,8 +29,7 @@ def start_update():
 def finish_update():
     """Run the live timer until it rests."""
     bpy.context.view_layer.update()
-    while live.tick() != live.IDLE_S:
-        time.sleep(0.005)
+    turns(changed=False)
 
 
 def replace_store(terrain, tmp_path):

@@ -9,10 +9,11 @@ from collections import Counter
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.request import RENDER
+from blender_meshes import read
 from mesh_files import read_mesh
+from store_exports import run
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 FRAMES = (3, 8)
@@ -52,10 +53,8 @@ def saved(flight, add_terrain, tmp_path, expected):
 
 def mesh_of(mesh):
     """Return vertices and triangles of a Blender mesh in local space."""
-    points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.loops), np.int32)
-    mesh.vertices.foreach_get("co", points)
-    mesh.loops.foreach_get("vertex_index", corners)
-    return points.reshape(-1, 3).astype(np.float64), corners.reshape(-1, 3).astype(np.int64)
+    points, corners = read(mesh.vertices, "co", 3), read(mesh.loops, "vertex_index", 1, np.int32)
+    return points.astype(np.float64), corners.reshape(-1, 3).astype(np.int64)
 
 
 def read_blend(path, name):
@@ -81,8 +80,8 @@ def assert_sheet(points, triangles):
 def test_case_61_every_format_in_every_order(order, saved, expected, tmp_path, capfd):
     """Every file of every frame holds the render's mesh, whatever formats and frames came before."""
     out = tmp_path / "out"
-    argv = ["export", "--scene", saved, "--frames", "8,3", "--format", ",".join(order)]
-    assert command_line.main([str(part) for part in [*argv, "--out", out]]) == 0, capfd.readouterr().err
+    argv = "--scene", saved, "--frames", "8,3", "--format", ",".join(order), "--out", out
+    assert run("export", *argv) == 0, capfd.readouterr().err
     for (name, frame), ((points, triangles), place) in expected.items():
         summary = json.loads((out / f"frame_{frame:04d}.json").read_text())
         assert Counter(path.rsplit(".", 1)[1] for path in summary["files"]) == {f: 2 - (f == "blend") for f in order}

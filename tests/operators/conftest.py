@@ -4,6 +4,7 @@
 import pytest
 from blender_scenes import add_terrain, empty, grid_surface, imports_here, preparing, scene, store  # noqa: F401
 from forked_children import fork_children  # noqa: F401
+from ground_scenes import askew, hills_store  # noqa: F401
 from land_scenes import first_shaped, shaped, terrain, wide_store  # noqa: F401
 from store_exports import export, flight  # noqa: F401
 

@@ -10,6 +10,7 @@ from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.session import live, session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
 from blender_meshes import digest_alone
+from live_windows import turns
 
 
 @pytest.fixture
@@ -169,18 +170,6 @@ def test_stale_frames_are_told_of_in_few_words():
     why = "There is no terrain store."
     assert stale_renders.message_lines({3: why, 2: why}) == ["Rendered with the mesh of another frame: 2, 3", why]
     assert stale_renders.message_lines(dict.fromkeys(range(1, 241), why))[0].endswith(" 8, 9, 10 and 230 more")
-
-
-def turns(limit=10_000):
-    """Run the live timer until nothing is under way."""
-    import time
-
-    live.mark_dirty()
-    for _ in range(limit):
-        if live.tick() == live.IDLE_S:
-            return
-        time.sleep(0.005)
-    raise AssertionError("the live update never ended")
 
 
 @pytest.fixture

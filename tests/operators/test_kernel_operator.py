@@ -16,7 +16,7 @@ from adaptive_terrain.operators.ground.drop_to_ground import BOUNDS, DropToGroun
 from adaptive_terrain.operators.ground.keep_above import KeepAboveGround
 from adaptive_terrain.operators.ground.pick_ground import PickGround
 from adaptive_terrain.operators.ground.viewshed import Viewshed
-from ground_scenes import askew, cube, hills_store, only  # noqa: F401
+from ground_scenes import cube, only
 from modal_runs import RunningOperator, running, to_the_end, turn
 
 DROP = {"anchor": BOUNDS, "offset": 0.0, "align": True, "keep": False}
@@ -31,7 +31,7 @@ OPERATORS = {
 
 
 @pytest.fixture
-def click(askew, tmp_path, monkeypatch):  # noqa: F811
+def click(askew, tmp_path, monkeypatch):
     """Return a function that clicks on an operator while `ask` says that kernels are missing twice."""
     rock, answers, asked = cube("Rock", (80.0, -20.0, 0.0)), iter([False, False]), set()
     only(rock)
@@ -100,7 +100,7 @@ def test_a_click_that_picks_the_ground_waits_for_kernels(click, monkeypatch):
     assert bpy.context.scene.cursor.location.z > 0.0
 
 
-def test_a_removed_object_ends_the_wait(click, askew):  # noqa: F811
+def test_a_removed_object_ends_the_wait(click, askew):
     operator, _ = click(AddCollider)
     bpy.data.objects.remove(askew)
     operator.context.object = None

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
+from rasters import store_heights
 
 
 def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
@@ -54,16 +55,9 @@ def empty():
 @pytest.fixture(scope="session")
 def store(tmp_path_factory):
     """Build a small store of rolling hills: 129 x 129 samples, 10 m apart."""
-    from adaptive_terrain.cbt_terrain.field.build import build
-    from adaptive_terrain.cbt_terrain.field.store import Draft
-
-    path = tmp_path_factory.mktemp("stores") / "hills"
-    draft = Draft(path)
-    samples = draft.allocate("samples", (129, 129), np.float32)
     y, x = np.mgrid[0:129, 0:129]
-    samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 5 * np.sin(x * y / 30)
-    draft.publish(build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate), "hills", {})
-    return str(path)
+    heights = 40 * np.sin(x / 9) * np.cos(y / 7) + 5 * np.sin(x * y / 30)
+    return str(store_heights(tmp_path_factory.mktemp("stores") / "hills", heights, 10.0))
 
 
 @pytest.fixture

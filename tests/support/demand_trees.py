@@ -7,10 +7,10 @@ NODES_ALWAYS = bpy.app.version >= (5, 0)
 EEVEE = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0) else "BLENDER_EEVEE"
 
 
-def new_object(name="T"):
-    """Add a square to the scene."""
+def new_object(name="T", corners=((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0))):
+    """Add a polygon, by default a square, to the scene."""
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [], [(0, 1, 2, 3)])
+    mesh.from_pydata(corners, [], [range(len(corners))])
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
     return obj

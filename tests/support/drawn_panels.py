@@ -2,6 +2,7 @@
 """The contents of drawn panels, without a window: texts, properties and the number of rows."""
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import bpy
 from adaptive_terrain.operators.ui import panels
@@ -81,6 +82,14 @@ def draw(panel, context=None) -> DrawnLayout:
     drawn.layout = DrawnLayout()
     drawn.draw(context or bpy.context)
     return drawn.layout
+
+
+def draw_mocked(panel, obj=None) -> Mock:
+    """Draw a panel of an object, by default the active one, and return the mock that stands for its layout."""
+    layout = Mock()
+    context = bpy.context if obj is None else SimpleNamespace(object=obj)
+    panel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), context)
+    return layout
 
 
 def panels_in(space: str) -> list[type]:

@@ -6,11 +6,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.build import build, from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import decode
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, with_detail
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
-from adaptive_terrain.cbt_terrain.field.store import Draft
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -19,6 +18,7 @@ from detail_surface import bilinear, ground_heights
 from diamond_entries import range_index
 from finer_bicubic import heights_with_tiles
 from matplotlib.tri import Triangulation
+from rasters import store_heights
 
 
 def rough(height: int, width: int, seed: int = 0, relief: float = 100.0, step: float = 10.0) -> HeightField:
@@ -257,11 +257,7 @@ def scattered(field: HeightField, count: int, seed: int = 0) -> np.ndarray:
 
 def write_store(path: Path, seed: int) -> Path:
     """Write a store of 17 x 17 random samples."""
-    draft = Draft(path)
-    samples = draft.allocate("samples", (17, 17), np.float32)
-    samples[:] = np.random.default_rng(seed).random((17, 17))
-    draft.publish(build(samples, 1.0, 1.0, missing=0, allocate=draft.allocate), str(seed), {})
-    return path
+    return store_heights(path, np.random.default_rng(seed).random((17, 17)), 1.0)
 
 
 def contents(path: Path) -> dict[str, bytes]:

@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
+from rasters import store_heights
 
 COLUMNS, ROWS, STEP = 49, 31, 16.0  # which fits no m * 2^k + 1
 FINE = 4  # quads along a cell: between the samples of these hills a quad is then off by 4 mm at most
@@ -25,14 +26,7 @@ def hills(columns: int = COLUMNS, rows: int = ROWS, fine: int = 1) -> np.ndarray
 
 @pytest.fixture(scope="session")
 def hills_store(tmp_path_factory):
-    from adaptive_terrain.cbt_terrain.field.build import build
-    from adaptive_terrain.cbt_terrain.field.store import Draft
-
-    draft = Draft(tmp_path_factory.mktemp("stores") / "smooth")
-    samples = draft.allocate("samples", (ROWS, COLUMNS), np.float32)
-    samples[:] = hills()
-    draft.publish(build(samples, STEP, STEP, missing=0, allocate=draft.allocate), "smooth", {})
-    return str(draft.path)
+    return str(store_heights(tmp_path_factory.mktemp("stores") / "smooth", hills(), STEP))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 
@@ -28,7 +27,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert sides.min() == 0 and sides.max() == count_e - 1
 
     # corner edges are the edges between corners, each edge once
-    after, low_end, high_end = np.roll(corners, -1, axis=1), edges.min(axis=1), edges.max(axis=1)
+    after, low_end, high_end = corners[:, [1, 2, 0]], np.minimum(*edges.T), np.maximum(*edges.T)
     assert np.array_equal(np.minimum(corners, after), low_end[sides])
     assert np.array_equal(np.maximum(corners, after), high_end[sides])
     assert count_distinct(low_end.astype(np.int64) * count_v + high_end) == count_e
@@ -49,11 +48,9 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     assert upward.max() <= 1 and (uses - upward).max() <= 1
 
     # I4 the leaves partition the domain: two triangles of depth 1 a root square, in integers; a rim cuts some of them
-    levels, counts = np.unique(surface.level, return_counts=True)
-    deepest = int(levels[-1])
+    counts = np.bincount(surface.level).tolist()
     if not lattice.is_padded:
-        sizes = (int(n) << (deepest - int(d)) for d, n in zip(levels, counts, strict=True))
-        assert sum(sizes) == lattice.squares << deepest
+        assert sum(n << len(counts) - depth for depth, n in enumerate(counts)) == lattice.squares << len(counts)
         assert count_t % (1 << 2 * meshlet) == 0
 
     # I5 no two vertices at one place
@@ -89,39 +86,3 @@ def reused_leaves(terrain: Terrain) -> int:
     """Return the number of leaves that the last update reused from the frame before."""
     history = terrain.history
     return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
-
-
-def assert_blender_invariants(obj, meshlet: int = 0) -> None:
-    """Assert I1 .. I6 for the mesh that a Blender object holds, read back from Blender, and Blender's own check."""
-    from adaptive_terrain.operators.session import session
-
-    assert obj.data.validate(verbose=True) is False
-    assert_invariants(surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)
-
-
-def surface_of(mesh) -> Surface:
-    """Return the arrays of a Blender mesh of triangles as Blender has them."""
-    vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
-
-    def read(collection, name: str, shape, dtype) -> np.ndarray:
-        array = np.empty(int(np.prod(shape)), dtype)
-        collection.foreach_get(name, array)
-        return array.reshape(shape)
-
-    corner_verts = read(mesh.loops, "vertex_index", (corners,), np.int32)
-    uv = np.zeros((vertices, 2), np.float32)
-    uv[corner_verts] = read(mesh.uv_layers.active.uv, "vector", (corners, 2), np.float32)
-    normals = np.zeros((vertices, 3), np.float32)
-    normals[corner_verts] = read(mesh.corner_normals, "vector", (corners, 3), np.float32)
-    level = read(mesh.attributes["terrain_level"].data, "value", (corners // 3,), np.int32)
-    return Surface(
-        read(mesh.vertices, "co", (vertices, 3), np.float32),
-        corner_verts,
-        read(mesh.loops, "edge_index", (corners,), np.int32),
-        read(mesh.edges, "vertices", (edges, 2), np.int32),
-        {
-            "normals": Attribute(normals, "POINT"),
-            "uv": Attribute(uv, "POINT"),
-            "terrain_level": Attribute(level, "FACE"),
-        },
-    )

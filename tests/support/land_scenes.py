@@ -7,12 +7,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.store import Draft
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.session import session
+from rasters import store_heights
 
 
 @pytest.fixture
@@ -75,9 +74,5 @@ def wide_store(tmp_path_factory):
 
 def wide_hills(path, rows: int, columns: int):
     """Build a store at `path` with hills 8 m a column and 10 m a row; return `path`."""
-    draft = Draft(path)
-    samples = draft.allocate("samples", (rows, columns), np.float32)
     y, x = np.mgrid[0:rows, 0:columns]
-    samples[:] = 60 * np.sin(x / 31) * np.cos(y / 27)
-    draft.publish(build(samples, 8.0, 10.0, missing=0, allocate=draft.allocate), "wide", {})
-    return path
+    return store_heights(path, 60 * np.sin(x / 31) * np.cos(y / 27), 8.0, 10.0)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A window for the live update, and the vertices of Blender objects."""
+"""A window for the live update, and turns of its timer."""
 
+import time
 from types import SimpleNamespace
 
 import bpy
-import numpy as np
 from adaptive_terrain.operators.session import live
 
 
@@ -15,8 +15,12 @@ def show_window(monkeypatch, scene=None, view_layer=None) -> None:
     monkeypatch.setattr(live, "_windows", lambda: [window])
 
 
-def positions(obj) -> np.ndarray:
-    """Return the vertices of an object's mesh, float32 [V, 3]."""
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.reshape(-1, 3)
+def turns(changed: bool = True) -> None:
+    """Run the timer of the live update until nothing is under way, first after a change of the scene."""
+    if changed:
+        live.mark_dirty()
+    for _ in range(10_000):
+        if live.tick() == live.IDLE_S:
+            return
+        time.sleep(0.005)
+    raise AssertionError("the live update never ended")

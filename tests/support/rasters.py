@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Height map files for tests."""
+"""Height map files and stores for tests."""
 
 import struct
 import warnings
 import zlib
+from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 
@@ -54,3 +56,16 @@ def imported(tmp_path, source, **settings):
     """Import in this process into tmp_path / "store"; return the height field and the report."""
     report = run_import(ImportSettings(source=str(source), **settings), tmp_path / "store")
     return open_store(tmp_path / "store"), report
+
+
+def store_heights(path: Path, heights: np.ndarray, step_x: float, step_y: float | None = None) -> Path:
+    """Write a store of heights, float [rows, columns] with row 0 in the south; return its path.
+
+    step_x, step_y: metres between samples; step_y is step_x by default.
+    """
+    draft = Draft(path)
+    samples = draft.allocate("samples", heights.shape, np.float32)
+    samples[:] = heights
+    field = build(samples, step_x, step_y or step_x, missing=0, allocate=draft.allocate)
+    draft.publish(field, path.name, {})
+    return path

@@ -32,13 +32,12 @@ def flight(tmp_path):
 def export(store, flight, tmp_path, capsys):
     """Run `export` of the small store; returns the exit code, the output and the folder."""
 
-    def run(*arguments, out="out", path=flight):
+    def exported(*arguments, out="out", path=flight):
         folder = tmp_path / out
-        argv = ["export", "--store", store, "--path", path, "--resolution", "640x360", "--out", folder, *arguments]
-        code = command_line.main([str(argument) for argument in argv])
-        return code, capsys.readouterr(), folder
+        source = "--store", store, "--path", path, "--resolution", "640x360"
+        return run("export", *source, "--out", folder, *arguments), capsys.readouterr(), folder
 
-    return run
+    return exported
 
 
 def bytes_of(folder, pattern="*.npz"):

@@ -6,7 +6,6 @@ import dataclasses
 import shutil
 import threading
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import bpy
 import pytest
@@ -20,7 +19,9 @@ from adaptive_terrain.operators.accuracy import sweep as sweep_accuracy
 from adaptive_terrain.operators.accuracy.panel import AccuracyReportPanel
 from adaptive_terrain.operators.accuracy.sweep import SweepAccuracy
 from adaptive_terrain.operators.session import session
+from drawn_panels import draw_mocked
 from modal_runs import running, to_the_end, turn
+from store_exports import run
 
 FEW = [
     Setting("px", 8.0),
@@ -108,13 +109,10 @@ def test_it_sweeps_every_setting_and_writes_all_files(terrain, scene, every_kind
 @pytest.mark.thorough
 def test_it_measures_what_the_command_measures(terrain, tmp_path, every_kind):
     """The same triangles and errors; only times differ."""
-    from adaptive_terrain.operators.cli import command_line
-
     bpy.ops.adaptive_terrain.sweep_accuracy()
     here = rows_of(terrain)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    argv = ["accuracy", "--scene", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "command")]
-    assert command_line.main(argv) == 0
+    assert run("accuracy", "--scene", tmp_path / "scene.blend", "--out", tmp_path / "command") == 0
     with (tmp_path / "command" / "accuracy.csv").open(newline="") as file:
         there = list(csv.DictReader(file))
     names = [name for name in here[0] if not name.startswith("ms_")]
@@ -235,19 +233,13 @@ def test_a_folder_that_vanishes_meanwhile_is_made_again(terrain, tmp_path, held)
     assert to_the_end(operator) == {"FINISHED"} and len(rows_of(terrain)) == 2
 
 
-def draw(terrain):
-    layout = Mock()
-    AccuracyReportPanel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), SimpleNamespace(object=terrain))
-    return layout
-
-
 def test_a_cancelled_sweep_leaves_the_last_report(terrain, held):
     folder = sweep_accuracy.report_folder(terrain)
     folder.mkdir(parents=True)
     (folder / "accuracy.csv").write_text("the last one")
     operator = running(SweepAccuracy, terrain)
     assert held.reached.wait(60)
-    draw(terrain).row().progress.assert_called_once_with(factor=0.5, text="Report: 2 px")
+    draw_mocked(AccuracyReportPanel, terrain).row().progress.assert_called_once_with(factor=0.5, text="Report: 2 px")
     assert bpy.ops.adaptive_terrain.cancel_job(kind="MEASURE") == {"FINISHED"}
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
@@ -321,11 +313,11 @@ def test_a_broken_bound_is_an_error_and_in_the_report(terrain, monkeypatch):
 
 
 def test_the_panel_opens_a_report_that_is_there(terrain):
-    layout = draw(terrain)
+    layout = draw_mocked(AccuracyReportPanel, terrain)
     layout.operator.assert_called_once_with("adaptive_terrain.sweep_accuracy", icon="GRAPH")
     bpy.ops.adaptive_terrain.sweep_accuracy()
-    layout = draw(terrain)
+    layout = draw_mocked(AccuracyReportPanel, terrain)
     assert layout.operator.call_args.args == ("wm.path_open",)
     assert layout.operator.return_value.filepath == str(sweep_accuracy.report_folder(terrain) / "index.html")
     terrain.adaptive_terrain.reports = "//accuracy/"
-    draw(terrain).box.assert_called_once()
+    draw_mocked(AccuracyReportPanel, terrain).box.assert_called_once()

@@ -10,10 +10,11 @@ from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.attributes import panel as effects_panel
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
+from blender_meshes import values_of
 from drawn_panels import DrawnLayout, draw
+from store_exports import run
 
 
 @pytest.fixture
@@ -109,9 +110,7 @@ def test_the_button_reads_the_layers_and_nothing_else(terrain):
     assert {node.attribute_name for node in group.node_tree.nodes if node.type == "ATTRIBUTE"} == {"splat_1"}
     assert "splat_1" in computed
     assert computed - {"splat_1"} == {"height", "slope"}, "what the default layers' rules are about"
-    weights = np.empty(4 * len(terrain.data.vertices), np.float32)
-    terrain.data.attributes["splat_1"].data.foreach_get("color", weights)
-    assert (weights.reshape(-1, 4).sum(1, dtype=np.float32) == 1.0).all()
+    assert (values_of(terrain.data, "splat_1").sum(1, dtype=np.float32) == 1.0).all()
     assert bpy.ops.adaptive_terrain.terrain_material(sky=True) == {"FINISHED"}
     assert len(bpy.data.materials) == 1
     session.update_object(terrain)
@@ -122,7 +121,7 @@ def test_the_command_says_who_reads_what(terrain, tmp_path, capsys):
     read_by_material(terrain, "slope")
     path = tmp_path / "shot.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    assert command_line.main(["effects", "--scene", str(path)]) == 0
+    assert run("effects", "--scene", path) == 0
     said = capsys.readouterr().out
     assert "slope: read by material Rock, node Attribute; " in said and " ms, " in said
     assert "wetness: skipped, nothing reads it" in said
@@ -134,21 +133,8 @@ def test_the_command_says_who_reads_what(terrain, tmp_path, capsys):
 )
 def test_an_export_of_a_scene_carries_what_is_asked(terrain, tmp_path, asked, has):
     read_by_material(terrain, "slope")
-    path = tmp_path / "shot.blend"
+    path, out = tmp_path / "shot.blend", tmp_path / "out"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    argv = [
-        "export",
-        "--scene",
-        path,
-        "--frames",
-        "1",
-        "--format",
-        "npz",
-        "--effects",
-        asked,
-        "--out",
-        tmp_path / "out",
-    ]
-    assert command_line.main([str(argument) for argument in argv]) == 0
-    mesh = read_npz(tmp_path / "out" / "Hills_0001.npz")
+    assert run("export", "--scene", path, "--frames", 1, "--format", "npz", "--effects", asked, "--out", out) == 0
+    mesh = read_npz(out / "Hills_0001.npz")
     assert mesh.keys() & ATTRIBUTES.keys() == has

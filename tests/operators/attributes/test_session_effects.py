@@ -2,8 +2,6 @@
 """A terrain's updates compute only attributes that its scene reads; the panel shows the reason."""
 
 import math
-import time
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -16,7 +14,9 @@ from adaptive_terrain.operators.attributes.sun_lamps import sun_lamps, suns_over
 from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.terrain.overrides import Overrides
 from adaptive_terrain.operators.terrain.request import gather
+from blender_meshes import positions, values_of
 from demand_trees import Moved, colour, mix, new_material, shows
+from live_windows import show_window, turns
 
 
 @pytest.fixture
@@ -35,12 +35,6 @@ def made(terrain):
     return {name for name in ATTRIBUTES if name in terrain.data.attributes}
 
 
-def values(terrain, name):
-    array = np.empty(len(terrain.data.vertices), np.float32)
-    terrain.data.attributes[name].data.foreach_get("value", array)
-    return array
-
-
 def statuses(terrain):
     return session.record_of(terrain).status.effects
 
@@ -50,9 +44,7 @@ def test_what_is_read_is_computed_and_nothing_else(worn):
     assert made(worn) == {"slope", "height"}
     runs = session.record_of(worn).effects_runs
     assert set(runs) == {"slope", "height"}
-    heights = np.empty(3 * len(worn.data.vertices), np.float32)
-    worn.data.attributes["position"].data.foreach_get("vector", heights)
-    assert np.abs(values(worn, "height") - heights[2::3]).max() < 5.0, "at the scale of a pixel"
+    assert np.abs(values_of(worn.data, "height") - positions(worn)[:, 2]).max() < 5.0, "at the scale of a pixel"
     said = statuses(worn)
     assert list(said) == list(ATTRIBUTES)
     assert said["slope"].readers == ("material Rock, node Attribute",) and said["slope"].family == "PICTURE"
@@ -83,12 +75,12 @@ def test_nothing_is_computed_again_while_nothing_changes(worn):
 
 def test_an_attribute_that_a_user_removed_is_written_again(worn):
     session.update_object(worn)
-    before = values(worn, "slope")
+    before = values_of(worn.data, "slope")
     worn.data.attributes["slope"].name = "mine"
     worn.data.attributes.remove(worn.data.attributes["height"])
     session.update_object(worn)
     assert made(worn) == {"slope", "height"} and "mine" not in worn.data.attributes
-    assert np.array_equal(values(worn, "slope"), before)
+    assert np.array_equal(values_of(worn.data, "slope"), before)
 
 
 def test_a_frozen_mesh_follows_what_is_read(worn):
@@ -104,29 +96,17 @@ def test_the_viewport_waits_for_the_kernels_of_attributes(worn, monkeypatch):
     """Turn by turn: nothing is made before they are there, and then without another change."""
     asked = []
     monkeypatch.setattr(warmup, "prepare_modules", lambda modules: asked.append(modules) or len(asked) > 2)
-    window = SimpleNamespace(
-        view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
-    )
-    monkeypatch.setattr(live, "_windows", lambda: [window])
+    show_window(monkeypatch)
     bpy.context.evaluated_depsgraph_get()
     live.mark_dirty()
     assert [live.tick() for _ in range(2)] == [live.IDLE_S] * 2 and made(worn) == set()
-    while live.tick() != live.IDLE_S:
-        time.sleep(0.005)
+    turns(changed=False)
     assert made(worn) == {"slope", "height"} and len(asked) == 3
     assert {"jet", "keep"} <= {module.__name__.rpartition(".")[2] for module in asked[0]}
 
 
 def test_the_viewport_follows_without_being_asked(worn, monkeypatch):
-    def turns():
-        live.mark_dirty()
-        while live.tick() != live.IDLE_S:
-            time.sleep(0.005)
-
-    window = SimpleNamespace(
-        view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
-    )
-    monkeypatch.setattr(live, "_windows", lambda: [window])
+    show_window(monkeypatch)
     bpy.context.evaluated_depsgraph_get()
     turns()
     assert made(worn) == {"slope", "height"}
@@ -150,15 +130,15 @@ def test_a_pin_computes_and_off_wins_and_says_so(worn):
 def test_geometry_reads_at_one_scale_whatever_the_camera_sees(worn, scene):
     scene.render.resolution_percentage, worn.adaptive_terrain.viewport.error_px = 3, 0.02  # pixels of some 40 m
     session.update_object(worn)
-    picture = values(worn, "slope")
+    picture = values_of(worn.data, "slope")
     Moved(worn).reads("slope")
     session.update_object(worn)
     assert statuses(worn)["slope"].family == "GEOMETRY" and statuses(worn)["height"].family == "PICTURE"
-    geometry = values(worn, "slope")
+    geometry = values_of(worn.data, "slope")
     assert not np.array_equal(picture, geometry)
     worn.adaptive_terrain.effects.geometry_metres = 160.0
     session.update_object(worn)
-    assert values(worn, "slope").std() < 0.8 * geometry.std(), "a coarser scale is smoother"
+    assert values_of(worn.data, "slope").std() < 0.8 * geometry.std(), "a coarser scale is smoother"
 
 
 def test_everything_is_computed_where_nobody_knows_what_is_read(worn):
@@ -266,7 +246,7 @@ def test_the_widest_sun_lights_a_terrain(worn):
     sun(45.0, 0.0).data.angle = 4.0
     worn.adaptive_terrain.effects.sun.when = "PINNED"
     session.update_object(worn)
-    assert 0.0 < values(worn, "sun").mean() < 1.0
+    assert 0.0 < values_of(worn.data, "sun").mean() < 1.0
 
 
 def test_a_scene_without_a_sun_lamp_is_said(worn):
@@ -276,11 +256,11 @@ def test_a_scene_without_a_sun_lamp_is_said(worn):
         session.update_object(worn)
         return session.record_of(worn).status.effects["sun"].note
 
-    assert note() == "0, since no sun lamp shines in the scene" and not values(worn, "sun").any()
+    assert note() == "0, since no sun lamp shines in the scene" and not values_of(worn.data, "sun").any()
     lamp = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
     bpy.context.scene.collection.objects.link(lamp)
     bpy.context.view_layer.update()
-    assert note() == "" and values(worn, "sun").any()
+    assert note() == "" and values_of(worn.data, "sun").any()
 
 
 def test_suns_are_turned_into_the_terrains_own_space(scene):

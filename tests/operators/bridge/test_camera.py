@@ -11,6 +11,7 @@ from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERS
 from adaptive_terrain.operators.bridge.camera import render_resolution, views_from_scene
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
+from rendered_pictures import rendered
 
 POINTS = [(0.0, 0.0, 0.0), (3.0, -2.0, 1.0), (-4.0, 5.0, -2.0), (0.5, 0.25, 2.0)]
 
@@ -149,16 +150,8 @@ def directions(scene, folder) -> np.ndarray:
     links.new(move.outputs[0], emission.inputs["Color"])
     links.new(emission.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     bpy.context.object.data.materials.append(material)
-    scene.cycles.samples, scene.cycles.filter_width, scene.cycles.pixel_filter_type = 1, 0.01, "BOX"
-    scene.cycles.use_denoising = False
-    scene.view_settings.view_transform = "Raw"
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.filepath = str(folder / "places.exr")
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    image.colorspace_settings.name = "Non-Color"
-    places = np.array(image.pixels, np.float64).reshape(image.size[1], image.size[0], 4)[..., :3] - 100
-    bpy.data.images.remove(image)
+    scene.cycles.filter_width, scene.cycles.pixel_filter_type = 0.01, "BOX"
+    places = rendered(folder / "places.exr")[..., :3].astype(np.float64) - 100
     places -= np.array(scene.camera.location)
     length = np.linalg.norm(places, axis=2, keepdims=True)
     return np.where(abs(length - 10) < 0.1, places / length, np.nan)

@@ -14,12 +14,8 @@ from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.operators.bridge import memory as mesh_memory
 from adaptive_terrain.operators.bridge.cleanup import Cleanup, clean_up, plan_triangles
 from adaptive_terrain.operators.bridge.writer import UV_LAYER, write_mesh
-
-
-def read(collection, name, width, dtype=np.float32):
-    array = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(name, array)
-    return array.reshape(-1, width) if width > 1 else array
+from blender_meshes import read
+from demand_trees import new_object
 
 
 def test_the_mesh_holds_the_arrays(mesh, grid_surface):
@@ -108,11 +104,8 @@ def test_nothing_is_left_below_a_height_above_all(mesh, grid_surface):
 
 
 def test_what_is_outside_of_a_boundary_object_is_cut_away(mesh, grid_surface):
-    plane = bpy.data.meshes.new("Boundary")
-    plane.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
-    boundary = bpy.data.objects.new("Boundary", plane)
+    boundary = new_object("Boundary", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     boundary.location = (103.0, 2.0, 50.0)
-    bpy.context.collection.objects.link(boundary)
     bpy.context.view_layer.update()
     terrain_from_world = np.eye(4)
     terrain_from_world[0, 3] = -100.0
@@ -123,8 +116,7 @@ def test_what_is_outside_of_a_boundary_object_is_cut_away(mesh, grid_surface):
     assert len(mesh.polygons) == 8
     assert (positions[:, :2].min(0) == (2, 1)).all() and (positions[:, :2].max(0) == (4, 3)).all()
     assert mesh.validate(verbose=True) is False
-    bpy.data.objects.remove(boundary)
-    bpy.data.meshes.remove(plane)
+    bpy.data.meshes.remove(boundary.data)  # and the object with it
 
 
 def test_a_hundred_rebuilds_leave_no_datablock(mesh, grid_surface):

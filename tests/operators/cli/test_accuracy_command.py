@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import store_exports
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.accuracy import rows as rows_of_sweep
 from adaptive_terrain.cbt_terrain.accuracy import sweep as engine_sweep
@@ -24,7 +25,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.operators.accuracy import plots as accuracy_plots
 from adaptive_terrain.operators.accuracy import subject as accuracy_subject
-from adaptive_terrain.operators.cli import accuracy_command, command_line
+from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.export.exporting import write_files
 from browser import needs_chromium, opened
 from PIL import Image
@@ -46,8 +47,8 @@ def hills(tmp_path_factory):
     y, x = np.mgrid[0:33, 0:33]
     folder = tmp_path_factory.mktemp("hills")
     np.save(folder / "hills.npy", (30 * np.sin(x / 4) * np.cos(y / 5)).astype(np.float32))
-    argv = ["import", str(folder / "hills.npy"), "--store", str(folder / "hills"), "--extent", "320x320"]
-    assert command_line.main(argv) == 0
+    command = "import", folder / "hills.npy", "--store", folder / "hills", "--extent", "320x320"
+    assert store_exports.run(*command) == 0
     return folder / "hills"
 
 
@@ -85,8 +86,7 @@ def accuracy(hills, tmp_path, capsys):
 
     def run(*arguments, source=("--store", hills), out="out"):
         folder = tmp_path / out
-        argv = ["accuracy", *source, "--out", folder, *arguments]
-        code = command_line.main([str(argument) for argument in argv])
+        code = store_exports.run("accuracy", *source, "--out", folder, *arguments)
         return code, capsys.readouterr(), folder
 
     return run
@@ -189,10 +189,8 @@ def test_frames_of_a_path_are_spread_over_it(hills, flight):
     subject = accuracy_subject.store_subject(hills, flight, None, (320, 180))
     assert subject.frame_numbers == [1, 4, 6, 9]
     assert [frame.after is None for frame in subject.frames] == [False] * 3 + [True]
-    assert (
-        accuracy_subject.spread_frames(3, 3) == [3]
-        and len(accuracy_subject.spread_frames(1, 1000)) == accuracy_subject.SPREAD
-    )
+    assert accuracy_subject.spread_frames(3, 3) == [3]
+    assert len(accuracy_subject.spread_frames(1, 1000)) == accuracy_subject.SPREAD
 
 
 @pytest.mark.parametrize("resolution", [(1920, 1080), (200, 900), (500, 500)])
@@ -238,10 +236,8 @@ def test_a_sweep_reports_omitted_settings():
     assert accuracy_subject.omission_notes(plain) == []
     metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
     assert accuracy_subject.setting_of_request(asking(metres)) == Setting("m", 0.5, max_depth=9)
-    assert (
-        len(accuracy_subject.omission_notes(metres)) == 1
-        and "limits of triangles" in accuracy_subject.omission_notes(metres)[0]
-    )
+    [note] = accuracy_subject.omission_notes(metres)
+    assert "limits of triangles" in note
     edges = Criterion(error_px=0, edge_px=4)
     assert (
         accuracy_subject.setting_of_request(asking(edges)) is None and len(accuracy_subject.omission_notes(edges)) == 2

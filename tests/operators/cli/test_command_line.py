@@ -10,10 +10,9 @@ from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import thinning
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
-from adaptive_terrain.operators.cli import command_line
 from fields import reference_heights
 from forked_programs import run_program
-from store_exports import bytes_of
+from store_exports import bytes_of, run
 
 
 def test_a_frame_is_arrays_with_what_they_mean(export):
@@ -103,8 +102,7 @@ def test_a_detail_may_be_asked_for(export, store, tmp_path):
     asked = Detail(2.0, 60.0)
     code, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "2", "--detail", "2,60")
     baked = tmp_path / "hills.npz"
-    argv = ["bake", "--store", store, "--max-error", "1", "--detail", "2,60", "--out", str(baked)]
-    assert code == 0 == command_line.main(argv)
+    assert code == 0 == run("bake", "--store", store, "--max-error", "1", "--detail", "2,60", "--out", baked)
     field = with_detail(open_store(store), asked)
     for mesh in map(read_npz, (folder / "terrain_0002.npz", baked)):
         assert mesh["info"]["height_field"].endswith(asked.key)
@@ -115,8 +113,7 @@ def test_a_detail_may_be_asked_for(export, store, tmp_path):
 
 
 def test_bake_holds_its_error(store, tmp_path, capsys):
-    code = command_line.main(["bake", "--store", store, "--max-error", "0.5", "--out", str(tmp_path / "hills.npz")])
-    assert code == 0
+    assert run("bake", "--store", store, "--max-error", "0.5", "--out", tmp_path / "hills.npz") == 0
     info = read_npz(tmp_path / "hills.npz")["info"]
     assert 0 < info["bound_m"] <= 0.5 and info["bound_px"] is None and info["views"] == []
     assert info["terms_px"] is None and info["terms_m"].keys() == {"geometric", "precision", "source"}
@@ -125,16 +122,16 @@ def test_bake_holds_its_error(store, tmp_path, capsys):
 
 def test_a_bake_of_a_smooth_surface_cannot_be_fitted(store, tmp_path, capsys):
     bake = ["bake", "--store", store, "--max-error", "2", "--interpolation", "bicubic", "--out"]
-    assert command_line.main([*bake, str(tmp_path / "smooth.npz")]) == 0
+    assert run(*bake, tmp_path / "smooth.npz") == 0
     assert read_npz(tmp_path / "smooth.npz")["info"]["interpolation"] == "bicubic"
-    assert command_line.main([*bake, str(tmp_path / "fitted.npz"), "--fit"]) == 1
+    assert run(*bake, tmp_path / "fitted.npz", "--fit") == 1
     assert "bilinear" in capsys.readouterr().err and not (tmp_path / "fitted.npz").exists()
 
 
 def test_a_fitted_bake_holds_its_error_with_fewer_triangles(store, tmp_path, capsys):
     bake = ["bake", "--store", store, "--max-error", "5", "--out"]
-    assert command_line.main([*bake, str(tmp_path / "plain.npz")]) == 0
-    assert command_line.main([*bake, str(tmp_path / "fitted.npz"), "--fit"]) == 0
+    assert run(*bake, tmp_path / "plain.npz") == 0
+    assert run(*bake, tmp_path / "fitted.npz", "--fit") == 0
     plain, fitted = (read_npz(tmp_path / f"{name}.npz") for name in ("plain", "fitted"))
     info = fitted["info"]
     assert info["fitted"] is True and "fitted" not in plain["info"]
@@ -142,24 +139,24 @@ def test_a_fitted_bake_holds_its_error_with_fewer_triangles(store, tmp_path, cap
     assert info["triangles"] == len(fitted["triangles"]) <= 0.85 * len(plain["triangles"])
     assert f"fitted.npz: {info['triangles']:,} triangles, bound " in capsys.readouterr().out
     first = (tmp_path / "fitted.npz").read_bytes()
-    assert command_line.main([*bake, str(tmp_path / "again.npz"), "--fit"]) == 0
+    assert run(*bake, tmp_path / "again.npz", "--fit") == 0
     assert (tmp_path / "again.npz").read_bytes() == first
 
 
 def test_a_quick_import_says_what_it_lacks(tmp_path, flight, capsys, monkeypatch):
     monkeypatch.setattr(thinning, "QUICK_SAMPLES", 500)
-    store = str(tmp_path / "store")
-    assert command_line.main(["import", "island", "--size", "129", "--store", store, "--quick"]) == 0
+    store = tmp_path / "store"
+    assert run("import", "island", "--size", "129", "--store", store, "--quick") == 0
     assert "loaded: to 512 m of 64 m" in capsys.readouterr().out
-    assert command_line.main(["info", store]) == 0
+    assert run("info", store) == 0
     printed = capsys.readouterr().out
     assert "loaded: to 512 m of 64 m\n" in printed and "complete: False\n" in printed
     assert "bounds_against: the surface as loaded so far, to 512 m of 64 m\n" in printed
-    export = ["export", "--store", store, "--path", str(flight), "--frames", "1", "--out", str(tmp_path / "out")]
-    assert command_line.main([*export, "--format", "npz"]) == 0
+    export = ["export", "--store", store, "--path", flight, "--frames", "1", "--out", tmp_path / "out"]
+    assert run(*export, "--format", "npz") == 0
     assert "terrain is loaded to 512 m of 64 m" in capsys.readouterr().out
-    assert command_line.main(["import", "island", "--size", "129", "--store", store]) == 0
-    assert command_line.main(["info", store]) == 0
+    assert run("import", "island", "--size", "129", "--store", store) == 0
+    assert run("info", store) == 0
     assert "loaded" not in capsys.readouterr().out
 
 
@@ -167,23 +164,21 @@ def test_import_info_and_export_by_words(tmp_path, flight, capsys):
     heights = np.fromfunction(lambda y, x: 30 * np.sin(x / 9) + y, (60, 90), dtype=np.float32)
     np.save(tmp_path / "hills.npy", heights)
     store = tmp_path / "hills.store"
-    source = str(tmp_path / "hills.npy")
-    assert command_line.main(["import", source, "--store", str(store), "--extent", "900x600"]) == 0
+    source = tmp_path / "hills.npy"
+    assert run("import", source, "--store", store, "--extent", "900x600") == 0
     assert f"{store} is ready" in capsys.readouterr().out
-    assert command_line.main(["info", str(store)]) == 0
+    assert run("info", store) == 0
     assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
-    assert command_line.main(["info", source]) == 0
+    assert run("info", source) == 0
     assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
     heights.astype("<f4").tofile(tmp_path / "hills.raw")
-    assert command_line.main(["info", str(tmp_path / "hills.raw")]) == 1
+    assert run("info", tmp_path / "hills.raw") == 1
     assert "--raw-size" in capsys.readouterr().err
-    raw = ["info", str(tmp_path / "hills.raw"), "--raw-size", "90x60", "--raw-type", "float32"]
-    assert command_line.main(raw) == 0
+    assert run("info", tmp_path / "hills.raw", "--raw-size", "90x60", "--raw-type", "float32") == 0
     assert "raster: 90, 60" in capsys.readouterr().out.splitlines()
-    bake = ["bake", "--store", str(store), "--max-error", "1", "--out", str(tmp_path / "hills.npz")]
-    assert command_line.main(bake) == 0
+    assert run("bake", "--store", store, "--max-error", "1", "--out", tmp_path / "hills.npz") == 0
     capsys.readouterr()
-    assert command_line.main(["info", str(tmp_path / "hills.npz")]) == 0
+    assert run("info", tmp_path / "hills.npz") == 0
     assert "bound_m: " in capsys.readouterr().out
 
 
@@ -211,15 +206,15 @@ def test_a_file_where_a_folder_is_expected(export, tmp_path, capsys):
     code, printed, _ = export("--frames", "1", "--format", "npz", out="out/below")
     assert code == 1 and "expected a folder" in printed.err
     pytest.importorskip("bpy")
-    assert command_line.main(["demo", "--out", str(tmp_path / "out")]) == 1
+    assert run("demo", "--out", tmp_path / "out") == 1
     assert "expected a folder" in capsys.readouterr().err
 
 
 def test_a_fit_that_saves_nothing_says_so(tmp_path, capsys):
     heights = np.random.default_rng(0).uniform(0.0, 100.0, (20, 31)).astype(np.float32)
     np.save(tmp_path / "noise.npy", heights)
-    store = str(tmp_path / "noise.store")
-    assert command_line.main(["import", str(tmp_path / "noise.npy"), "--store", store]) == 0
+    store = tmp_path / "noise.store"
+    assert run("import", tmp_path / "noise.npy", "--store", store) == 0
     bake = ["bake", "--store", store, "--max-error", "0.5", "--budget", "2", "--fit"]
-    assert command_line.main([*bake, "--out", str(tmp_path / "noise.npz")]) == 0
+    assert run(*bake, "--out", tmp_path / "noise.npz") == 0
     assert "the fit saved no triangles" in capsys.readouterr().out

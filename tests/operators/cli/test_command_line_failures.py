@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.operators.cli import command_line
 from forked_programs import COMMAND_LINE, run_program
+from store_exports import run
 
 BAKE = ["bake", "--store", "x", "--out", "a.npz"]
 EXPORT = ["export", "--store", "x", "--path", "y", "--format", "npz", "--out", "x"]
@@ -87,7 +88,7 @@ def test_what_cannot_be_written_is_one_sentence(store, tmp_path, capfd, form):
         (Path(store) / "store.json" / f"a.{form}", 1, "is a file; expected a folder"),
         (tmp_path / long_name, 2, "holds a name of"),
     ):
-        assert command_line.main(["bake", "--store", store, "--max-error", "9", "--out", str(out)]) == status
+        assert run("bake", "--store", store, "--max-error", "9", "--out", out) == status
         said = capfd.readouterr().err.splitlines()
         assert message in said[-1] and ".partial" not in said[-1] and "Traceback" not in "".join(said), said
     assert list(tmp_path.iterdir()) == []
@@ -100,8 +101,7 @@ def test_terrains_of_one_file_name_are_refused(scene, add_terrain, tmp_path, cap
     add_terrain("a_b")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     out = tmp_path / "out"
-    argv = ["export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz", "--out", out]
-    assert command_line.main([str(argument) for argument in argv]) == 1
+    assert run("export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz", "--out", out) == 1
     said = capsys.readouterr().err
     assert "'A/B'" in said and "'a_b'" in said and "rename" in said
     assert not out.exists()
@@ -114,7 +114,7 @@ def test_resume_sees_a_new_height_map_and_a_changed_library(scene, add_terrain, 
         samples = np.full((9, 9), height, np.float32)
         samples[4, 4] += 5
         np.save(tmp_path / "map.npy", samples)
-        assert command_line.main(["import", str(tmp_path / "map.npy"), "--store", str(path)]) == 0
+        assert run("import", tmp_path / "map.npy", "--store", path) == 0
 
     rebuild(tmp_path / "map.store", 1.0)
     add_terrain().adaptive_terrain.store = str(tmp_path / "map.store")
@@ -130,7 +130,7 @@ def test_resume_sees_a_new_height_map_and_a_changed_library(scene, add_terrain, 
 
     def complete():
         capsys.readouterr()
-        assert command_line.main([str(argument) for argument in [*argv, "--out", tmp_path / "out"]]) == 0
+        assert run(*argv, "--out", tmp_path / "out") == 0
         return "complete before" in capsys.readouterr().out
 
     assert [complete(), complete()] == [False, True]
@@ -150,7 +150,7 @@ def test_a_clean_up_that_leaves_nothing_is_told(scene, add_terrain, tmp_path, ca
     cleanup.use_below, cleanup.below = True, 1e5
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     argv = ["export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz,ply,stl,glb,obj"]
-    code = command_line.main([str(argument) for argument in [*argv, "--out", tmp_path / "out"]])
+    code = run(*argv, "--out", tmp_path / "out")
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "frame 1: 0 triangles" in said.out and "nothing is left of Hills" in said.out
@@ -215,7 +215,7 @@ def test_a_name_that_the_terminal_lacks_is_shown_in_escapes(tmp_path):
 
 
 def test_an_error_is_one_line_whatever_a_name_holds(tmp_path, capsys):
-    assert command_line.main(["info", str(tmp_path / "a\nb\x1b[2Jc.store")]) == 1
+    assert run("info", tmp_path / "a\nb\x1b[2Jc.store") == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "\x1b" not in said and "a b?[2Jc.store" in said
 
@@ -233,7 +233,7 @@ def test_no_pipe_is_replaced_by_an_output(store, tmp_path, capfd):
         ["query", "--store", store, "--points", points, "--out", made["a.csv"]],
         ["shape", "--store", store, "--stack", stack, "--out", tmp_path / "new.store", "--export", made["a.tif"]],
     ):
-        assert command_line.main(list(map(str, argv))) == 1
+        assert run(*argv) == 1
         (said,) = capfd.readouterr().err.splitlines()
         assert "a device or a pipe" in said, said
     assert all(path.is_fifo() for path in made.values()) and not (tmp_path / "new.store").exists()
@@ -243,14 +243,14 @@ def test_what_the_system_refuses_is_one_sentence(store, tmp_path, capsys):
     taken, path = tmp_path / "out" / "frame_0001.json", tmp_path / "path.json"
     taken.mkdir(parents=True)
     path.write_text('{"keyframes": [{"frame": 1, "eye": [0, -900, 400], "target": [0, 0, 0]}]}')
-    where = ["--path", str(path), "--frames", "1", "--format", "npz", "--out", str(taken.parent)]
-    assert command_line.main(["export", "--store", store, *where]) == 1
+    where = ["--path", path, "--frames", "1", "--format", "npz", "--out", taken.parent]
+    assert run("export", "--store", store, *where) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"adaptive-terrain: error: {taken} is a folder; expected a file") and said.count("\n") == 1
 
 
 def test_json_prints_the_fields_of_an_error(tmp_path, capsys):
     missing = tmp_path / "none.store"
-    assert command_line.main(["--json", "info", str(missing)]) == 1
+    assert run("--json", "info", missing) == 1
     fields = json.loads(capsys.readouterr().err)
     assert str(missing) in fields["what"] and fields["expected"] == "the file of a height map"

@@ -183,21 +183,8 @@ def test_a_scene_is_exported_as_its_camera_sees_it(scene, add_terrain, tmp_path,
 def test_the_process_ends_well_after_blender_was_used(store, flight, tmp_path):
     """The bpy module crashes at exit while classes are registered; exit codes must survive that."""
     pytest.importorskip("bpy")
-    argv = [
-        "export",
-        "--store",
-        store,
-        "--path",
-        str(flight),
-        "--frames",
-        "1",
-        "--format",
-        "stl",
-        "--out",
-        str(tmp_path),
-    ]
-    result = subprocess.run(
-        [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *argv], capture_output=True, text=True
-    )
+    export = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", "export", "--store", store]
+    argv = [*export, "--path", flight, "--frames", "1", "--format", "stl", "--out", tmp_path]
+    result = subprocess.run(argv, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert len(result.stdout.splitlines()) == 1

@@ -1,34 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command `effects`, and exports that carry effects, read by readers of the tests' own."""
 
-import json
+from functools import partial
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
-from adaptive_terrain.operators.cli import command_line
-
-FLIGHT = {"fov": 50, "clip": [1, 50000], "keyframes": [{"frame": 1, "eye": [0, -900, 300], "target": [0, 0, 0]}]}
+from store_exports import run
 
 
 @pytest.fixture
-def export(store, tmp_path, capsys):
-    """Export a frame of the small store; returns the exit code, the output and the folder."""
-    path = tmp_path / "flight.json"
-    path.write_text(json.dumps(FLIGHT))
-
-    def run(*arguments, out="out"):
-        argv = ["export", "--store", store, "--path", path, "--resolution", "640x360", "--frames", "1"]
-        code = command_line.main([str(a) for a in (*argv, "--format", "npz", "--out", tmp_path / out, *arguments)])
-        return code, capsys.readouterr(), tmp_path / out
-
-    return run
+def export(export):
+    """Export the first frame of the small store; returns the exit code, the output and the folder."""
+    return partial(export, "--frames", "1", "--format", "npz")
 
 
 def test_the_catalogue_names_every_effect_with_its_unit_and_cost(capsys):
-    assert command_line.main(["effects"]) == 0
+    assert run("effects") == 0
     printed = capsys.readouterr().out
     for name, effect in ATTRIBUTES.items():
         entry = printed.split(f"\n{name}:\n" if not printed.startswith(f"{name}:") else f"{name}:\n")[1].split(
@@ -40,7 +30,7 @@ def test_the_catalogue_names_every_effect_with_its_unit_and_cost(capsys):
 
 
 def test_of_a_store_each_is_measured(store, capsys):
-    assert command_line.main(["effects", "--store", str(store)]) == 0
+    assert run("effects", "--store", store) == 0
     lines = capsys.readouterr().out.splitlines()[-len(ATTRIBUTES) :]
     for name, line in zip(ATTRIBUTES, lines, strict=True):
         ms, _, megabytes, _ = line.removeprefix(f"{name}: ").split()

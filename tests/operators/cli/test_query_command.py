@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import rasterio
-from adaptive_terrain.operators.cli import command_line
+import store_exports
 from rasterio.transform import Affine, from_origin
 from rasters import hills, imported, write_raster
 
@@ -25,8 +25,8 @@ def query(tmp_path, capsys):
 
     def run(lines, *more, store="store"):
         (tmp_path / "points.csv").write_text("\n".join(lines), encoding="utf-8")
-        argv = ["query", "--store", tmp_path / store, "--points", tmp_path / "points.csv", *more]
-        code, printed = command_line.main([str(a) for a in argv]), capsys.readouterr()
+        code = store_exports.run("query", "--store", tmp_path / store, "--points", tmp_path / "points.csv", *more)
+        printed = capsys.readouterr()
         out = tmp_path / "out.csv"
         text = out.read_text(encoding="utf-8") if out.exists() else printed.out
         return code, list(csv.DictReader(text.splitlines())), printed

@@ -5,10 +5,11 @@ import json
 
 import pytest
 import rasterio
+import store_exports
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.operators.cli import command_line, shape_command
+from adaptive_terrain.operators.cli import shape_command
 
 FLIGHT = {
     "fov": 30,
@@ -32,8 +33,8 @@ def run(island, tmp_path, capsys):
     (tmp_path / "flight.json").write_text(json.dumps(FLIGHT))
 
     def shape(*more, stack="stack.json"):
-        argv = ["shape", "--store", island, "--stack", tmp_path / stack, "--out", tmp_path / "out", *more]
-        return command_line.main([str(a) for a in argv]), capsys.readouterr()
+        argv = ["--store", island, "--stack", tmp_path / stack, "--out", tmp_path / "out", *more]
+        return store_exports.run("shape", *argv), capsys.readouterr()
 
     return shape
 
@@ -97,7 +98,7 @@ def test_an_empty_stack_is_told_without_empty_lines(run, tmp_path):
 
 
 def test_the_help_has_an_example(capsys):
-    assert command_line.main(["shape", "--help"]) == 0
+    assert store_exports.run("shape", "--help") == 0
     said = capsys.readouterr().out
     assert "adaptive-terrain shape --store island.store --stack rivers.json" in said
     example = said[said.index('  {"version"') : said.index("  adaptive-terrain shape")]

@@ -5,7 +5,7 @@ import json
 import os
 
 import pytest
-from adaptive_terrain.operators.cli import command_line
+import store_exports
 from rasters import hills, imported, write_raster
 from time_limit import time_limit
 
@@ -18,7 +18,7 @@ def run(tmp_path, monkeypatch, capsys):
 
     def command(*argv):
         with time_limit(30):
-            code = command_line.main([str(a) for a in argv])
+            code = store_exports.run(*argv)
         return code, capsys.readouterr().err
 
     return command

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.operators.cli import command_line
+from store_exports import run
 
 STEP, X = 123.4, 400_000.0
 FLIGHT = {"fov": 50, "clip": [1, 1e6], "keyframes": [{"frame": 3, "eye": [X, -300, 900], "target": [X, 0, 0]}]}
@@ -27,7 +27,7 @@ def test_positions_are_about_a_point_near_the_path(tmp_path):
     for name, more in (("plain", []), ("near", ["--anchor"])):
         arguments = ["--store", tmp_path / "country", "--path", tmp_path / "flight.json", "--frames", "3", *more]
         out = tmp_path / name
-        assert command_line.main(["export", *map(str, arguments), "--format", "npz", "--out", str(out)]) == 0
+        assert run("export", *arguments, "--format", "npz", "--out", out) == 0
         found.append(read_npz(next(out.rglob("*.npz"))))
     (plain, near), anchor = found, [391 * 1024.0, 0.0]
     assert plain["origin"].tolist() == [9.8e5, 2e5, 0.0] and near["origin"].tolist() == [

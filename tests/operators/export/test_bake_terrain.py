@@ -13,12 +13,12 @@ from adaptive_terrain.operators.ground.viewshed import NAME as VIEWSHED
 from adaptive_terrain.operators.layers.properties import add_default_layers
 from adaptive_terrain.operators.maps.images import map_image
 from adaptive_terrain.operators.session import session
+from blender_meshes import values_of
 from demand_trees import Moved, colour, mix, new_material, shows
 from land_scenes import add
 from modal_runs import running
 
 ERROR_M = 3.0
-WIDTHS = {"FLOAT": (1, "value"), "FLOAT_VECTOR": (3, "vector"), "FLOAT2": (2, "vector"), "FLOAT_COLOR": (4, "color")}
 
 
 @pytest.fixture
@@ -60,14 +60,6 @@ def bake(obj, fitted=False):
     return baked
 
 
-def read(mesh, name):
-    attribute = mesh.attributes[name]
-    width, field = WIDTHS[attribute.data_type]
-    values = np.empty(len(attribute.data) * width, np.float32)
-    attribute.data.foreach_get(field, values)
-    return values.reshape(-1, width)
-
-
 def made(mesh):
     return {name for name in ATTRIBUTES if name in mesh.attributes}
 
@@ -79,7 +71,7 @@ def evaluated_mesh(obj):
 def assert_same(mesh, other, *names):
     for name in ("position", *names):
         assert mesh.attributes[name].domain == other.attributes[name].domain
-        assert np.array_equal(read(mesh, name), read(other, name)), name
+        assert np.array_equal(values_of(mesh, name), values_of(other, name)), name
 
 
 def test_a_baked_mesh_has_the_values_of_its_terrain(scene, add_same):
@@ -91,7 +83,7 @@ def test_a_baked_mesh_has_the_values_of_its_terrain(scene, add_same):
     baked = bake(terrain)
     assert made(baked.data) == made(terrain.data) == {"splat_1"}
     assert_same(baked.data, terrain.data, "splat_1", "UVMap")
-    assert np.ptp(read(baked.data, "splat_1"), axis=0).max() > 0.5
+    assert np.ptp(values_of(baked.data, "splat_1"), axis=0).max() > 0.5
     assert baked.matrix_world == terrain.matrix_world and not baked.adaptive_terrain.enabled
     assert baked.adaptive_terrain.store == "" and terrain.adaptive_terrain.store
 
@@ -104,12 +96,12 @@ def test_common_vertices_near_the_camera_agree(scene, add_terrain):
     terrain.adaptive_terrain.render.error_px = 4.0
     refine(terrain)
     baked = bake(terrain)
-    row_of = {point.tobytes(): row for row, point in enumerate(read(terrain.data, "position"))}
-    rows = [row_of.get(point.tobytes(), -1) for point in read(baked.data, "position")]
+    row_of = {point.tobytes(): row for row, point in enumerate(values_of(terrain.data, "position"))}
+    rows = [row_of.get(point.tobytes(), -1) for point in values_of(baked.data, "position")]
     there = np.array(rows) >= 0
     assert there.sum() > 100
     for name in ("slope", "height"):
-        assert np.array_equal(read(baked.data, name)[there], read(terrain.data, name)[np.array(rows)[there]])
+        assert np.array_equal(values_of(baked.data, name)[there], values_of(terrain.data, name)[np.array(rows)[there]])
 
 
 def test_two_terrains_keep_their_own_demands(scene, add_same):
@@ -146,7 +138,7 @@ def test_geometry_nodes_work_on_the_baked_mesh(scene, add_same):
     assert [(modifier.name, modifier.node_group) for modifier in baked.modifiers] == [("Nodes", moved.tree)]
     for obj in (terrain, baked):
         obj.modifiers["Nodes"].show_viewport = True
-    assert (read(evaluated_mesh(baked), "position") - read(baked.data, "position")).mean() > 0.1
+    assert (values_of(evaluated_mesh(baked), "position") - values_of(baked.data, "position")).mean() > 0.1
     assert_same(evaluated_mesh(baked), evaluated_mesh(terrain))
 
 
@@ -157,7 +149,7 @@ def test_a_viewshed_stays_on_the_baked_mesh(scene, add_same):
     refine(terrain)
     baked = bake(terrain)
     assert_same(evaluated_mesh(baked), evaluated_mesh(terrain), VIEWSHED)
-    assert 0.0 < read(evaluated_mesh(baked), VIEWSHED)[:, 0].mean() < 1.0
+    assert 0.0 < values_of(evaluated_mesh(baked), VIEWSHED).mean() < 1.0
 
 
 def test_a_sheared_terrain_is_baked_in_its_place(scene, add_same):
@@ -200,7 +192,7 @@ def test_cut_and_fitted_meshes_have_their_attributes(scene, add_same, fitted):
     cleanup.use_below, cleanup.below = True, 0.0
     baked = bake(terrain, fitted)
     assert made(baked.data) == {"slope", "height"}
-    height, z = read(baked.data, "height")[:, 0], read(baked.data, "position")[:, 2]
+    height, z = values_of(baked.data, "height"), values_of(baked.data, "position")[:, 2]
     assert len(z) > 100 and z.min() == 0.0 and np.abs(height - z).max() < 2 * ERROR_M
 
 
@@ -233,7 +225,7 @@ def test_a_hidden_terrain_is_baked_with_its_shaped_land(terrain, shaped):
     assert_same(hidden.data, open_now.data)
     bpy.context.view_layer.objects.active = terrain
     terrain.adaptive_terrain.land.entries[0].on = False
-    assert not np.array_equal(read(bake(terrain).data, "position")[:, 2], read(hidden.data, "position")[:, 2])
+    assert not np.array_equal(values_of(bake(terrain).data, "position")[:, 2], values_of(hidden.data, "position")[:, 2])
     assert not hidden.hide_render and hidden.visible_get()
 
 

@@ -13,7 +13,6 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators import jobs
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import export_tiles
 from adaptive_terrain.operators.export.export_terrain import ExportTerrain
 from adaptive_terrain.operators.export.export_tiles import ExportHeights, ExportHeightTiles, ExportTileset
@@ -21,6 +20,7 @@ from adaptive_terrain.operators.export.render_map import RenderMap
 from adaptive_terrain.operators.session.polls import invoke_with_file
 from land_scenes import add
 from modal_runs import RunningOperator, hold, running, to_the_end
+from store_exports import run
 from tilesets import read_tileset
 
 
@@ -46,11 +46,11 @@ def test_an_unknown_suffix_is_refused(terrain, tmp_path):
 
 
 def test_the_command_writes_height_tiles(terrain, tmp_path, capsys):
-    argv = ["tiles", "--store", terrain.adaptive_terrain.store, "--out", str(tmp_path / "new"), "--size", "17"]
-    assert command_line.main([*argv, "--tiles", "3x1", "--overlap", "0", "--masks", "slope"]) == 0
+    argv = ["tiles", "--store", terrain.adaptive_terrain.store, "--out", tmp_path / "new", "--size", "17"]
+    assert run(*argv, "--tiles", "3x1", "--overlap", "0", "--masks", "slope") == 0
     assert "3 tiles (3 x 1), 1 mask, heights at most" in capsys.readouterr().out
     assert len(list((tmp_path / "new").glob("terrain*_x?_y0.png"))) == 6
-    assert command_line.main([*argv, "--pattern", "same"]) == 1
+    assert run(*argv, "--pattern", "same") == 1
     assert "expected {name}, {x} and {y}" in capsys.readouterr().err
 
 
@@ -62,11 +62,11 @@ def test_the_operator_and_the_command_write_the_same_tileset(terrain, tmp_path, 
     assert tiles[-1][0] >= 1 and all(mesh is not None for _, _, mesh in tiles)
     (tmp_path / "new").mkdir()
     argv = ["tileset", "--store", terrain.adaptive_terrain.store, "--max-error", "6", "--triangles", "300", "--out"]
-    assert command_line.main([*argv, str(tmp_path / "new" / "a.json")]) == 0
+    assert run(*argv, tmp_path / "new" / "a.json") == 0
     assert f"{len(tiles)} tiles in " in capsys.readouterr().out
     for file in tmp_path.glob("a*"):
         assert (tmp_path / "new" / file.name).read_bytes() == file.read_bytes()
-    assert command_line.main([*argv, str(tmp_path / "none" / "a.json")]) == 1
+    assert run(*argv, tmp_path / "none" / "a.json") == 1
 
 
 NAMES = {

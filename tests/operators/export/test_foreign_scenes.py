@@ -7,15 +7,14 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
-from adaptive_terrain.operators.cli import command_line
 from rasters import hills, write_raster
+from store_exports import run
 
 pytestmark = pytest.mark.usefixtures("imports_here")
 
 
 def export(blend, out, *options) -> int:
-    argv = ["export", "--scene", str(blend), "--frames", "1", "--format", "npz", "--out", str(out), *options]
-    return command_line.main(argv)
+    return run("export", "--scene", blend, "--frames", "1", "--format", "npz", "--out", out, *options)
 
 
 @pytest.mark.parametrize("verb", ["export", "prepare", "submit", "effects"])
@@ -31,10 +30,10 @@ def test_scripts_and_drivers_of_a_scene_do_not_run(scene, add_terrain, tmp_path,
         driver.expression = f"1 + 0 * __import__('builtins').open({str(mark)!r}, 'a').write('x')"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     mark.unlink(missing_ok=True)
-    argv = [verb, "--scene", str(tmp_path / "scene.blend")]
+    argv = [verb, "--scene", tmp_path / "scene.blend"]
     argv += {"export": ["--frames", "1", "--format", "npz"], "prepare": ["--frames", "1"]}.get(verb, [])
-    argv += ["--out", str(tmp_path / "out")] if verb in ("export", "submit") else []
-    code = command_line.main(argv)
+    argv += ["--out", tmp_path / "out"] if verb in ("export", "submit") else []
+    code = run(*argv)
     assert code in (0, 1) and "Traceback" not in capsys.readouterr().err
     assert not mark.exists()
 

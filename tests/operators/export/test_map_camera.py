@@ -10,12 +10,12 @@ import rasterio
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators import jobs
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import render_map
 from adaptive_terrain.operators.export.render_map import RenderMap
 from modal_runs import running, to_the_end, turn
 from rasterio.transform import Affine
 from rasters import hills, write_raster
+from store_exports import run
 
 CELLS = 40, 30
 
@@ -166,8 +166,8 @@ def test_a_changed_map_camera_renders_no_map(scene, mapped, tmp_path, change):
 
 def test_the_command_renders_the_map_of_a_scene(scene, mapped, tmp_path, capsys):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    argv = ["map", "--scene", str(tmp_path / "shot.blend"), "--out", str(tmp_path / "map.jpg")]
-    assert command_line.main([*argv, "--tiles", "2x1", "--pixels", "3"]) == 0
+    argv = "map", "--scene", tmp_path / "shot.blend", "--out", tmp_path / "map.jpg"
+    assert run(*argv, "--tiles", "2x1", "--pixels", "3") == 0
     assert "map_x1_y0.jpg" in capsys.readouterr().out
     with rasterio.open(tmp_path / "map_x1_y0.tif") as file:
         assert file.shape == (90, 60) and file.transform.almost_equals(

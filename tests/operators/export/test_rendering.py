@@ -9,10 +9,10 @@ import zlib
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
 from adaptive_terrain.operators.export import file_outputs
 from rasters import png_chunk
+from rendered_pictures import pixels_of
 from store_exports import run
 
 RED, BLUE, GREEN = b"\xff\0\0", b"\0\0\xff", b"\0\xff\0"
@@ -91,12 +91,9 @@ def faults_of(out: Path, frames: str, capsys) -> str:
 
 def colors_of(picture: Path) -> set[str]:
     """Return the channels that are bright in a picture's lower half."""
-    image = bpy.data.images.load(str(picture))
-    columns, rows = image.size
-    pixels = np.empty(columns * rows * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    middle = pixels.reshape(rows, columns, 4)[: rows // 2, columns // 3 : -columns // 3, :3].mean(axis=(0, 1))
+    pixels = pixels_of(picture)
+    rows, columns = pixels.shape[:2]
+    middle = pixels[: rows // 2, columns // 3 : -columns // 3, :3].mean(axis=(0, 1))
     return {name for name, value in zip("rgb", middle, strict=True) if value > 0.5}
 
 

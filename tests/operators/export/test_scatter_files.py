@@ -7,8 +7,8 @@ import json
 import bpy
 import numpy as np
 import pytest
+import store_exports
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import scatter_files
 from adaptive_terrain.operators.scatter.operators import new_scatter
 from adaptive_terrain.operators.session import session
@@ -34,8 +34,7 @@ def export(terrain, tmp_path, capsys):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
 
     def run(*arguments):
-        argv = ["export", "--scene", tmp_path / "shot.blend", "--out", tmp_path / "out", *arguments]
-        code = command_line.main([str(argument) for argument in argv])
+        code = store_exports.run("export", "--scene", tmp_path / "shot.blend", "--out", tmp_path / "out", *arguments)
         return code, capsys.readouterr(), tmp_path / "out"
 
     return run

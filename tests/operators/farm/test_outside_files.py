@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 import yaml
-from adaptive_terrain.operators.cli import command_line
+from store_exports import run
 
 
 @pytest.fixture
@@ -31,8 +31,7 @@ def submit(shot, tmp_path, capsys):
         bpy.ops.wm.save_mainfile()
         capsys.readouterr()
         shutil.rmtree(tmp_path / "job", ignore_errors=True)
-        argv = ["submit", "--scene", shot, "--out", tmp_path / "job", "--render", "--frames", "1-2", *options]
-        code = command_line.main([str(argument) for argument in argv])
+        code = run("submit", "--scene", shot, "--out", tmp_path / "job", "--render", "--frames", "1-2", *options)
         output, assets = capsys.readouterr(), tmp_path / "job" / "asset_references.yaml"
         assert assets.exists() == (code == 0)
         inputs = yaml.safe_load(assets.read_text())["assetReferences"]["inputs"] if code == 0 else {}

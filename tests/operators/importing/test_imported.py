@@ -5,8 +5,6 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -24,6 +22,7 @@ from adaptive_terrain.operators.importing.imported import (
     tag_object,
 )
 from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
+from drawn_panels import draw_mocked
 
 pytestmark = pytest.mark.usefixtures("imports_here")
 
@@ -79,8 +78,7 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     file.write_text(json.dumps(content))
     warnings = imported_of(terrain.adaptive_terrain).warnings
     assert warnings[0] == "Heights are in feet." and max(map(len, warnings)) < 600 and len(warnings) < 10
-    context, column = SimpleNamespace(object=terrain), Mock()
-    ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), context)
+    column = draw_mocked(ImportedPanel, terrain)
     labels = [call.kwargs.get("text") for call in column.box().column().label.mock_calls]
     assert "Heights are in feet." in labels
 

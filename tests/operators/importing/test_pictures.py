@@ -2,8 +2,6 @@
 """A picture with the raster's corners fits the terrain after the steps that the import names."""
 
 import re
-from types import SimpleNamespace
-from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -12,6 +10,8 @@ from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.importing.panel import ImportedPanel
 from adaptive_terrain.operators.importing.placement_notes import picture_note
 from adaptive_terrain.operators.session import session
+from blender_meshes import positions, read
+from drawn_panels import draw_mocked
 from rasters import hills, imported, write_raster
 
 WEST, SOUTH, CELL = 600_000.0, 5_199_700.0, 10.0
@@ -44,11 +44,8 @@ def test_the_named_mapping_puts_each_cell_in_its_place(scene, add_terrain, tmp_p
     terrain.adaptive_terrain.viewport.error_m = 0.1  # the camera sees other ground
     session.update_object(terrain)
     mesh = terrain.data
-    points, corners = np.empty((len(mesh.vertices), 3)), np.empty(len(mesh.loops), np.int32)
-    mesh.vertices.foreach_get("co", points.ravel())
-    mesh.loops.foreach_get("vertex_index", corners)
-    uv = np.empty((len(mesh.loops), 2), np.float32)
-    mesh.uv_layers.active.uv.foreach_get("vector", uv.ravel())
+    points, corners = positions(terrain).astype(np.float64), read(mesh.loops, "vertex_index", 1, np.int32)
+    uv = read(mesh.uv_layers.active.uv, "vector", 2)
     location, scale = numbers_in(picture_note(imported_of(terrain.adaptive_terrain)))
     place = points[corners, :2] + field.origin[:2]
     # Where a picture that reaches from corner to corner of the raster shows a place.
@@ -61,8 +58,7 @@ def test_the_panel_names_the_mapping_where_it_applies(scene, add_terrain, tmp_pa
     transform = (CELL, 0.0, WEST, 0.0, -CELL, SOUTH)
     file = write_raster(tmp_path / "dem.tif", hills(), crs="EPSG:32632", transform=transform)
     terrain, _ = terrain_of(add_terrain, tmp_path, file)
-    column = Mock()
-    ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), SimpleNamespace(object=terrain))
+    column = draw_mocked(ImportedPanel, terrain)
     labels = " ".join(call.kwargs["text"] for call in column.box().column().label.mock_calls)
     np.testing.assert_allclose(numbers_in(labels), [[0.5 / 40, 0.5 / 30], [39 / 40, 29 / 30]], rtol=1e-6)
     terrain.adaptive_terrain.store = ""

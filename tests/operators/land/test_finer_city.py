@@ -11,13 +11,14 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.land import resting_land, shaped_land
 from adaptive_terrain.operators.session import live, session
+from blender_meshes import positions
 from fields import reference_heights
 from finer_fields import dense_field, dense_heights, dense_raster, finer_store
 from land_scenes import add
 from live_windows import show_window
+from store_exports import run
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +42,6 @@ def city(scene, add_terrain, city_store, tmp_path):
     return obj
 
 
-def mesh_of(obj):
-    """Return the vertices of an object's mesh, float64 [n, 3]."""
-    found = np.empty((len(obj.data.vertices), 3), np.float32)
-    obj.data.vertices.foreach_get("co", found.ravel())
-    return found.astype(np.float64)
-
-
 def in_city(vertices):
     """Return which vertices are inside the known tile."""
     return np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0
@@ -55,14 +49,14 @@ def in_city(vertices):
 
 def test_the_source_comes_back_after_a_preview_and_shaped_land(city):
     session.update_object(city)
-    before, key = mesh_of(city), session.record_of(city).field.key
+    before, key = positions(city), session.record_of(city).field.key
     entry = add("relief", wave=400.0, plains=0.3)
     session.update_object(city)
     state, field = shaped_land.state_of(city), session.record_of(city).field
     assert state.shown == "Preview" and field.raster.finer is None
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     session.update_object(city)
-    field, vertices = session.record_of(city).field, mesh_of(city)
+    field, vertices = session.record_of(city).field, positions(city).astype(np.float64)
     assert shaped_land.state_of(city).shown == "Shaped" and field.raster.finer is not None
     assert np.abs(vertices[:, 2] - reference_heights(dense_field(field), vertices[:, :2])).max() < 1e-3
     source = session.open_field(city.adaptive_terrain.store)
@@ -71,13 +65,13 @@ def test_the_source_comes_back_after_a_preview_and_shaped_land(city):
     assert len(inner) > 500 and np.abs(moved).max() > 1.0
     entry.on = False
     session.update_object(city)
-    assert session.record_of(city).field.key == key and (mesh_of(city) == before).all()
+    assert session.record_of(city).field.key == key and (positions(city) == before).all()
     entry.on = True
     session.update_object(city)
-    assert (mesh_of(city) == vertices).all()
+    assert (positions(city) == vertices).all()
     assert bpy.ops.adaptive_terrain.land_remove() == {"FINISHED"}
     session.update_object(city)
-    assert session.record_of(city).field.key == key and (mesh_of(city) == before).all()
+    assert session.record_of(city).field.key == key and (positions(city) == before).all()
     assert derived_store.counts["stores"] == 1
 
 
@@ -86,7 +80,7 @@ def test_a_render_waits_for_the_tiles_in_view(city):
     city.adaptive_terrain.render.smooth_transitions = False
     add("relief", wave=400.0, plains=0.3)
     session.update_object(city, mode="RENDER")
-    field, vertices = session.record_of(city).field, mesh_of(city)
+    field, vertices = session.record_of(city).field, positions(city).astype(np.float64)
     assert derived_store.counts["stores"] == 1 and field.raster.finer is not None
     assert np.abs(vertices[:, 2] - reference_heights(dense_field(field), vertices[:, :2])).max() < 1e-3
     assert in_city(vertices).sum() > 500
@@ -113,10 +107,9 @@ def test_shaped_heights_are_exported_and_baked_with_the_tiles(city, tmp_path):
 def test_the_command_line_shapes_and_describes_the_tiles(city, tmp_path, capsys):
     stack, store, out = tmp_path / "stack.json", city.adaptive_terrain.store, tmp_path / "out"
     stack.write_text(json.dumps({"version": 1, "entries": [{"effect": "snow", "parameters": {"line": -900}}]}))
-    names = ["--store", store, "--stack", str(stack), "--out", str(out), "--export", str(tmp_path / "a.tif")]
-    assert command_line.main(["shape", *names]) == 0
+    assert run("shape", "--store", store, "--stack", stack, "--out", out, "--export", tmp_path / "a.tif") == 0
     capsys.readouterr()
-    assert command_line.main(["info", str(out), "--verify"]) == 0
+    assert run("info", out, "--verify") == 0
     found = capsys.readouterr().out
     assert "every checksum holds" in found and "finer_step_m: 2.0, 2.0" in found and "format: shaped" in found
     one, other = open_store(store), open_store(out)
@@ -128,7 +121,7 @@ def test_a_farm_prepares_land_with_the_tiles(city, tmp_path, capsys):
     add("snow", line=-900.0)
     city.adaptive_terrain.live = False
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    assert command_line.main(["prepare", "--scene", str(tmp_path / "shot.blend"), "--only", "land"]) == 0
+    assert run("prepare", "--scene", tmp_path / "shot.blend", "--only", "land") == 0
     assert "its land is shaped" in capsys.readouterr().out
     [made] = (tmp_path / "city_land").glob("*/store.json")
     assert read_json(made.parent)["version"] == 7

@@ -13,6 +13,7 @@ from adaptive_terrain.operators.land import properties as land_properties
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.session import session
+from demand_trees import new_object
 from land_scenes import add, stack_now
 from rasters import write_raster
 
@@ -45,11 +46,7 @@ def test_masks_by_rule_image_and_object(terrain, tmp_path):
     entry.mask.object = terrain
     with pytest.raises(session.TerrainError, match="is masked by the terrain itself"):
         session.update_object(terrain)
-    mesh = bpy.data.meshes.new("Patch")
-    mesh.from_pydata([(0, 0, 5), (640, 0, 9), (640, 320, 0), (0, 320, 0)], [], [(0, 1, 2, 3)])
-    patch = bpy.data.objects.new("Patch", mesh)
-    bpy.context.scene.collection.objects.link(patch)
-    entry.mask.object = patch
+    entry.mask.object = new_object("Patch", [(0, 0, 5), (640, 0, 9), (640, 320, 0), (0, 320, 0)])
     kept = np.load(stack_now(terrain, tmp_path).entries[0].mask.image)
     assert kept.shape == (512, 512) and kept[:256, 256:].mean() == pytest.approx(0.5, abs=0.01)
     assert kept[256:].max() == 0.0 and kept[:, :255].max() == 0.0, "only the north-eastern quarter, its southern half"

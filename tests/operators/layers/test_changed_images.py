@@ -7,8 +7,7 @@ import pytest
 from adaptive_terrain.operators.session import live
 from adaptive_terrain.operators.terrain.overrides import Overrides
 from adaptive_terrain.operators.terrain.request import gather
-from blender_scenes import add_terrain, empty, scene, store  # noqa: F401
-from land_scenes import add, terrain  # noqa: F401
+from land_scenes import add
 
 
 @pytest.fixture
@@ -29,23 +28,23 @@ def marks(monkeypatch):
     return found
 
 
-def use_as_mask(terrain, image):  # noqa: F811
+def use_as_mask(terrain, image):
     entry = add("relief")
     entry.mask.kind, entry.mask.image = "IMAGE", image
 
 
-def use_as_decal(terrain, image):  # noqa: F811
+def use_as_decal(terrain, image):
     decal = bpy.data.objects.new("Decal", None)
     decal.empty_display_type, decal.empty_display_size, decal.parent, decal.data = "IMAGE", 40.0, terrain, image
     bpy.context.scene.collection.objects.link(decal)
 
 
-def use_as_hidden_decal(terrain, image):  # noqa: F811
+def use_as_hidden_decal(terrain, image):
     use_as_decal(terrain, image)
     bpy.data.objects["Decal"].hide_viewport = True
 
 
-def use_as_layer(terrain, image):  # noqa: F811
+def use_as_layer(terrain, image):
     terrain.adaptive_terrain.layers.add().image = image
 
 
@@ -67,7 +66,7 @@ def reload(image):
 
 @pytest.mark.parametrize("change", [paint, reload])
 @pytest.mark.parametrize("use", [use_as_mask, use_as_decal, use_as_hidden_decal, use_as_layer])
-def test_a_changed_image_is_shown_by_the_live_update(use, change, terrain, image, marks):  # noqa: F811
+def test_a_changed_image_is_shown_by_the_live_update(use, change, terrain, image, marks):
     use(terrain, image)
     bpy.context.view_layer.update()
 
@@ -82,7 +81,7 @@ def test_a_changed_image_is_shown_by_the_live_update(use, change, terrain, image
     assert marks and key() != before
 
 
-def test_a_decal_is_read_once_unless_it_changes(terrain, image, monkeypatch):  # noqa: F811
+def test_a_decal_is_read_once_unless_it_changes(terrain, image, monkeypatch):
     use_as_decal(terrain, image)
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()

@@ -5,6 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.layers.material import LayerSources, build_group, give_terrain_material
+from demand_trees import new_object
+from rendered_pictures import rendered
 
 LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
 
@@ -12,11 +14,8 @@ LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
 @pytest.fixture
 def ground(empty):
     """Add a plane of one square in front of a camera; the world is black but for one light."""
-    mesh = bpy.data.meshes.new("Ground")
-    mesh.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
-    mesh.uv_layers.new(name="UVMap")
-    obj = bpy.data.objects.new("Ground", mesh)
-    empty.collection.objects.link(obj)
+    obj = new_object("Ground", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    obj.data.uv_layers.new(name="UVMap")
     return obj
 
 
@@ -91,10 +90,8 @@ def test_a_material_that_another_terrain_wears_stays_as_it_is(ground):
     assert give_terrain_material(other, LayerSources(LAYERS[:5])) != worn
     assert attributes_read(group_of(ground).node_tree) == {"splat_1"} and ground.data.materials[0] == worn
     assert attributes_read(group_of(other).node_tree) == {"splat_1", "splat_2"}
-    assert (
-        give_terrain_material(other, LayerSources(LAYERS[:6])) == other.data.materials[0]
-        and len(bpy.data.materials) == 2
-    )
+    assert give_terrain_material(other, LayerSources(LAYERS[:6])) == other.data.materials[0]
+    assert len(bpy.data.materials) == 2
 
 
 def test_a_slot_of_the_object_gets_the_material(ground):
@@ -123,18 +120,9 @@ def colour_of(ground, weights, **settings) -> np.ndarray:
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, 2), "ORTHO", 1.0
     scene.collection.objects.link(camera)
-    scene.cycles.use_denoising = False
-    scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 1
+    scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = 8
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.view_settings.view_transform = "Raw"
-    path = bpy.app.tempdir + "terrain_colour.exr"
-    scene.render.filepath = path
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(path)
-    pixels = np.empty(8 * 8 * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(8, 8, 4)[4, 4, :3]
+    return rendered(bpy.app.tempdir + "terrain_colour.exr")[4, 4, :3]
 
 
 @pytest.mark.parametrize("layer", [0, 3, 6])

@@ -3,8 +3,6 @@
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import Mock
 
 import bpy
 import numpy as np
@@ -15,7 +13,9 @@ from adaptive_terrain.operators.layers import operators as splat_layers
 from adaptive_terrain.operators.layers.panel import LayerPresets, LayersPanel
 from adaptive_terrain.operators.layers.properties import BANDS, add_default_layers, colors_of, layers_of
 from adaptive_terrain.operators.session import session
+from blender_meshes import values_of
 from demand_trees import colour, new_material, shows
+from drawn_panels import draw_mocked
 
 PRESETS = ("alpine", "desert", "dunes", "hills", "island", "moon")
 
@@ -208,16 +208,14 @@ def test_the_mesh_carries_the_weights_that_the_material_reads(layers, terrain):
     add(layers, "High", relief={"low": 0.5, "edge": 0.0}).ragged = 0.0
     session.update_object(terrain)
     assert "splat_1" in terrain.data.attributes and "splat_2" not in terrain.data.attributes
-    weights = np.empty((len(terrain.data.vertices), 4), np.float32)
-    terrain.data.attributes["splat_1"].data.foreach_get("color", weights.ravel())
+    weights = values_of(terrain.data, "splat_1")
     assert (weights.sum(axis=1) == 1).all() and not weights[:, 2:].any()
     assert set(np.unique(weights)) <= {0.0, 0.5, 1.0} and 0.1 < weights[:, 1].mean() < 0.9
     ran = session.record_of(terrain).status.effects
     assert ran["height"].readers == ("effect splat_1",) and ran["slope"].skipped and ran["flow"].skipped
     layers[1].relief.use = False
     session.update_object(terrain)
-    terrain.data.attributes["splat_1"].data.foreach_get("color", weights.ravel())
-    assert (weights == (0.0, 1.0, 0.0, 0.0)).all()
+    assert (values_of(terrain.data, "splat_1") == (0.0, 1.0, 0.0, 0.0)).all()
     assert session.record_of(terrain).status.effects["height"].skipped
 
 
@@ -228,9 +226,7 @@ def test_limits_in_the_wrong_order_are_said(layers, terrain):
     terrain.adaptive_terrain.active_layer = 1
 
     def texts():
-        layout = Mock()
-        LayersPanel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), bpy.context)
-        return [call for call in layout.mock_calls if "From is above To" in str(call)]
+        return [call for call in draw_mocked(LayersPanel).mock_calls if "From is above To" in str(call)]
 
     def note():
         session.update_object(terrain)
@@ -266,8 +262,7 @@ def test_default_layers_cover_what_no_layers_cover(layers, terrain):
     found = []
     for _ in range(2):
         session.update_object(terrain)
-        weights = np.empty((len(terrain.data.vertices), 4), np.float32)
-        terrain.data.attributes["splat_1"].data.foreach_get("color", weights.ravel())
+        weights = values_of(terrain.data, "splat_1")
         found.append((weights, np.array([color for _, color in colors_of(terrain.adaptive_terrain)])))
         add_default_layers(terrain.adaptive_terrain)
     assert len(layers) == 8

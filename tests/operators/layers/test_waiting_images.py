@@ -6,13 +6,12 @@ import os
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.layers.images import numbered_files, painted_of
 from adaptive_terrain.operators.maps import images as map_images
-from blender_scenes import add_terrain, empty, scene, store  # noqa: F401
 from map_scenes import bake
 from map_scenes import terrain as terrain_with_maps  # noqa: F401
+from store_exports import run
 from time_limit import time_limit
 
 
@@ -39,7 +38,7 @@ def image_in(path, source="FILE"):
         ("a_0001.png", "SEQUENCE", "a_0002.png"),
     ],
 )
-def test_pixels_of_a_pipe_are_not_requested(name, source, pipe, empty, tmp_path):  # noqa: F811
+def test_pixels_of_a_pipe_are_not_requested(name, source, pipe, empty, tmp_path):
     image = image_in(tmp_path / name, source)
     (tmp_path / pipe).unlink(missing_ok=True)
     os.mkfifo(tmp_path / pipe)
@@ -53,18 +52,16 @@ def test_a_name_that_is_too_long_has_no_files(source, tmp_path):
     assert numbered_files(tmp_path / ("n" * 300) / "a.1001.png", source) == []
 
 
-def test_a_scene_that_names_a_pipe_is_refused(scene, add_terrain, tmp_path, capsys):  # noqa: F811
+def test_a_scene_that_names_a_pipe_is_refused(scene, add_terrain, tmp_path, capsys):
     add_terrain()
     image = image_in(tmp_path / "a.png")
     image.use_fake_user = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     (tmp_path / "a.png").unlink()
     os.mkfifo(tmp_path / "a.png")
-    out = str(tmp_path / "out")
+    argv = "export", "--scene", tmp_path / "scene.blend", "--frames", "1", "--format", "npz", "--out", tmp_path / "out"
     with time_limit(30):
-        code = command_line.main(
-            ["export", "--scene", str(tmp_path / "scene.blend"), "--frames", "1", "--format", "npz", "--out", out]
-        )
+        code = run(*argv)
     message = capsys.readouterr().err
     assert code == 1 and "names" in message and "a.png, a pipe, a socket or a device; expected a file" in message
 
@@ -83,7 +80,7 @@ def test_a_baked_map_that_is_a_pipe_is_not_loaded(terrain_with_maps, tmp_path): 
     assert map_images.map_image(terrain_with_maps, "detail_normal") is not None
 
 
-def test_a_preset_whose_image_is_a_pipe_is_applied_without_it(scene, add_terrain, tmp_path):  # noqa: F811
+def test_a_preset_whose_image_is_a_pipe_is_applied_without_it(scene, add_terrain, tmp_path):
     from adaptive_terrain.cbt_terrain.height_operators.mask import HeightMask
     from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 

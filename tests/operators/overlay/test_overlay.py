@@ -16,19 +16,15 @@ from adaptive_terrain.operators.overlay.colors import BEYOND, VIRIDIS, scale_col
 from adaptive_terrain.operators.overlay.panel import OverlayPanel
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.request import gather
+from blender_meshes import read, values_of
+from drawn_panels import draw_mocked
 
 CELL_DEPTH = 15  # of the store's 129 x 129 samples: 2 x 7 + 1
 
 
-def read(attribute, name, width, dtype=np.float32):
-    array = np.empty(len(attribute.data) * width, dtype)
-    attribute.data.foreach_get(name, array)
-    return array.reshape(-1, width) if width > 1 else array
-
-
 def shown_colours(mesh):
     """Return the sRGB colour of each face (0 .. 255), and assert that its corners agree."""
-    corners = read(mesh.attributes[COLOUR_ATTRIBUTE], "color_srgb", 4).reshape(-1, 3, 4)
+    corners = read(mesh.attributes[COLOUR_ATTRIBUTE].data, "color_srgb", 4).reshape(-1, 3, 4)
     assert (corners == corners[:, :1]).all()
     return corners[:, 0, :3] * 255
 
@@ -49,7 +45,7 @@ def test_the_screen_error_is_an_attribute_of_the_faces(scene, add_terrain):
     update = turn_on(terrain, "ERROR")
     attribute = terrain.data.attributes["error_px"]
     assert (attribute.domain, attribute.data_type) == ("FACE", "FLOAT")
-    errors = read(attribute, "value", 1)
+    errors = read(attribute.data, "value")
     assert (errors == errors_of(terrain, update)).all() and 0.0 < errors.max() <= update.bound_px
     assert terrain.data.attributes.active_color_name == COLOUR_ATTRIBUTE
     assert terrain.data.attributes[COLOUR_ATTRIBUTE].domain == "CORNER"
@@ -61,7 +57,7 @@ def test_metres_are_shown_where_there_is_no_view(scene, add_terrain):
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px, terrain.adaptive_terrain.viewport.error_m = 0.0, 4.0
     update = turn_on(terrain, "ERROR")
-    errors = read(terrain.data.attributes["error_m"], "value", 1)
+    errors = values_of(terrain.data, "error_m")
     assert 0.0 < errors.max() <= update.bound_m and "error_px" not in terrain.data.attributes
     np.testing.assert_allclose(shown_colours(terrain.data), 255 * scale_colours(errors / 4), atol=0.6)
     assert [text for text, _ in session.record_of(terrain).overlay.legend] == ["0 m", "1 m", "2 m", "3 m", "4 m"]
@@ -72,7 +68,7 @@ def test_more_than_was_asked_has_a_colour_of_its_own(scene, add_terrain):
     detail = terrain.adaptive_terrain.viewport
     detail.limit_triangles, detail.max_triangles = True, 500
     turn_on(terrain, "ERROR")
-    errors = read(terrain.data.attributes["error_px"], "value", 1)
+    errors = values_of(terrain.data, "error_px")
     beyond = (np.abs(shown_colours(terrain.data) - BEYOND) < 1).all(1)
     assert (beyond == (errors > 1.0)).all() and 0 < beyond.sum() < len(errors)
     text, colour = session.record_of(terrain).overlay.legend[-1]
@@ -85,7 +81,7 @@ def test_the_level_has_the_same_colour_in_every_view(scene, add_terrain):
     for y in (-900.0, -2500.0):
         scene.camera.location.y = y
         turn_on(terrain, "LEVEL")
-        levels = read(terrain.data.attributes[LEVEL], "value", 1, np.int32)
+        levels = values_of(terrain.data, LEVEL)
         for level, colour in zip(levels.tolist(), shown_colours(terrain.data).round().tolist(), strict=True):
             assert found.setdefault(level, colour) == colour
     assert len({tuple(found[level]) for level in found if level <= CELL_DEPTH}) > 5
@@ -138,12 +134,12 @@ def test_the_error_is_of_the_view_also_where_the_mesh_stays(scene, add_terrain):
     detail = terrain.adaptive_terrain.viewport
     detail.limit_depth, detail.max_depth = True, 4
     turn_on(terrain, "ERROR")
-    before = read(terrain.data.attributes["error_px"], "value", 1)
+    before = values_of(terrain.data, "error_px")
     scene.camera.location.z += 300.0
     bpy.context.view_layer.update()
     update = session.update_object(terrain)
     assert update.changed is False
-    after = read(terrain.data.attributes["error_px"], "value", 1)
+    after = values_of(terrain.data, "error_px")
     assert (after == errors_of(terrain, update)).all() and (after != before).any()
 
 
@@ -151,7 +147,7 @@ def test_it_survives_a_clean_up(scene, add_terrain):
     terrain = add_terrain()
     terrain.adaptive_terrain.cleanup.use_below, terrain.adaptive_terrain.cleanup.below = True, 10.0
     update = turn_on(terrain, "ERROR")
-    errors = read(terrain.data.attributes["error_px"], "value", 1)
+    errors = values_of(terrain.data, "error_px")
     assert 0 < len(errors) == len(terrain.data.polygons) < update.triangles
     np.testing.assert_allclose(shown_colours(terrain.data), 255 * scale_colours(errors), atol=0.6)
     assert terrain.data.attributes.active_color_name == COLOUR_ATTRIBUTE
@@ -179,14 +175,10 @@ def test_the_scale_is_viridis():
 def test_the_panel_has_the_button_and_the_legend_while_it_is_on(scene, add_terrain):
     terrain = add_terrain()
 
-    def draw():
-        layout = Mock()
-        OverlayPanel.draw(SimpleNamespace(_columns=lambda: layout), SimpleNamespace(object=terrain))
-        return layout
-
-    assert draw().operator.call_count == draw().label.call_count == 0
+    layout = draw_mocked(OverlayPanel, terrain)
+    assert layout.operator.call_count == layout.label.call_count == 0
     turn_on(terrain, "ERROR")
-    layout = draw()
+    layout = draw_mocked(OverlayPanel, terrain)
     layout.operator.assert_called_once_with("adaptive_terrain.show_overlay", icon="SHADING_SOLID")
     assert [call.kwargs["text"] for call in layout.label.mock_calls] == [
         "0 px",

@@ -7,16 +7,11 @@ import bpy
 import land_scenes
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.session import session
-
-
-def positions(obj):
-    found = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.attributes["position"].data.foreach_get("vector", found)
-    return found.reshape(-1, 3)
+from blender_meshes import positions
+from rasters import store_heights
 
 
 def add_scatter(terrain):
@@ -25,12 +20,8 @@ def add_scatter(terrain):
     return terrain.children[-1]
 
 
-def put_heights(terrain, folder, heights, step=10.0):
-    draft = Draft(folder)
-    samples = draft.allocate("samples", heights.shape, np.float32)
-    samples[:] = heights
-    draft.publish(build(samples, step, step, missing=0, allocate=draft.allocate), "land", {})
-    terrain.adaptive_terrain.store = str(folder)
+def put_heights(terrain, folder, heights):
+    terrain.adaptive_terrain.store = str(store_heights(folder, heights, 10.0))
 
 
 def test_a_new_scatter_alone_is_selected_and_active(terrain):

@@ -10,17 +10,8 @@ from adaptive_terrain.operators.scatter import request as scatters
 from adaptive_terrain.operators.scatter.operators import new_scatter
 from adaptive_terrain.operators.scatter.properties import scatter_of
 from adaptive_terrain.operators.session import live, session
-
-
-def attribute(obj, name, width, dtype=np.float32, member="value"):
-    data = obj.data.attributes[name].data
-    found = np.empty(len(data) * width, dtype)
-    data.foreach_get(member, found)
-    return found.reshape(-1, width) if width > 1 else found
-
-
-def positions(obj):
-    return attribute(obj, "position", 3, member="vector")
+from blender_meshes import positions, values_of
+from demand_trees import new_object
 
 
 def moved(places, matrix):
@@ -39,7 +30,7 @@ def test_unusual_cameras_see_points_that_keep_their_places(scene, terrain, scatt
     def points() -> dict[int, tuple]:
         bpy.context.view_layer.update()
         session.update_object(terrain)
-        return dict(zip(attribute(scatter, "id", 1, np.int32).tolist(), map(tuple, positions(scatter)), strict=True))
+        return dict(zip(values_of(scatter.data, "id").tolist(), map(tuple, positions(scatter)), strict=True))
 
     usual, shown = points(), scene.camera
     count = len(usual)
@@ -79,10 +70,10 @@ def test_the_operator_adds_points_with_attributes_and_cones(scene, terrain):
     assert settings.enabled and settings.spacing == pytest.approx(6.0)
     assert settings.full_until == pytest.approx(200 * in_world) and settings.margin_m == pytest.approx(2 * in_world)
     assert len(obj.data.vertices) > 500
-    assert np.abs(np.linalg.norm(attribute(obj, "rotation", 4), axis=1) - 1).max() < 1e-6
-    sizes, ids = attribute(obj, "size", 1), attribute(obj, "id", 1, np.int32)
+    assert np.abs(np.linalg.norm(values_of(obj.data, "rotation"), axis=1) - 1).max() < 1e-6
+    sizes, ids = values_of(obj.data, "size"), values_of(obj.data, "id")
     assert 0 <= sizes.min() and sizes.max() <= 1.2 and len(np.unique(ids)) == len(ids)
-    assert attribute(obj, "normal", 3, member="vector")[:, 2].min() > 0
+    assert values_of(obj.data, "normal")[:, 2].min() > 0
     found = instances(obj)
     assert len(found) == len(obj.data.vertices)
     places = np.array([matrix[:3, 3] for _, matrix in found])
@@ -97,7 +88,7 @@ def test_instances_are_picked_by_variant(terrain, scatter):
     scatter.adaptive_scatter.collection = collection
     session.update_object(terrain)
     names = [name for name, _ in instances(scatter)]
-    expected = np.array(["Fir", "Oak", "Pine"])[attribute(scatter, "variant", 1, np.int32) % 3]
+    expected = np.array(["Fir", "Oak", "Pine"])[values_of(scatter.data, "variant") % 3]
     assert len(names) > 300 and names == expected.tolist()
 
 
@@ -229,12 +220,9 @@ def test_no_point_is_outside_of_the_boundary(terrain, scatter, rises):
     """A polygon that is turned, of a terrain that is turned too: points are those of before that the polygon holds. A
     boundary that moves takes them along; without one they are all there again. Each has the mesh below or above."""
     session.update_object(terrain)
-    whole = attribute(scatter, "id", 1, np.int32).tolist()
+    whole = values_of(scatter.data, "id").tolist()
     corners = [(-300.0, -200.0), (250.0, -250.0), (280.0, 200.0), (0.0, 60.0 if rises else 300.0), (-250.0, 220.0)]
-    plan = bpy.data.meshes.new("Plan")
-    plan.from_pydata([(*corner, 0.0) for corner in corners], [], [range(5)])
-    boundary = bpy.data.objects.new("Plan", plan)
-    bpy.context.collection.objects.link(boundary)
+    boundary = new_object("Plan", [(*corner, 0.0) for corner in corners])
     terrain.location.x, terrain.rotation_euler.z, boundary.rotation_euler.z = 20.0, 0.4, 0.9
     cleanup, seen = terrain.adaptive_terrain.cleanup, {}
     terrain.adaptive_terrain.viewport.error_px = 0.5
@@ -246,10 +234,10 @@ def test_no_point_is_outside_of_the_boundary(terrain, scatter, rises):
         inside = np.zeros(len(x), bool)  # by how many edges a ray to the east crosses
         for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
             inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-        expected = attribute(scatter, "id", 1, np.int32)[inside]
+        expected = values_of(scatter.data, "id")[inside]
         cleanup.boundary = boundary
         session.update_object(terrain)
-        seen[boundary.location.y] = attribute(scatter, "id", 1, np.int32).tolist()
+        seen[boundary.location.y] = values_of(scatter.data, "id").tolist()
         assert seen[boundary.location.y] == expected.tolist() and 100 < len(expected) < 0.8 * len(inside)
         hit = [terrain.ray_cast((*place[:2], 1000.0), (0, 0, -1))[0] for place in positions(scatter)[::9].tolist()]
         assert np.mean(hit) > (0.98 if rises else 0.999)
@@ -258,7 +246,7 @@ def test_no_point_is_outside_of_the_boundary(terrain, scatter, rises):
     cleanup.boundary = None
     bpy.context.view_layer.update()
     session.update_object(terrain)
-    assert attribute(scatter, "id", 1, np.int32).tolist() == whole
+    assert values_of(scatter.data, "id").tolist() == whole
 
 
 def test_the_least_spacing_of_the_panel_is_one(scatter):
@@ -324,7 +312,7 @@ def test_what_the_terrain_hides_may_be_culled(scene, terrain, scatter):
     def ids():
         bpy.context.view_layer.update()
         session.update_object(terrain)
-        return attribute(scatter, "id", 1, np.int32).tolist()
+        return values_of(scatter.data, "id").tolist()
 
     whole = ids()
     settings.cull_hidden = True

@@ -12,6 +12,7 @@ from adaptive_terrain.operators.scatter.operators import new_scatter
 from adaptive_terrain.operators.scatter.panel import ScatterPanel
 from adaptive_terrain.operators.scatter.starter import KINDS, ROOT
 from adaptive_terrain.operators.session import session
+from blender_meshes import positions, read, values_of
 
 # Height in metres of the first object of a kind, or, of rocks, their largest and smallest extent; and its materials.
 HEIGHTS = {"Conifers": 18.0, "Broadleaves": 12.0, "Bushes": 1.5, "Grass": 0.4}
@@ -57,18 +58,12 @@ def add(kind="CONIFERS"):
     assert bpy.ops.adaptive_terrain.starter_add(kind=kind) == {"FINISHED"}
 
 
-def corners(obj):
-    found = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", found)
-    return found.reshape(-1, 3)
-
-
 def test_starter_objects_have_real_sizes(empty):
     add()
     for name, height in HEIGHTS.items():
-        tallest = max(corners(obj)[:, 2].max() for obj in bpy.data.collections[name].objects)
+        tallest = max(positions(obj)[:, 2].max() for obj in bpy.data.collections[name].objects)
         assert tallest == pytest.approx(height, rel=0.1), name
-    extents = [np.ptp(corners(obj), axis=0).max() for obj in bpy.data.collections["Rocks"].objects]
+    extents = [np.ptp(positions(obj), axis=0).max() for obj in bpy.data.collections["Rocks"].objects]
     assert max(extents) == pytest.approx(2.0, rel=0.2) and min(extents) == pytest.approx(0.3, rel=0.2)
     assert {collection.name for collection in bpy.data.collections[ROOT].children} == {*HEIGHTS, "Rocks"}
 
@@ -77,18 +72,16 @@ def test_starter_objects_are_light_and_stand_in_the_ground(empty):
     add()
     for name, expected in MATERIALS.items():
         objects = bpy.data.collections[name].objects
-        assert len({tuple(corners(obj)[-1]) for obj in objects}) == len(objects) >= 3, "all differ"
+        assert len({tuple(positions(obj)[-1]) for obj in objects}) == len(objects) >= 3, "all differ"
         for obj in objects:
             mesh = obj.data
             mesh.calc_loop_triangles()
             assert 200 < len(mesh.loop_triangles) < 2000 and not obj.modifiers
-            assert -0.35 * np.ptp(corners(obj)[:, 2]) < corners(obj)[:, 2].min() < 0.0
+            assert -0.35 * np.ptp(positions(obj)[:, 2]) < positions(obj)[:, 2].min() < 0.0
             assert {material.name for material in mesh.materials} == expected
-            used = np.empty(len(mesh.polygons), np.int32)
-            mesh.polygons.foreach_get("material_index", used)
+            used = read(mesh.polygons, "material_index", 1, np.int32)
             assert set(used.tolist()) == set(range(len(expected)))
-            shade = np.empty(len(mesh.vertices), np.float32)
-            mesh.attributes["shade"].data.foreach_get("value", shade)
+            shade = values_of(mesh, "shade")
             assert np.isfinite(shade).all() and np.ptp(shade) > 0.2
 
 

@@ -10,7 +10,9 @@ from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.bridge.nodes import marked_group_node
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.scene import haze
+from demand_trees import new_object
 from mathutils import Matrix, Vector
+from rendered_pictures import rendered
 
 SET_UP = bpy.ops.adaptive_terrain.set_up_scene
 COLOR = (0.5, 0.6, 0.8)
@@ -27,15 +29,12 @@ def hazy() -> list[str]:
 @pytest.fixture
 def black_plane(scene):
     """Return a black plane across the view of a camera, without light of a world, and its hazy material."""
-    mesh = bpy.data.meshes.new("Plane")
-    mesh.from_pydata([(-1e5, 0, -1e5), (1e5, 0, -1e5), (1e5, 0, 1e5), (-1e5, 0, 1e5)], [], [(0, 1, 2, 3)])
-    plane = bpy.data.objects.new("Plane", mesh)
-    scene.collection.objects.link(plane)
+    plane = new_object("Plane", [(-1e5, 0, -1e5), (1e5, 0, -1e5), (1e5, 0, 1e5), (-1e5, 0, 1e5)])
     material = bpy.data.materials.new("Plane")
     shader = tree_of_new(material).nodes["Principled BSDF"]
     shader.inputs["Base Color"].default_value = 0.0, 0.0, 0.0, 1.0
     shader.inputs["Specular IOR Level"].default_value = 0.0
-    mesh.materials.append(material)
+    plane.data.materials.append(material)
     scene.world = None
     return plane, material
 
@@ -47,18 +46,10 @@ def render(scene, tmp_path, eye, point) -> np.ndarray:
     forth = (point - eye).normalized()
     camera.matrix_world = Matrix.Translation(eye) @ forth.to_track_quat("-Z", "Y").to_matrix().to_4x4()
     scene.collection.objects.link(camera)
-    scene.camera, render = camera, scene.render
-    render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", 1, "CPU"
-    scene.cycles.use_denoising = False
-    render.resolution_x = render.resolution_y = 8
-    render.resolution_percentage = 100
-    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
-    render.filepath = str(tmp_path / "a.exr")
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(str(tmp_path / "a.exr"))
-    pixels = np.array(image.pixels).reshape(8, 8, 4)[4, 4, :3]
-    bpy.data.images.remove(image)
-    return pixels
+    scene.camera, scene.cycles.device = camera, "CPU"
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    scene.render.resolution_percentage = 100
+    return rendered(tmp_path / "a.exr")[4, 4, :3]
 
 
 @pytest.mark.parametrize(

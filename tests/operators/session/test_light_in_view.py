@@ -9,6 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes import sky_layer
 from adaptive_terrain.cbt_terrain.field import store
 from adaptive_terrain.operators.session import live, previews, session
+from blender_meshes import values_of
 from demand_trees import colour, new_material, shows
 from live_windows import show_window
 
@@ -25,12 +26,6 @@ def lit(scene, add_terrain, monkeypatch):
     live._unrefined.clear()
 
 
-def values(terrain) -> np.ndarray:
-    found = np.empty(len(terrain.data.vertices), np.float32)
-    terrain.data.attributes["sky"].data.foreach_get("value", found)
-    return found
-
-
 def turns(until=lambda: False) -> int:
     """Run the timer until it rests or until the condition holds, and return the number of turns."""
     live.mark_dirty()
@@ -43,13 +38,13 @@ def turns(until=lambda: False) -> int:
 
 def test_a_preview_is_refined_to_the_bits_of_an_update(lit):
     turns(until=lambda: live._unrefined)
-    first = values(lit)
+    first = values_of(lit.data, "sky")
     turns()
-    refined = values(lit)
+    refined = values_of(lit.data, "sky")
     assert not np.array_equal(first, refined) and not live._unrefined
     session.clear()
     session.update_object(lit)
-    assert np.array_equal(values(lit), refined)
+    assert np.array_equal(values_of(lit.data, "sky"), refined)
     record = session.record_of(lit)
     request = record.status.request
     assert previews.with_previews(request, record.field) is request, "known: no preview"
@@ -70,7 +65,7 @@ def test_the_view_can_change_between_the_steps_of_refining(lit, monkeypatch):
 
 def test_a_terrain_in_edit_mode_rests_and_is_refined_after_it(lit):
     turns(until=lambda: live._unrefined)
-    first = values(lit)
+    first = values_of(lit.data, "sky")
     bpy.ops.object.mode_set(mode="EDIT")
     ended = time.monotonic() + 300.0
     resting = 0
@@ -80,7 +75,7 @@ def test_a_terrain_in_edit_mode_rests_and_is_refined_after_it(lit):
     assert resting == 20, "nothing is computed for a mesh that cannot be written"
     bpy.ops.object.mode_set(mode="OBJECT")
     turns()
-    assert not np.array_equal(values(lit), first)
+    assert not np.array_equal(values_of(lit.data, "sky"), first)
 
 
 def test_a_view_without_a_reader_of_the_sky_makes_nothing_ahead(lit):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.operators.bridge import writer
 from adaptive_terrain.operators.session import live, session
-from live_windows import show_window
+from blender_meshes import corner_normals
+from live_windows import show_window, turns
 
 ROUNDING = 0.0142  # radians: an encoded normal that is nearer to Blender's own is replaced by it
 
@@ -17,27 +18,18 @@ def older(monkeypatch):
     monkeypatch.setattr(writer, "STORES_VERTEX_NORMALS", False)
 
 
-def corner_normals(obj) -> np.ndarray:
-    mesh = obj.data
-    array = np.empty(3 * len(mesh.loops), np.float32)
-    mesh.corner_normals.foreach_get("vector", array)
-    return array.reshape(-1, 3)
-
-
 def exact_normals(obj, mode: str) -> np.ndarray:
     """Return the normals that an update from nothing writes for the present frame, at the corners of its triangles."""
     session.record_of(obj).shown = None
     surface = session.update_object(obj, mode=mode).surface
-    written = corner_normals(obj)
+    written = corner_normals(obj.data)
     assert np.abs(written - surface.normals[surface.corner_verts]).max() < ROUNDING
     return written
 
 
 def turn() -> None:
     """Run the timer until it has written all meshes, and once more at rest."""
-    live.mark_dirty()
-    while live.tick() != live.IDLE_S:
-        pass
+    turns()
     live.tick()
 
 
@@ -47,10 +39,10 @@ def test_a_live_mesh_gets_exact_normals_at_rest(scene, add_terrain, older, monke
     monkeypatch.setattr(live, "NORMALS_S", 1e9)
     turn()
     assert len(terrain.data.polygons) > 100 and not terrain.data.has_custom_normals
-    rough = corner_normals(terrain)
+    rough = corner_normals(terrain.data)
     monkeypatch.setattr(live, "NORMALS_S", 0.0)
     turn()
-    exact = corner_normals(terrain)
+    exact = corner_normals(terrain.data)
     assert not session.show_normals(terrain), "they are written once"
     assert np.array_equal(exact, exact_normals(terrain, "VIEWPORT"))
     assert np.abs(rough - exact).max() > 3 * ROUNDING, "the difference shows"
@@ -75,7 +67,7 @@ def test_renders_have_exact_normals(scene, add_terrain, older, monkeypatch, tmp_
 
     def look(scene, _unused=None):
         for terrain in terrains:
-            found[scene.frame_current, terrain.name] = corner_normals(terrain)
+            found[scene.frame_current, terrain.name] = corner_normals(terrain.data)
 
     bpy.app.handlers.render_post.append(look)
     try:
@@ -101,7 +93,7 @@ def test_a_saved_mesh_has_exact_normals(scene, add_terrain, older, monkeypatch, 
     monkeypatch.setattr(live, "NORMALS_S", 1e9)
     turn()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    assert np.array_equal(corner_normals(terrain), exact_normals(terrain, "VIEWPORT"))
+    assert np.array_equal(corner_normals(terrain.data), exact_normals(terrain, "VIEWPORT"))
 
 
 def test_free_normals_are_never_postponed(scene, add_terrain, monkeypatch):

@@ -13,7 +13,8 @@ from adaptive_terrain.operators.accuracy.panel import statistics_lines
 from adaptive_terrain.operators.export.bake_terrain import BakeTerrain
 from adaptive_terrain.operators.export.frame_sources import scene_piece
 from adaptive_terrain.operators.session import session
-from live_windows import positions
+from blender_meshes import positions
+from demand_trees import new_object
 
 
 def mesh_bytes(obj):
@@ -168,9 +169,7 @@ def test_a_clean_up_that_is_no_number_is_refused(scene, add_terrain):
     with pytest.raises(TerrainError, match="nan as the height of Delete Below"):
         session.update_object(terrain)
     cleanup.use_below = False
-    mesh = bpy.data.meshes.new("Torn")
-    mesh.from_pydata([(float("nan"), 0, 0), (9, 0, 0), (0, 9, 0)], [], [(0, 1, 2)])
-    cleanup.boundary = bpy.data.objects.new("Torn", mesh)
+    cleanup.boundary = new_object("Torn", [(float("nan"), 0, 0), (9, 0, 0), (0, 9, 0)])
     with pytest.raises(TerrainError, match="boundary 'Torn' has a vertex or a matrix that is not finite"):
         session.update_object(terrain)
     cleanup.boundary = bpy.data.objects.new("Void", None)

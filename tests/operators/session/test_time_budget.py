@@ -4,7 +4,6 @@
 import math
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import bpy
@@ -15,7 +14,9 @@ from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.terrain.overrides import Overrides
 from adaptive_terrain.operators.terrain.panel import ViewportPanel
 from adaptive_terrain.operators.terrain.request import RENDER, VIEWPORT, gather
-from live_windows import positions, show_window
+from blender_meshes import positions
+from drawn_panels import draw_mocked
+from live_windows import show_window
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
 
@@ -102,9 +103,8 @@ def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
 
 
 def draw(terrain):
-    layout = Mock()
-    ViewportPanel.draw(SimpleNamespace(_columns=lambda: layout), SimpleNamespace(object=terrain))
-    texts = [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
+    calls = draw_mocked(ViewportPanel, terrain).mock_calls
+    texts = [call.kwargs["text"] for call in calls if call[0].endswith("label")]
     return [text for text in texts if text != "off"]
 
 

@@ -13,9 +13,11 @@ from adaptive_terrain.cbt_terrain.field.store import Draft
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.maps import images as map_images
 from adaptive_terrain.operators.session import session
+from blender_meshes import positions, values_of
 from fields import reference_heights, rough
 from finer_fields import dense_field
 from matplotlib.image import imread
+from rendered_pictures import rendered
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def test_a_mesh_in_blender_has_the_finer_heights(scene, add_terrain, city):
     session.update_object(obj)
     record = session.record_of(obj)
     assert record.field.raster.finer is not None
-    vertices = np.array([vertex.co for vertex in obj.data.vertices])
+    vertices = positions(obj).astype(np.float64)
     expected = reference_heights(dense_field(record.field), vertices[:, :2])
     assert np.abs(vertices[:, 2] - expected).max() < 1e-3
     in_tile = np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0  # the known tile, from the raster's middle
@@ -65,9 +67,7 @@ def test_a_material_and_a_map_show_the_finer_slope(scene, add_terrain, city, tmp
     obj.data.materials.append(material)
     bpy.context.view_layer.update()
     session.update_object(obj)
-    vertices, slopes = np.empty((len(obj.data.vertices), 3), np.float32), np.empty(len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", vertices.ravel())
-    obj.data.attributes["slope"].data.foreach_get("value", slopes)
+    vertices, slopes = positions(obj), values_of(obj.data, "slope")
     near = (np.abs(vertices[:, :2] - 256.0) < 100.0).all(axis=1)  # of the middle of the known tile
     assert near.sum() > 300
     assert np.abs(slopes - slope_of_waves(*vertices[:, :2].T))[near].max() < 0.02
@@ -99,7 +99,7 @@ def test_a_bicubic_mesh_in_blender_has_the_finer_heights(scene, add_terrain, cit
     session.update_object(obj)
     field = session.record_of(obj).field
     assert field.interpolation == "bicubic" and field.finer.off > 0
-    vertices = np.array([vertex.co for vertex in obj.data.vertices])
+    vertices = positions(obj).astype(np.float64)
     assert np.abs(vertices[:, 2] - reference_heights(field, vertices[:, :2])).max() < 1e-3
     assert (np.abs(vertices[:, :2] - 256.0).max(axis=1) < 250.0).sum() > 500
 
@@ -117,16 +117,9 @@ def add_position_material(obj):
 
 def rendered_positions(scene, path):
     """Return the positions that `add_position_material` shows in a picture by Cycles, float64 [n, 3]."""
-    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
-    scene.view_settings.view_transform, scene.world = "Raw", None
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(str(path))
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    positions = pixels.reshape(-1, 4)[:, :3].astype(np.float64)
-    return positions[(positions != 0.0).any(axis=1)]
+    scene.world = None
+    found = rendered(path).reshape(-1, 4)[:, :3].astype(np.float64)
+    return found[(found != 0.0).any(axis=1)]
 
 
 def test_a_render_shows_the_bicubic_surface_within_its_bound(scene, add_terrain, city, tmp_path):

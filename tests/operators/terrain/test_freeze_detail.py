@@ -13,7 +13,7 @@ from adaptive_terrain.operators.export.frame_sources import scene_piece
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain import frozen
 from adaptive_terrain.operators.terrain.overrides import Overrides
-from live_windows import positions
+from blender_meshes import positions
 
 
 @pytest.fixture

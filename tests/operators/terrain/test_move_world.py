@@ -6,15 +6,17 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.build import build
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.maps.request import visit_for_request
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.move_world import _curves_of, set_anchor
 from adaptive_terrain.operators.terrain.request import RENDER
+from blender_meshes import positions
+from demand_trees import new_object
 from land_scenes import add, stack_now
 from mathutils import Euler, Matrix, Vector
+from rasters import store_heights
 
 STEP, COLUMNS, ROWS = 123.4, 8193, 5  # 1,011 km from west to east
 FAR = 499_712.0
@@ -23,12 +25,9 @@ FAR = 499_712.0
 @pytest.fixture(scope="module")
 def country(tmp_path_factory):
     """Return a store of a strip of land 1,011 km long."""
-    draft = Draft(tmp_path_factory.mktemp("stores") / "country")
-    samples = draft.allocate("samples", (ROWS, COLUMNS), np.float32)
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
-    samples[:] = 300 * np.sin(x / 3) * np.cos(y / 2) + 40 * np.sin(x * 1.7)
-    draft.publish(build(samples, STEP, STEP, missing=0, allocate=draft.allocate), "country", {})
-    return str(draft.path)
+    heights = 300 * np.sin(x / 3) * np.cos(y / 2) + 40 * np.sin(x * 1.7)
+    return str(store_heights(tmp_path_factory.mktemp("stores") / "country", heights, STEP))
 
 
 def look_far(scene, terrain):
@@ -44,10 +43,8 @@ def look_far(scene, terrain):
 def ground_points(obj) -> np.ndarray:
     """Return vertices of an updated terrain near the camera, in the world, float64 [n, 3] without float32 steps."""
     session.update_object(obj, mode=RENDER)
-    points = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", points)
     matrix = np.array(obj.matrix_world, np.float64)
-    world = points.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    world = positions(obj).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     camera = np.array(bpy.context.scene.camera.matrix_world.translation)
     return world[np.hypot(*(world - camera)[:, :2].T) < 1500.0]
 
@@ -166,10 +163,7 @@ def test_shaped_land_decals_and_maps_follow_the_anchor(scene, terrain, tmp_path)
     """The preview of a stack with a mask by an object, a map with a decal, and the mesh that shows both."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     entry = add("relief")
-    mesh = bpy.data.meshes.new("Patch")
-    mesh.from_pydata([(0, 0, 5), (400, 0, 9), (400, 320, 0), (0, 320, 0)], [], [(0, 1, 2, 3)])
-    patch = bpy.data.objects.new("Patch", mesh)
-    scene.collection.objects.link(patch)
+    patch = new_object("Patch", [(0, 0, 5), (400, 0, 9), (400, 320, 0), (0, 320, 0)])
     entry.mask.kind, entry.mask.object = "OBJECT", patch
 
     def shown():

@@ -7,6 +7,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from adaptive_terrain.operators.terrain import frame_terrain, sight
 from adaptive_terrain.operators.ui.status_row import sight_notice
+from blender_meshes import positions
 
 BOX = np.array([(x, y, z) for x in (-10.0, 10.0) for y in (-10.0, 10.0) for z in (0.0, 2.0)])
 
@@ -58,8 +59,7 @@ def test_the_box_is_that_of_the_mesh(scene, add_terrain):
     bpy.context.view_layer.update()
     session.update_object(terrain)
     box = sight.box_of(terrain, bpy.context.evaluated_depsgraph_get())
-    points = np.empty((len(terrain.data.vertices), 3), np.float32)
-    terrain.data.vertices.foreach_get("co", points.ravel())
+    points = positions(terrain)
     points = np.column_stack([points, np.ones(len(points))]) @ np.array(terrain.matrix_world)[:3].T
     assert (points.min(axis=0) >= box.min(axis=0) - 0.01).all() and (points.max(axis=0) <= box.max(axis=0) + 0.01).all()
     assert np.ptp(points, axis=0) == pytest.approx(np.ptp(box, axis=0), rel=0.25)

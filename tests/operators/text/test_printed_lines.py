@@ -6,9 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.text.console import OPENJD, Progress, one_line, print_line
-from blender_scenes import add_terrain, empty, scene, store  # noqa: F401
+from store_exports import run
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = [
@@ -43,23 +42,22 @@ def test_only_messages_look_like_messages(capsys):
     assert one_line("a" * 20_000) == "a" * 10_000 + "..."
 
 
-def test_an_object_with_lines_in_its_name_is_one_status(scene, add_terrain, tmp_path, capsys):  # noqa: F811
+def test_an_object_with_lines_in_its_name_is_one_status(scene, add_terrain, tmp_path, capsys):
     import bpy
 
     obj = add_terrain()
     obj.name = "T\nopenjd_fail: gone\u2028\x1b[31m"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     capsys.readouterr()
-    argv = ["prepare", "--scene", str(tmp_path / "scene.blend"), "--frames", "1", "--progress", "openjd"]
-    assert command_line.main(argv) == 0
+    assert run("prepare", "--scene", tmp_path / "scene.blend", "--frames", "1", "--progress", "openjd") == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("openjd_status: T openjd_fail: gone") for line in lines)
     assert {line.split(":")[0] for line in lines} <= {"openjd_status", "openjd_progress"}
 
 
 def test_a_failure_is_one_message(tmp_path, capsys):
-    missing = str(tmp_path / "a\nopenjd_env: A=1\n.json")
-    code = command_line.main(["verify", missing, "--frames", "1", "--progress", "openjd"])
+    missing = tmp_path / "a\nopenjd_env: A=1\n.json"
+    code = run("verify", missing, "--frames", "1", "--progress", "openjd")
     lines = capsys.readouterr().out.splitlines()
     assert code == 1 and [line for line in lines if line.startswith("openjd_env")] == []
     assert sum(line.startswith("openjd_fail: ") for line in lines) == 1

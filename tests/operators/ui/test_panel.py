@@ -24,6 +24,7 @@ from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
 from adaptive_terrain.operators.ui.panel_parts import error_lines, wrap_words
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
+from drawn_panels import draw_mocked
 from modal_runs import RunningOperator, running, turn
 
 
@@ -137,9 +138,9 @@ def test_the_panel_tells_that_stores_were_moved(scene, add_terrain, monkeypatch)
     from adaptive_terrain.operators.importing.panel import ImportedPanel
 
     add_terrain()
-    assert "were moved" not in str(draw(ImportedPanel).mock_calls)
+    assert "were moved" not in str(draw_mocked(ImportedPanel).mock_calls)
     monkeypatch.setattr(store_paths, "notices", {"moved": "Stores were moved."})
-    assert "were moved" in str(draw(ImportedPanel).mock_calls)
+    assert "were moved" in str(draw_mocked(ImportedPanel).mock_calls)
 
 
 def test_import_says_what_it_did():
@@ -202,28 +203,21 @@ def test_nothing_is_added_while_a_mesh_is_edited(scene):
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def draw(panel):
-    """Draw a panel into a mock layout."""
-    layout = Mock()
-    panel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), bpy.context)
-    return layout
-
-
 def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing):
     for add in (lambda: None, add_terrain):
         add()
-        layout = draw(TerrainPanel)
+        layout = draw_mocked(TerrainPanel)
         bars = [call.kwargs for call in layout.mock_calls if call[0].endswith("progress")]
         assert bars == [{"factor": 0.25, "text": "Preparing kernels (first use)"}]
-    assert draw(OutputPanel).row().enabled is not False, "a click on a bake or an export waits beside the window"
+    assert draw_mocked(OutputPanel).row().enabled is not False, "a click on a bake or an export waits beside the window"
     preparing.fraction = None
     preparing.done.set()
-    assert not [call for call in draw(TerrainPanel).mock_calls if call[0].endswith("progress")]
+    assert not [call for call in draw_mocked(TerrainPanel).mock_calls if call[0].endswith("progress")]
 
 
 def test_a_store_without_notes_has_no_empty_box(scene):
     bpy.ops.mesh.adaptive_terrain_add()
-    boxes = [call for call in draw(ImportedPanel).mock_calls if call[0].endswith("box")]
+    boxes = [call for call in draw_mocked(ImportedPanel).mock_calls if call[0].endswith("box")]
     assert boxes == []
 
 
@@ -233,7 +227,7 @@ def test_the_panel_says_that_nothing_is_left(scene, add_terrain):
 
     def said() -> list[str]:
         session.update_object(terrain)
-        return [call.kwargs["text"] for call in draw(TerrainPanel).mock_calls if "Nothing is left" in str(call)]
+        return [call.kwargs["text"] for call in draw_mocked(TerrainPanel).mock_calls if "Nothing is left" in str(call)]
 
     assert said() == []
     cleanup.use_below, cleanup.below = True, 1e9
@@ -339,7 +333,7 @@ def test_geomorph_of_either_detail_is_another_request(scene, add_terrain):
 @pytest.mark.parametrize("panel", [ViewportPanel, RenderPanel])
 def test_a_panel_of_detail_has_a_row_for_each_setting(scene, add_terrain, panel):
     add_terrain()
-    calls = draw(panel).mock_calls
+    calls = draw_mocked(panel).mock_calls
     criteria = [call.kwargs["heading"] for call in calls if "heading" in call.kwargs]
     assert criteria == ["Screen Error", "Edge Length", "Area (px²)", "Vertical Error"]
     rows = [(call.args[1], call.kwargs.get("text")) for call in calls if call[0] == "prop"]

@@ -10,7 +10,9 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.operators.bridge.demand.demand import find_demand
 from adaptive_terrain.operators.session import session
-from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, rendered, shader_tree, write
+from blender_meshes import positions
+from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, shader_tree, write
+from rendered_pictures import rendered
 
 FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
 COUNTED, PICTURES, GEOMETRIES = (500, 500, 500) if FUZZ >= 10_000 else (70, 6, 20)
@@ -64,9 +66,9 @@ def test_a_picture_is_the_same_without_what_is_not_demanded(empty, seed, tmp_pat
     shader_tree(material, random.Random(seed), NAMES)
     names = asked(look(obj, "RENDER"), NAMES)
     write(obj.data, NAMES)
-    everything = rendered(tmp_path / "all.exr")
+    everything = rendered(tmp_path / "all.exr", 2)
     write(obj.data, names)
-    assert np.array_equal(rendered(tmp_path / "some.exr"), everything, equal_nan=True), names
+    assert np.array_equal(rendered(tmp_path / "some.exr", 2), everything, equal_nan=True), names
 
 
 def test_pictures_show_what_is_demanded(empty, tmp_path):
@@ -78,10 +80,10 @@ def test_pictures_show_what_is_demanded(empty, tmp_path):
         shader_tree(material, random.Random(seed), NAMES)
         names = asked(look(obj, "RENDER"), NAMES)
         write(obj.data, names)
-        everything = rendered(tmp_path / "all.exr")
+        everything = rendered(tmp_path / "all.exr", 2)
         for name in names:
             write(obj.data, [other for other in names if other != name])
-            shown += not np.array_equal(rendered(tmp_path / "some.exr"), everything, equal_nan=True)
+            shown += not np.array_equal(rendered(tmp_path / "some.exr", 2), everything, equal_nan=True)
             demanded += 1
     assert demanded > 3 and shown > 0.8 * demanded, (shown, demanded)
 
@@ -92,11 +94,8 @@ def test_geometry_is_the_same_without_what_is_not_demanded(empty, seed):
     geometry_tree(obj, random.Random(seed), NAMES)
     names = asked(look(obj, "VIEWPORT"), NAMES)
 
-    def positions(given):
+    def shown(given):
         write(obj.data, given)
-        mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-        array = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", array)
-        return array
+        return positions(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
-    assert np.array_equal(positions(NAMES), positions(names), equal_nan=True), names
+    assert np.array_equal(shown(NAMES), shown(names), equal_nan=True), names

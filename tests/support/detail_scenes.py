@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Views of a terrain with detail, and what of its bounds is seen in them."""
 
+from dataclasses import replace
+
 import numpy as np
+from adaptive_terrain.cbt_terrain.accuracy.measure import measure
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, View
 from fields import extent, project, reference_heights
 
@@ -40,3 +45,14 @@ def check(found, field, views, placement=None, scale=1.0, offset=0.0):
             parts.append(off.max(initial=0.0) / max(found.bound_px, 1e-30))
     assert max(parts) <= 1.0
     return max(parts)
+
+
+def assert_measured(field, criterion: Criterion) -> None:
+    """Assert that the measurement, by separate code and points, is within the bound and near that of many points."""
+    view = replace(ground_view(field, above=5.0), resolution=(160, 90))
+    found = Terrain(field, 1).update(criterion, [view])
+    measured = measure(field, found.surface, view, random_points=20_000, threads=1)
+    below = places_in(found.surface)
+    off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()
+    assert 0.7 * off < measured.vertical_max_m <= found.bound_m
+    assert 0.0 < measured.screen_px.max <= found.bound_px

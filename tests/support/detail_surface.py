@@ -2,6 +2,7 @@
 """A detail below the raster's cells, evaluated in numpy from nothing but its description."""
 
 import numpy as np
+import own_surface
 from adaptive_terrain.cbt_terrain.field.displacement_layers import DisplacementLayers
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 
@@ -62,10 +63,7 @@ def bilinear(lattice, values: np.ndarray, plane: np.ndarray) -> np.ndarray:
     """Interpolate values of a raster's samples at points [n, 2]."""
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
-    i, j = np.minimum(s.astype(int), lattice.width - 2), np.minimum(t.astype(int), lattice.height - 2)
-    s, t = s - i, t - j
-    low = values[j, i] * (1 - s) + values[j, i + 1] * s
-    return low * (1 - t) + (values[j + 1, i] * (1 - s) + values[j + 1, i + 1] * s) * t
+    return own_surface.bilinear(values, s, t)
 
 
 def mask_values(mask, lattice, plane):

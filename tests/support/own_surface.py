@@ -44,6 +44,6 @@ def bilinear(raster, x, y):
     """Return the heights of the surface at arrays of columns and rows."""
     i = np.clip(x.astype(int), 0, raster.shape[1] - 2)
     j = np.clip(y.astype(int), 0, raster.shape[0] - 2)
-    u, v, h = x - i, y - j, raster.astype(np.float64)
+    u, v, h = x - i, y - j, np.asarray(raster, np.float64)
     south = h[j, i] * (1 - u) + h[j, i + 1] * u
     return south * (1 - v) + (h[j + 1, i] * (1 - u) + h[j + 1, i + 1] * u) * v

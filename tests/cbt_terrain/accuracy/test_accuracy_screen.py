@@ -101,10 +101,15 @@ def test_points_are_seen_where_no_surface_is_before_them(eye):
         assert chosen.sum() > 5 and (early == covered).mean() > 0.97
 
 
-def test_a_wall_hides_exactly_the_ground_in_its_shadow():
+def wall():
+    """Return level ground of 33 x 33 samples, 1 m apart, with a wall of 8 m from west to east in its middle."""
     samples = np.zeros((33, 33), np.float32)
     samples[16] = 8.0
-    field = from_array(samples, 1.0)
+    return from_array(samples, 1.0)
+
+
+def test_a_wall_hides_exactly_the_ground_in_its_shadow():
+    field = wall()
     view = View.look((0, -50, 50), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=60.0, resolution=(60, 60))
     states = look(field, view).states().reshape(33, 33)
     # at 45 degrees the shadow is 8 long; the ray to its end touches the top of the wall
@@ -113,9 +118,7 @@ def test_a_wall_hides_exactly_the_ground_in_its_shadow():
 
 
 def test_ground_before_the_clip_start_hides_nothing():
-    samples = np.zeros((33, 33), np.float32)
-    samples[16] = 8.0
-    field = from_array(samples, 1.0)
+    field = wall()
     view = View.look((0, -2, 2), (0, 14, 0), resolution=(60, 60), fov_deg=60.0)
     behind = (slice(20, 33), slice(13, 20))
     assert (look(field, view).states().reshape(33, 33)[behind] == int(HIDDEN)).all()
@@ -132,9 +135,7 @@ def full_mesh(field):
 
 @pytest.mark.parametrize("roll_deg", [0.0, 27.0])
 def test_a_ridge_raised_by_a_metre_moves_the_outline(roll_deg):
-    samples = np.zeros((33, 33), np.float32)
-    samples[16] = 8.0
-    field = from_array(samples, 1.0)
+    field = wall()
     surface = full_mesh(field)
     true, raised = surface.positions, surface.positions.copy()
     raised[true[:, 2] == 8.0, 2] = 9.0
@@ -157,9 +158,7 @@ def test_no_sky_in_the_frame_is_no_outline():
 
 
 def test_a_missing_outline_counts_with_the_border_distance():
-    samples = np.zeros((33, 33), np.float32)
-    samples[16] = 8.0
-    field = from_array(samples, 1.0)
+    field = wall()
     surface = full_mesh(field)
     flat = surface.positions * np.float32([1, 1, 0]) - np.float32([0, 0, 500])
     view = View.look((0, -100, 4), (0, 0, 4), kind=ORTHOGRAPHIC, ortho_width=20.0, resolution=(80, 60))

@@ -18,18 +18,17 @@ from adaptive_terrain.cbt_terrain.attributes.scale import fixed_level, footprint
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.attributes.tiling import tiling_of
 from adaptive_terrain.cbt_terrain.field import derived_arrays
-from adaptive_terrain.cbt_terrain.field.build import build, from_array
-from adaptive_terrain.cbt_terrain.field.finer_build import with_finer_tiles
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.finer_tiles import SIDE
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
-from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store
+from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
 from evaluations import Evaluations
 from fields import rough
-from finer_fields import dense_field, finer_field, in_small_squares
+from finer_fields import dense_field, finer_field, finer_store, in_small_squares
 
 ALL = {name: {} for name in OUTPUTS}
 WHOLE = "flow", "wetness", "sky", "sun", "ambient_occlusion"  # their heights have the raster's step
@@ -306,13 +305,8 @@ def test_only_images_with_finer_texels_get_another_key(field, tmp_path, small_ti
 
 
 def test_a_large_town_has_its_levels_in_the_store(tmp_path, monkeypatch):
-    draft = Draft(tmp_path)
-    samples = draft.allocate("samples", (65, 65), np.float32)
-    samples[:] = rough(65, 65, 3, relief=60.0).heights()
-    plain = build(samples, 32.0, 32.0, missing=0, allocate=draft.allocate)
-    waves = lambda box: np.full((box.y1 - box.y0 + 1, box.x1 - box.x0 + 1), 30.0, np.float32)  # noqa: E731
-    draft.publish(with_finer_tiles(plain, 4, [(2, 2)], waves, allocate=draft.allocate), "town", {})
-    places = points(plain, 2000)
+    finer_store(tmp_path, 65, 65, 4, [(2, 2)])
+    places = points(open_store(tmp_path), 2000)
     expected = at_level(open_store(tmp_path), places, -2.5)
     assert not list(tmp_path.rglob("finer_pyramid.npy"))
     monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)

@@ -9,15 +9,16 @@ from adaptive_terrain.cbt_terrain.attributes import evaluate, layered_detail
 from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, displaced
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import HEIGHT, SLOPE, Layer, Rule
 from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
-from adaptive_terrain.cbt_terrain.field.build import build, from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.displacement_layers import max_of_masks
-from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store
+from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from detail_scenes import check, ground_view
 from fields import rough
+from rasters import store_heights
 
 HIGH = Layer("High", (Rule(HEIGHT, low=60.0, edge=20.0),), on_top=True)
 STEEP = Layer("Steep", (Rule(SLOPE, low=math.radians(30), edge=math.radians(10)),), on_top=True)
@@ -59,11 +60,7 @@ def test_the_bound_holds_on_layers_with_detail():
 
 def stored(path, field):
     """Write a store of a field's samples and open it."""
-    draft = Draft(path)
-    samples = draft.allocate("samples", field.samples.shape, np.float32)
-    samples[:] = field.samples
-    draft.publish(build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate), "", {})
-    return open_store(path)
+    return open_store(store_heights(path, field.samples, 10.0))
 
 
 def test_masks_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):

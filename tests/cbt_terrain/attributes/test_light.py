@@ -13,16 +13,18 @@ from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays, extremes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
-from adaptive_terrain.cbt_terrain.field.build import build, from_array
+from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.extremes import find_extremes
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.run import launch, stopping
 from adaptive_terrain.cbt_terrain.run.buffers import flat
 from adaptive_terrain.kernels.effects.light import sky_seen
 from fields import rough
 from horizons import every_sample
+from own_surface import bilinear
 from padded import raster
+from rasters import store_heights
 
 DISC = 0.00918
 
@@ -172,12 +174,9 @@ def _surface(field, points) -> np.ndarray:
     """Bilinear heights, not a number beyond the rim."""
     west, south, _, _ = field.lattice.rectangle()
     x, y = (points[:, 0] - west) / field.lattice.step_x, (points[:, 1] - south) / field.lattice.step_y
-    h = field.heights().astype(float)
+    h = field.heights()
     out = (x < 0) | (y < 0) | (x > h.shape[1] - 1) | (y > h.shape[0] - 1)
-    i, j = np.clip(x.astype(int), 0, h.shape[1] - 2), np.clip(y.astype(int), 0, h.shape[0] - 2)
-    u, v = x - i, y - j
-    z = (h[j, i] * (1 - u) + h[j, i + 1] * u) * (1 - v) + (h[j + 1, i] * (1 - u) + h[j + 1, i + 1] * u) * v
-    return np.where(out, np.nan, z)
+    return np.where(out, np.nan, bilinear(h, x, y))
 
 
 @pytest.mark.parametrize("size, steps", [((65, 65), (10.0, 10.0)), ((100, 37), (4.0, 9.0)), ((40, 2), (5.0, 5.0))])
@@ -275,11 +274,7 @@ def sky_layer_of(field):
 
 def test_the_sky_is_stored_and_computed_again_if_damaged(tmp_path):
     """The next process has it at once; of three vertical scales the store keeps the last two."""
-    folder = tmp_path / "store"
-    draft = Draft(folder)
-    samples = draft.allocate("samples", (70, 90), np.float32)
-    samples[:] = raster(90, 70)
-    draft.publish(build(samples, 3.0, 3.0, missing=0, allocate=draft.allocate), "a test", {})
+    folder = store_heights(tmp_path / "store", raster(90, 70), 3.0)
     field = open_store(folder)
     places = every_sample(field)
     whole = made("sky", places)
@@ -339,11 +334,7 @@ def test_the_sky_of_the_last_two_vertical_scales_is_cached():
 def test_a_larger_limit_keeps_as_many_vertical_scales(monkeypatch, tmp_path):
     """Of five scales, the newest four are cached and stored; before the limit none is removed."""
     monkeypatch.setattr(sky_layer, "MAX_SCALES", 4)
-    draft = Draft(tmp_path / "store")
-    samples = draft.allocate("samples", (20, 30), np.float32)
-    samples[:] = raster(30, 20)
-    draft.publish(build(samples, 3.0, 3.0, missing=0, allocate=draft.allocate), "a test", {})
-    field = open_store(tmp_path / "store")
+    field = open_store(store_heights(tmp_path / "store", raster(30, 20), 3.0))
     for count, scale in enumerate((1.0, 2.0, 3.0, 4.0, 5.0), 1):
         sky_layer.sky_layer(field, scale, 1)
         assert sum(key[0] == sky_layer.LAYER for key in field.cache.results) == min(count, 4)
@@ -353,10 +344,7 @@ def test_a_larger_limit_keeps_as_many_vertical_scales(monkeypatch, tmp_path):
 
 
 def test_extremes_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
-    draft = Draft(tmp_path)
-    samples = draft.allocate("samples", (70, 90), np.float32)
-    samples[:] = raster(90, 70)
-    draft.publish(build(samples, 5.0, 5.0, missing=0, allocate=draft.allocate), "", {})
+    store_heights(tmp_path, raster(90, 70), 5.0)
     reductions = np.maximum, np.minimum
     expected = [[array.tobytes() for array in find_extremes(open_store(tmp_path), reduce)] for reduce in reductions]
     monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)

@@ -2,12 +2,10 @@
 """Noise below the raster's cells: its bound, its meshes against numpy in float64, and terrains without it."""
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail as details
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
@@ -22,7 +20,7 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from detail_scenes import WEIGHTS, check, ground_view, places_in
+from detail_scenes import WEIGHTS, assert_measured, check, ground_view, places_in
 from detail_surface import bilinear, detail_heights, value_noise
 from fields import bezier, extent, project, reference_heights, rough
 from invariants import arrays, assert_invariants
@@ -269,16 +267,9 @@ def test_a_saved_tree_gives_the_same_mesh_again():
 
 
 def test_the_measurement_sees_what_numpy_sees():
-    """The measurement uses independent code and points: never above the bound, and near the maximum of dense points."""
     for interpolation in ("bilinear", "bicubic"):
         field = field_of("padded", DETAILS["soft"], interpolation)
-        view = replace(ground_view(field, above=5.0), resolution=(160, 90))
-        found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.15), [view])
-        measured = measure(field, found.surface, view, random_points=20_000, threads=1)
-        below = places_in(found.surface)
-        off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()
-        assert 0.7 * off < measured.vertical_max_m <= found.bound_m
-        assert 0.0 < measured.screen_px.max <= found.bound_px
+        assert_measured(field, Criterion(error_px=4.0, error_m=0.15))
 
 
 def test_a_detail_that_cannot_be_is_refused():

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tiling images as detail, and details with masks: their bounds, and their meshes against numpy in float64."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy.measure import measure
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
@@ -19,7 +16,7 @@ from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from detail_scenes import WEIGHTS, check, ground_view, places_in
+from detail_scenes import WEIGHTS, assert_measured, check, ground_view
 from detail_surface import image_heights, mask_values
 from fields import extent, reference_heights
 from invariants import arrays, assert_invariants
@@ -240,13 +237,7 @@ def test_pixels_that_no_leaf_can_show_are_smoothed_away():
 
 def test_the_measurement_sees_what_numpy_sees():
     field = field_of((27, 40), grounds((27, 40))["three"])
-    view = replace(ground_view(field, above=5.0), resolution=(160, 90))
-    found = Terrain(field, 1).update(Criterion(error_px=4.0, error_m=0.6, max_triangles=1000), [view])
-    measured = measure(field, found.surface, view, random_points=20_000, threads=1)
-    below = places_in(found.surface)
-    off = np.abs(below[:, 2] - reference_heights(field, below[:, :2])).max()
-    assert 0.7 * off < measured.vertical_max_m <= found.bound_m
-    assert 0.0 < measured.screen_px.max <= found.bound_px
+    assert_measured(field, Criterion(error_px=4.0, error_m=0.6, max_triangles=1000))
 
 
 def test_what_cannot_be_is_refused_in_a_sentence():

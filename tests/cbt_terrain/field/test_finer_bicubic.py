@@ -14,10 +14,15 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import extent, mesh_heights, reference_heights
+from fields import reference_heights
 from finer_fields import finer_field
-from finer_views import assert_an_anchor_moves_the_surface_alone, assert_bounds_in_random_views
-from invariants import assert_invariants
+from finer_views import (
+    assert_an_anchor_moves_the_surface_alone,
+    assert_bound_in_metres,
+    assert_bounds_in_random_views,
+    assert_no_cracks,
+    places_on,
+)
 
 
 @pytest.fixture(
@@ -27,21 +32,6 @@ def field(request):
     if request.param == 4:
         return interpolated(finer_field(), "bicubic")
     return interpolated(finer_field(150, 290, 1, ((0, 0),), relief=20.0), "bicubic")
-
-
-def places_on(field, count, seed):
-    """Return points of the terrain, half of them in or near tiles, some at finer samples and on tiles' borders."""
-    rng = np.random.default_rng(seed)
-    low, high = (np.array(ends) for ends in (field.lattice.rectangle()[:2], field.lattice.rectangle()[2:]))
-    tiles, side = field.raster.finer, SIDE * field.lattice.step_x / (1 << field.raster.finer.bits)
-    rows, columns = np.nonzero(tiles.numbers >= 0)
-    some = rng.integers(len(rows), size=count)
-    part = rng.random((count, 2))
-    part[::5, 0] = np.round(part[::5, 0])
-    near = low + (np.stack([columns[some], rows[some]], 1) + part) * side
-    near[::3] = low + np.round((near[::3] - low) * (SIDE / side)) * (side / SIDE)
-    found = np.concatenate([low + rng.random((count, 2)) * extent(field)[:2], near])
-    return found[((found >= low) & (found <= high)).all(axis=1)]
 
 
 def test_heights_are_those_of_the_patches_and_the_differences(field):
@@ -66,13 +56,7 @@ def test_bounds_hold_in_random_views(field, meshlet):
 
 
 def test_bound_in_metres_holds_over_the_whole_mesh(field):
-    places = places_on(field, 20_000, 3)
-    for error_m in (8.0, 4.0):
-        update = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
-        off = np.abs(mesh_heights(update.surface, places) - reference_heights(field, places))
-        assert off.max() <= update.bound_m and update.bound_m <= error_m * (1 + 1e-6)
-        assert off.max() > 0.2 * error_m
-        assert_invariants(update.surface, field.lattice)
+    assert_bound_in_metres(field, field, places_on(field, 20_000, 3), (8.0, 4.0))
 
 
 def test_a_view_of_tiles_takes_few_more_triangles_than_bilinear():
@@ -90,10 +74,7 @@ def test_a_view_of_tiles_takes_few_more_triangles_than_bilinear():
 def test_edges_and_areas_have_no_cracks(field):
     step = field.lattice.step_x / (1 << field.raster.finer.bits)
     at = np.array(field.lattice.rectangle()[:2]) + SIDE * step * np.array([0.6, 0.9])
-    view = View.look((*at, 160.0), (*(at + 400), 60.0), resolution=(960, 540))
-    for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
-        update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
-        assert_invariants(update.surface, field.lattice)
+    assert_no_cracks(field, at)
 
 
 def test_rays_meet_the_surface_and_boxes_enclose_it(field):

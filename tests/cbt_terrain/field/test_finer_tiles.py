@@ -15,10 +15,15 @@ from adaptive_terrain.cbt_terrain.query.rays import pick
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import extent, mesh_heights, reference_heights
+from fields import reference_heights
 from finer_fields import dense_field, dense_heights, dense_raster, finer_field
-from finer_views import assert_an_anchor_moves_the_surface_alone, assert_bounds_in_random_views
-from invariants import assert_invariants
+from finer_views import (
+    assert_an_anchor_moves_the_surface_alone,
+    assert_bound_in_metres,
+    assert_bounds_in_random_views,
+    assert_no_cracks,
+    places_on,
+)
 
 
 @pytest.fixture(scope="module")
@@ -29,21 +34,6 @@ def field():
 @pytest.fixture(scope="module")
 def dense(field):
     return dense_field(field)
-
-
-def places_on(field, count, seed):
-    """Return points of the terrain, half of them in or near known tiles, at finer samples and between them."""
-    rng = np.random.default_rng(seed)
-    low = np.array(field.lattice.rectangle()[:2])
-    free = low + rng.random((count, 2)) * extent(field)[:2]
-    tiles, side = field.raster.finer, SIDE * field.lattice.step_x / (1 << field.raster.finer.bits)
-    rows, columns = np.nonzero(tiles.numbers >= 0)
-    some = rng.integers(len(rows), size=count)
-    near = low + (np.stack([columns[some], rows[some]], 1) + rng.random((count, 2))) * side
-    near[::3] = low + np.round((near[::3] - low) * (SIDE / side)) * (side / SIDE)
-    found = np.concatenate([free, near])
-    high = np.array(field.lattice.rectangle()[2:])
-    return found[((found >= low) & (found <= high)).all(axis=1)]
 
 
 def test_heights_are_those_of_a_dense_grid(field, dense):
@@ -64,21 +54,12 @@ def test_bounds_hold_in_random_views(field, dense, meshlet):
 
 
 def test_bound_in_metres_holds_over_the_whole_mesh(field, dense):
-    places = places_on(field, 20_000, 3)
-    for error_m in (3.0, 1.0):
-        update = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
-        off = np.abs(mesh_heights(update.surface, places) - reference_heights(dense, places))
-        assert off.max() <= update.bound_m and update.bound_m <= error_m * (1 + 1e-6)
-        assert off.max() > 0.2 * error_m
-        assert_invariants(update.surface, field.lattice)
+    assert_bound_in_metres(field, dense, places_on(field, 20_000, 3), (3.0, 1.0))
 
 
 def test_edges_and_areas_have_no_cracks(field):
     at = np.array(field.lattice.rectangle()[:2]) + SIDE * 2.0 * np.array([2.6, 3.4])
-    view = View.look((*at, 160.0), (*(at + 400), 60.0), resolution=(960, 540))
-    for setting in ({"edge_px": 12.0}, {"area_px": 90.0}, {"edge_px": 5.0, "error_px": 2.0}):
-        update = Terrain(field).update(Criterion(**{"error_px": 0.0} | setting, max_triangles=500_000), [view])
-        assert_invariants(update.surface, field.lattice)
+    assert_no_cracks(field, at)
 
 
 def test_triangles_are_not_many_more_than_of_a_dense_grid(field, dense):

@@ -11,17 +11,10 @@ from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import expand_codes
 from diamond_entries import error_index, range_index
 from fields import ranges_of, split_points
+from own_surface import bilinear
 
 # Vertices are in half samples: the centres of raster cells then have integer coordinates.
 ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))
-
-
-def bilinear(samples, x, y):
-    """Return heights of the reference surface at arrays of sample coordinates."""
-    i = np.clip(np.floor(x).astype(int), 0, samples.shape[1] - 2)
-    j = np.clip(np.floor(y).astype(int), 0, samples.shape[0] - 2)
-    u, v, h = x - i, y - j, np.asarray(samples, np.float64)
-    return (1 - v) * ((1 - u) * h[j, i] + u * h[j, i + 1]) + v * ((1 - u) * h[j + 1, i] + u * h[j + 1, i + 1])
 
 
 @cache
@@ -194,10 +187,8 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
             assert wanted[vertex] == 0.0 and children[vertex] <= beyond
             continue
         index = index_of(lattice, vertex, depth)
-        assert (
-            index < lattice.node_count
-            and wanted[vertex] - scale <= errors[index] <= wanted[vertex] * (1 + 2.0**-22) + scale
-        )
+        assert index < lattice.node_count
+        assert wanted[vertex] - scale <= errors[index] <= wanted[vertex] * (1 + 2.0**-22) + scale
         assert own[vertex][1] <= errors[index] + scale  # what dense sampling finds is within the bound
         for child in children[vertex] - beyond:
             inner = index_of(lattice, child, depth_of[child])

@@ -19,6 +19,7 @@ from adaptive_terrain.cbt_terrain.view.view import View
 from fields import mesh_heights, project
 from invariants import arrays, assert_invariants
 from largest_grid import BITS, KNOWN, SIDE, SMALL, corner_terrain, hill_heights
+from own_surface import bilinear
 
 if sys.platform != "linux":
     pytest.skip("memory is surely committed by use on Linux only", allow_module_level=True)
@@ -45,11 +46,7 @@ def field(plain):
 def expected_at(field, places):
     """Return the heights of the bilinear surface at points of the far corner, by numpy."""
     east, north = field.lattice.rectangle()[2:]
-    x, y = (np.asarray(places, np.float64) - (east, north)).T + SIDE * SMALL
-    i, j = (np.clip(at.astype(int), 0, SIDE * SMALL - 1) for at in (x, y))
-    s, t = x - i, y - j
-    south = HEIGHTS[j, i] * (1 - s) + HEIGHTS[j, i + 1] * s
-    return south * (1 - t) + (HEIGHTS[j + 1, i] * (1 - s) + HEIGHTS[j + 1, i + 1] * s) * t
+    return bilinear(HEIGHTS, *((np.asarray(places, np.float64) - (east, north)).T + SIDE * SMALL))
 
 
 def places_in_corner(field, count, seed, reach=1.2 * HILLS):

@@ -26,10 +26,9 @@ from adaptive_terrain.cbt_terrain.importing.import_report import describe
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import contents, mesh_heights, reference_heights
+from fields import contents
 from finer_fields import KNOWN, dense_field, dense_heights, dense_raster, finer_store
-from finer_views import assert_bounds_in_random_views
-from invariants import assert_invariants
+from finer_views import assert_bound_in_metres, assert_bounds_in_random_views, places_on
 
 HILL = Entry("hill", {"east": 1300.0, "north": 1500.0, "radius": 700.0})
 # Snow lies where rivers have left sediment.
@@ -75,19 +74,11 @@ def country(tmp_path_factory):
 
 
 def known_places(field, count, seed):
-    """Return points of the terrain's space, half of them in tiles, at finer samples and between them."""
-    rng, tiles, lattice = np.random.default_rng(seed), field.raster.finer, field.lattice
-    low, high = np.split(np.array(lattice.rectangle()), 2)
-    side = SIDE * lattice.step_x / (1 << tiles.bits)
-    rows, columns = np.nonzero(tiles.numbers >= 0)
-    some = rng.integers(len(rows), size=count)
-    near = low + (np.stack([columns[some], rows[some]], 1) + rng.random((count, 2))) * side
-    near[::3] = low + np.round((near[::3] - low) * (SIDE / side)) * (side / SIDE)
-    found = np.concatenate([low + rng.random((count, 2)) * (high - low), near])
-    found = found[((found >= low) & (found <= high)).all(axis=1)]
+    """Return `places_on` a field outside of its holes."""
+    found, lattice = places_on(field, count, seed), field.lattice
     if field.valid is None:
         return found
-    cells = ((found - low) // (lattice.step_x, lattice.step_y)).astype(int)
+    cells = ((found - lattice.rectangle()[:2]) // (lattice.step_x, lattice.step_y)).astype(int)
     i, j = np.minimum(cells, (lattice.cells_x - 1, lattice.cells_y - 1)).T
     corners = [field.valid[j + down, i + across] for down in (0, 1) for across in (0, 1)]
     return found[np.all(corners, axis=0)]
@@ -187,14 +178,7 @@ def test_bounds_hold_in_random_views(unbroken, meshlet):
 @pytest.mark.parametrize("has_hole", [True, pytest.param(False, marks=pytest.mark.thorough)])
 def test_bound_in_metres_holds_over_the_whole_mesh(request, shaped, has_hole):
     field = open_store(shaped) if has_hole else request.getfixturevalue("unbroken")
-    dense, places = dense_field(field), known_places(field, 20_000, 3)
-    for error_m in (3.0, 1.0):
-        update = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
-        off = np.abs(mesh_heights(update.surface, places) - reference_heights(dense, places))
-        assert off.max() <= update.bound_m and update.bound_m <= error_m * (1 + 1e-6)
-        assert off.max() > 0.2 * error_m
-        if not has_hole:
-            assert_invariants(update.surface, field.lattice)
+    assert_bound_in_metres(field, dense_field(field), known_places(field, 20_000, 3), (3.0, 1.0))
 
 
 def files_of(path):

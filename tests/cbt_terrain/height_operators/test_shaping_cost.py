@@ -4,11 +4,9 @@
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.lattice import fit
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, read_json
+from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
 from adaptive_terrain.cbt_terrain.height_operators import shaping_cost
 from adaptive_terrain.cbt_terrain.height_operators.derived_store import Land
 from adaptive_terrain.cbt_terrain.height_operators.preview import preview
@@ -17,6 +15,7 @@ from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import all_tiles
 from finer_fields import KNOWN, finer_store
 from land_effects import bumpy
+from rasters import store_heights
 
 FACTOR = 4.0  # between estimate and measurement
 RIVERS, RELIEF = Stack((Entry("rivers"), Entry("scree"))), Stack((Entry("relief"),))
@@ -46,12 +45,7 @@ def test_land_in_one_piece_is_chosen_where_it_costs_less(side, stack, whole):
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     """Build a store of 700 x 700 samples, 16 m apart; return its folder."""
-    path = tmp_path_factory.mktemp("stores") / "bumpy"
-    draft = Draft(path)
-    samples = draft.allocate("samples", (700, 700), np.float32)
-    samples[:] = 20.0 * bumpy(700, 700)
-    draft.publish(build(samples, 16.0, 16.0, missing=0, allocate=draft.allocate), "bumpy", {})
-    return str(path)
+    return str(store_heights(tmp_path_factory.mktemp("stores") / "bumpy", 20.0 * bumpy(700, 700), 16.0))
 
 
 def shape(source: str, stack: Stack) -> tuple[str, float]:
@@ -62,24 +56,28 @@ def shape(source: str, stack: Stack) -> tuple[str, float]:
     return land.folder, time.monotonic() - start
 
 
-def test_the_preview_is_the_first_calibration(source):
-    stack = Stack((Entry("scree"), Entry("relief")))
+def estimated_by_preview(source: str, stack: Stack) -> float:
+    """Return the seconds that shaping should take after a preview."""
     shown = preview(open_store(source), stack)
-    estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
+    return shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
+
+
+def assert_estimated(estimate: float, source: str, stack: Stack) -> None:
+    """Assert that shaping takes about as long as was estimated."""
     _, seconds = shape(source, stack)
     print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
     assert seconds / FACTOR < estimate < seconds * FACTOR
+
+
+def test_the_preview_is_the_first_calibration(source):
+    stack = Stack((Entry("scree"), Entry("relief")))
+    assert_estimated(estimated_by_preview(source, stack), source, stack)
 
 
 def test_finer_tiles_are_part_of_the_estimate(tmp_path):
     """Their errors take most of the time."""
-    source = str(finer_store(tmp_path / "city", 97, 130, 4, KNOWN))
-    stack = Stack((Entry("scree"),))
-    shown = preview(open_store(source), stack)
-    estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
-    _, seconds = shape(source, stack)
-    print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
-    assert seconds / FACTOR < estimate < seconds * FACTOR
+    source, stack = str(finer_store(tmp_path / "city", 97, 130, 4, KNOWN)), Stack((Entry("scree"),))
+    assert_estimated(estimated_by_preview(source, stack), source, stack)
 
 
 def test_earlier_land_is_the_better_calibration(source):
@@ -93,9 +91,7 @@ def test_earlier_land_is_the_better_calibration(source):
         spent[one["effect"]] += one["ms"] / 1e3
     expected = content["report"]["seconds"] + spent["scree"]
     assert estimate == pytest.approx(expected, rel=1e-6)
-    _, seconds = shape(source, twice)
-    print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
-    assert seconds / FACTOR < estimate < seconds * FACTOR
+    assert_estimated(estimate, source, twice)
 
 
 def test_nothing_is_estimated_without_measurement(source, tmp_path):

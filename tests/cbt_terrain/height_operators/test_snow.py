@@ -8,6 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.height_operators import levels, snow
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
+from own_surface import bilinear
 from rasters import hills
 
 VALUES = snow.SNOW.defaults() | {"line": 500.0}
@@ -29,10 +30,7 @@ def horizons(heights, step_x, step_y, azimuth):
     for metres in np.arange(0.5, math.hypot(rows * step_y, columns * step_x) / step_x, 0.5) * step_x:
         u, v = x + azimuth[0] * metres / step_x, y + azimuth[1] * metres / step_y
         inside = (u >= 0) & (u <= columns - 1) & (v >= 0) & (v <= rows - 1)
-        i, j = np.clip(u.astype(int), 0, columns - 2), np.clip(v.astype(int), 0, rows - 2)
-        f, g = u - i, v - j
-        low, high = z[j, i] * (1 - f) + z[j, i + 1] * f, z[j + 1, i] * (1 - f) + z[j + 1, i + 1] * f
-        rise = (low * (1 - g) + high * g - z) / metres
+        rise = (bilinear(z, u, v) - z) / metres
         out = np.where(inside, np.maximum(out, rise), out)
     return out
 

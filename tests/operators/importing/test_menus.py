@@ -107,9 +107,21 @@ def write_tiles(folder):
     ]
 
 
-def test_several_files_become_one_terrain(scene, tmp_path):
+@pytest.fixture
+def files(scene, tmp_path):
+    """Save the scene, and write three tiles from west to east."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    files = write_tiles(tmp_path / "tiles")
+    return write_tiles(tmp_path / "tiles")
+
+
+@pytest.fixture
+def first(files):
+    """Return the terrain of the first tile."""
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
+    return bpy.context.object
+
+
+def test_several_files_become_one_terrain(files, tmp_path):
     chosen = {"directory": str(tmp_path / "tiles"), "files": [{"name": file.name} for file in files]}
     assert bpy.ops.mesh.adaptive_terrain_from_file(**chosen) == {"FINISHED"}
     terrain = bpy.context.object
@@ -128,9 +140,7 @@ def test_several_files_become_one_terrain(scene, tmp_path):
     assert [bpy.path.abspath(item.path) for item in saved.more_sources] == list(map(str, files[1:]))
 
 
-def test_a_folder_becomes_one_terrain(scene, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    write_tiles(tmp_path / "tiles")
+def test_a_folder_becomes_one_terrain(files, tmp_path):
     assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "tiles") + "/") == {"FINISHED"}
     assert bpy.context.object.name == "tiles"
     assert imported_of(bpy.context.object.adaptive_terrain).raster == (60, 20)
@@ -139,11 +149,10 @@ def test_a_folder_becomes_one_terrain(scene, tmp_path):
     assert {"<band>", "<encoding>", "<cell>"} <= set(layout.texts)
 
 
-def test_an_archive_of_tiles_becomes_one_terrain(scene, tmp_path):
+def test_an_archive_of_tiles_becomes_one_terrain(files, tmp_path):
     """Its panel has the options of one file and of several, since nothing in Blender looks into an archive."""
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     with zipfile.ZipFile(tmp_path / "valley.zip", "w") as archive:
-        for file in write_tiles(tmp_path / "tiles"):
+        for file in files:
             archive.write(file, file.name)
     assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "valley.zip")) == {"FINISHED"}
     terrain = bpy.context.object
@@ -158,12 +167,8 @@ def test_an_archive_of_tiles_becomes_one_terrain(scene, tmp_path):
     assert imported_of(settings).step_m == pytest.approx((20.0, 20.0))
 
 
-def test_tiles_are_added_to_a_terrain(scene, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    files = write_tiles(tmp_path / "tiles")
-    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
-    terrain = bpy.context.object
-    settings = terrain.adaptive_terrain
+def test_tiles_are_added_to_a_terrain(files, first, tmp_path):
+    terrain, settings = first, first.adaptive_terrain
     settings.holes = True
     chosen = {"directory": str(tmp_path / "tiles"), "files": [{"name": file.name} for file in files]}
     assert bpy.ops.adaptive_terrain.add_tiles(**chosen) == {"FINISHED"}
@@ -179,13 +184,9 @@ def test_tiles_are_added_to_a_terrain(scene, tmp_path):
 
 
 @pytest.mark.parametrize("end", ["fails", "is cancelled"])
-def test_tiles_are_removed_if_their_later_import_stops(scene, tmp_path, end):
+def test_tiles_are_removed_if_their_later_import_stops(files, first, tmp_path, end):
     """The import runs beside the window and stops after its first step."""
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    files = write_tiles(tmp_path / "tiles")
-    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
-    terrain = bpy.context.object
-    settings = terrain.adaptive_terrain
+    terrain, settings = first, first.adaptive_terrain
     settings.more_sources.add().path = str(files[1])
     store = settings.store
     bad = tmp_path / "bad.tif"
@@ -199,14 +200,10 @@ def test_tiles_are_removed_if_their_later_import_stops(scene, tmp_path, end):
     assert settings.store == store and imported_of(settings).raster == (20, 20)
 
 
-def test_tiles_that_an_undo_removes_meanwhile_are_listed(scene, tmp_path):
+def test_tiles_that_an_undo_removes_meanwhile_are_listed(files, first):
     """Adding is one step for Undo, at the end of the import; an earlier step restores the list without the tiles."""
     assert "UNDO" in ImportTiles.bl_options and "UNDO" not in AddTiles.bl_options
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    files = write_tiles(tmp_path / "tiles")
-    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
-    terrain = bpy.context.object
-    settings = terrain.adaptive_terrain
+    terrain, settings = first, first.adaptive_terrain
     operator = running(ImportTiles, terrain, tiles=[SimpleNamespace(name=str(files[1]))])
     settings.more_sources.clear()
     assert to_the_end(operator) == {"FINISHED"}
@@ -228,12 +225,9 @@ def test_the_number_of_hidden_files_is_at_least_two(scene, count, expected):
     assert layout.texts.count("<path>") == (5 if count == 5 else 4)
 
 
-def test_a_dialog_adds_tiles_to_the_terrain_of_its_button(scene, tmp_path):
+def test_a_dialog_adds_tiles_to_the_terrain_of_its_button(scene, files, first):
     """Another object is active: the panel shows the scene's only terrain."""
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    files = write_tiles(tmp_path / "tiles")
-    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
-    terrain, cube = bpy.context.object, bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    terrain, cube = first, bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
     scene.collection.objects.link(cube)
     operator = RunningOperator(operator_class=AddTiles, report=Mock(), filepath=str(files[1]), files=[])
     remember_object(operator, bpy.context)

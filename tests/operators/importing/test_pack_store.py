@@ -22,6 +22,13 @@ def absolute(terrain) -> Path:
     return Path(bpy.path.abspath(terrain.adaptive_terrain.store)).resolve()
 
 
+def save_and_pack(folder: Path) -> None:
+    """Save the open file as valley.blend in a folder, and pack its stores."""
+    folder.mkdir(exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "valley.blend"))
+    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+
+
 def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terrain, store, tmp_path):
     one, two = add_terrain("One"), add_terrain("Two")
     assert not bpy.ops.adaptive_terrain.pack_store.poll(), "an unsaved file has no place"
@@ -50,9 +57,7 @@ def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
     original = Path(terrain.adaptive_terrain.store)
     [shaped] = [path.parent for path in land_folder.folder_beside(str(original)).glob("*/store.json")]
     key, count = open_store(shaped).key, derived_store.counts["stores"]
-    (tmp_path / "here").mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
-    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    save_and_pack(tmp_path / "here")
     packed = land_folder.folder_beside(str(absolute(terrain))) / shaped.name
     assert open_store(packed).key == key and shaped.is_dir()
     bpy.ops.wm.save_mainfile()
@@ -79,9 +84,7 @@ def test_land_of_a_shot_is_packed_with_its_tiles(terrain, tmp_path):
     add("scree", depth=80.0)
     folder, tiles = folder_of_land(terrain, of_views=True), [{0: 0.5}, {}]
     requested_tiles.note(str(folder), tiles)
-    (tmp_path / "here").mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
-    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    save_and_pack(tmp_path / "here")
     packed = land_folder.folder_beside(str(absolute(terrain))) / folder.name
     assert open_store(packed) and requested_tiles.read_requested(str(packed)) == tiles
 
@@ -105,18 +108,14 @@ def test_damaged_land_is_no_hindrance(terrain, tmp_path):
     add("scree", depth=80.0)
     [file] = folder_of_land(terrain, of_views=False).glob("data-*/samples.npy")
     file.write_bytes(b"half")
-    (tmp_path / "here").mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
-    assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
+    save_and_pack(tmp_path / "here")
     assert open_store(absolute(terrain)) and not land_folder.folder_beside(str(absolute(terrain))).exists()
 
 
 def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, tmp_path):
     """A terrain that is called like one before it packs into a folder with a number."""
-    (tmp_path / "here").mkdir()
     add_terrain()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
-    bpy.ops.adaptive_terrain.pack_store()
+    save_and_pack(tmp_path / "here")
     terrain = bpy.data.objects["Terrain"]
     first, key = absolute(terrain), open_store(absolute(terrain)).key
     terrain.name = "Valley"
@@ -139,9 +138,7 @@ def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, 
 @pytest.mark.parametrize("saved", [True, False])
 def test_an_appended_terrain_finds_its_store(scene, add_terrain, tmp_path, saved):
     terrain, library = add_terrain(), tmp_path / "library" / "valley.blend"
-    library.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(library))
-    bpy.ops.adaptive_terrain.pack_store()
+    save_and_pack(library.parent)
     folder = absolute(terrain)
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -156,8 +153,7 @@ def test_an_appended_terrain_finds_its_store(scene, add_terrain, tmp_path, saved
 def test_a_terrain_that_is_copied_and_pasted_keeps_its_path(scene, add_terrain, tmp_path):
     """Blender appends it from a file elsewhere, beside which there is no store."""
     terrain, buffer = add_terrain(), tmp_path / "buffer" / "copybuffer.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
-    bpy.ops.adaptive_terrain.pack_store()
+    save_and_pack(tmp_path)
     buffer.parent.mkdir()
     bpy.data.libraries.write(str(buffer), {terrain})
     with bpy.data.libraries.load(str(buffer)) as (_there, here):
@@ -167,8 +163,7 @@ def test_a_terrain_that_is_copied_and_pasted_keeps_its_path(scene, add_terrain, 
 
 def test_an_absolute_path_beside_the_file_becomes_relative(scene, add_terrain, tmp_path):
     terrain = add_terrain()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
-    bpy.ops.adaptive_terrain.pack_store()
+    save_and_pack(tmp_path)
     folder = absolute(terrain)
     terrain.adaptive_terrain.store = str(folder)
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
@@ -189,8 +184,7 @@ def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):
     """Save As, a copy, and a reload of both: each file names the same store by a different relative path."""
     (tmp_path / "there" / "deep").mkdir(parents=True)
     add_terrain()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
-    bpy.ops.adaptive_terrain.pack_store()
+    save_and_pack(tmp_path)
     terrain = bpy.data.objects["Terrain"]
     folder = absolute(terrain)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "copy.blend"), copy=True)

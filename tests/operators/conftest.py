@@ -2,7 +2,7 @@
 """The fixtures for Blender are shared with the hard cases. Children of the extension are forked."""
 
 import pytest
-from blender_scenes import add_terrain, empty, grid_surface, imports_here, preparing, scene, store  # noqa: F401
+from blender_scenes import add_terrain, empty, factory, grid_surface, imports_here, preparing, scene, store  # noqa: F401
 from forked_children import fork_children  # noqa: F401
 from ground_scenes import askew, hills_store  # noqa: F401
 from land_scenes import first_shaped, shaped, terrain, wide_store  # noqa: F401

@@ -61,6 +61,15 @@ def store(tmp_path_factory):
 
 
 @pytest.fixture
+def factory(empty):
+    """Open the start-up file with its cube, lamp and camera."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    return bpy.context.scene
+
+
+@pytest.fixture
 def scene(empty, monkeypatch):
     """Open an empty file with a camera that looks at the middle from the south, 640 x 360 pixels.
 

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import bpy
+import pytest
 from adaptive_terrain.cbt_terrain.importing import import_process, refining
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
@@ -19,7 +20,8 @@ from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
 
-def add_large_terrain(scene, add_terrain, tmp_path, monkeypatch):
+@pytest.fixture(name="terrain")
+def large_terrain(scene, add_terrain, tmp_path, monkeypatch):
     """Add and return a turned and scaled terrain of 200 x 150 samples, of which 600 count as quick, to a saved file."""
     monkeypatch.setattr(import_terrain, "QUICK_SAMPLES", 600)
     heights = hills(200, 150)
@@ -90,7 +92,8 @@ def tiles_of(terrain):
     return set(imported.settings["loaded_tiles"]) if imported is not None and imported.refined_m else set()
 
 
-def hold_import(monkeypatch, terrain):
+@pytest.fixture(name="held")
+def held_import(monkeypatch, terrain):
     """Begin an import whose complete step is held, with tiles of 16 x 16 cells; return the operator of it."""
     for name, value in (("FEWEST", 1), ("FACTOR", 2), ("BITS", 4)):
         monkeypatch.setattr(refining, name, value)
@@ -100,4 +103,5 @@ def hold_import(monkeypatch, terrain):
     look_down(terrain, -600.0, -300.0)
     operator = running(import_terrain.ImportTerrain, terrain)
     until(operator, lambda: tiles_of(terrain) and jobs.find(jobs.IMPORT, terrain).message == "Reading")
-    return operator
+    yield operator
+    assert not jobs.running, "an import that is left would hold later tests"

@@ -31,23 +31,12 @@ from adaptive_terrain.operators.land import render_wait
 from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_row
 from drawn_panels import DrawnLayout
-from held_imports import HeldImport, add_large_terrain, hold_import, look_down, store_of, tiles_of, until
+from held_imports import HeldImport, held_import, large_terrain, look_down, store_of, tiles_of, until  # noqa: F401
 from modal_runs import RunningOperator, running, to_the_end, turn
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
 LOADED = "Loaded to 79.6 m of 10 m"
-
-
-@pytest.fixture
-def terrain(scene, add_terrain, tmp_path, monkeypatch):
-    return add_large_terrain(scene, add_terrain, tmp_path, monkeypatch)
-
-
-@pytest.fixture
-def held(monkeypatch, terrain):
-    yield hold_import(monkeypatch, terrain)
-    assert not jobs.running, "an import that is left would hold later tests"
 
 
 @pytest.fixture

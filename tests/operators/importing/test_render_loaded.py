@@ -10,19 +10,8 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.importing import render_loaded
 from adaptive_terrain.operators.importing.imported import loaded_text
-from held_imports import HeldImport, add_large_terrain, hold_import, look_down, store_of, tiles_of, until
+from held_imports import HeldImport, held_import, large_terrain, look_down, store_of, tiles_of, until  # noqa: F401
 from modal_runs import RunningOperator, to_the_end, turn
-
-
-@pytest.fixture
-def terrain(scene, add_terrain, tmp_path, monkeypatch):
-    return add_large_terrain(scene, add_terrain, tmp_path, monkeypatch)
-
-
-@pytest.fixture
-def held(monkeypatch, terrain):
-    yield hold_import(monkeypatch, terrain)
-    assert not jobs.running, "an import that is left would hold later tests"
 
 
 @pytest.fixture

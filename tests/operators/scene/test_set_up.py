@@ -18,13 +18,6 @@ from rendered_pictures import pixels_of
 SET_UP = bpy.ops.adaptive_terrain
 
 
-@pytest.fixture
-def factory(empty):
-    """Open the start-up file with its cube, lamp and camera."""
-    bpy.ops.wm.read_homefile(use_factory_startup=True)
-    return bpy.context.scene
-
-
 def made(scene):
     return sorted(f"{item.type} {item.name}" for item in (find_built(scene, role) for role in (SUN, CAMERA)))
 

@@ -18,13 +18,6 @@ def in_window(monkeypatch):
     monkeypatch.setattr(camera_source, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
 
 
-@pytest.fixture
-def factory(empty):
-    """Open the start-up file with its camera."""
-    bpy.ops.wm.read_homefile(use_factory_startup=True)
-    return bpy.context.scene
-
-
 def test_the_start_up_files_camera_is_not_placed(factory, add_terrain):
     terrain = add_terrain()
     assert not is_placed(None, terrain) and not is_placed(factory.camera, terrain)

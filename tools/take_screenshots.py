@@ -6,7 +6,6 @@ the panel, and the first evening. The script needs root and some minutes, for th
 extension and installs it into a folder that is removed at the end.
 """
 
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,7 +16,7 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 import numpy as np  # noqa: E402
 import program_window  # noqa: E402
 from PIL import Image  # noqa: E402
-from real_program import Program, lend_kernels, read_dem, write_dem  # noqa: E402
+from real_program import Program, build_zip, lend_kernels, read_dem, write_dem  # noqa: E402
 
 # The size of the window and the pictures of each scene of screenshot_scenes.py.
 EVENING = tuple(f"evening_{name}" for name in ("import", "scene", "water", "scatter", "trees", "picture"))
@@ -85,10 +84,7 @@ def write_alps(path: Path) -> None:
 def install(program: Program, folder: Path) -> None:
     """Build the extension's zip, install and enable it, without a splash screen."""
     (folder / "user").mkdir()
-    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", folder]
-    command += ["--blender", *program.command()]
-    subprocess.run(command, check=True, cwd=ROOT, env=program.environment())
-    [path] = folder.glob("*.zip")
+    path = build_zip(program, folder)
     program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", path)
     quiet = "import bpy; bpy.context.preferences.view.show_splash = False; bpy.ops.wm.save_userpref()"
     program.run("-b", "--python-expr", quiet)

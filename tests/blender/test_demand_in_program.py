@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Demand in the real program, where a click removes an effect."""
 
-from pathlib import Path
-
 import pytest
 from window_report import run_in_window
 
-SUPPORT = Path(__file__).resolve().parents[1] / "support"
-
 
 def test_the_cases_of_demand_hold(program):
-    report = program.script("demand_cases.py", SUPPORT)
+    report = program.script("demand_cases.py")
     assert report["failed"] == []
     assert report["held"] >= 58
 

@@ -15,7 +15,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from program_window import window
-from real_program import SCRIPTS, processes
+from real_program import PATHS, SCRIPTS, processes
 
 FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
 SCRIPT = SCRIPTS / "long_runs.py"
@@ -147,7 +147,9 @@ def test_one_program_renders_while_another_imports(program, shot, tmp_path):
     running = {}
     for name, acts in counts.items():
         (tmp_path / name).mkdir()
-        command = program.command("-b", shot, "--python", SCRIPT, "--", tmp_path / name, json.dumps(acts))
+        command = program.command(
+            "-b", shot, "--python-expr", PATHS, "--python", SCRIPT, "--", tmp_path / name, json.dumps(acts)
+        )
         log = open(tmp_path / name / "log", "w")
         running[name] = subprocess.Popen(command, env=program.environment(), stdout=log, stderr=subprocess.STDOUT)
     for name, process in running.items():

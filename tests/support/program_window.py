@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from real_program import PATHS
 
 SCREEN = 1600, 1000
 # x, y, width and height. A window is drawn by software, which is most of its time: one of all the screen takes twice.
@@ -37,7 +38,7 @@ def window(program, arguments: list, framebuffer: Path, kernels: Path | None = N
         socket = Path(f"/tmp/.X11-unix/X{display[1:]}")
         wait_for(socket, xvfb)
         log = open(framebuffer / "blender.log", "w")
-        opened = ["--enable-event-simulate", "--window-geometry", *place, "--python-expr", RESTS]
+        opened = ["--enable-event-simulate", "--window-geometry", *place, "--python-expr", f"{PATHS}; {RESTS}"]
         command = program.command(*opened, *arguments)
         blender = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
         yield blender

@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = ROOT / "tests" / "blender" / "scripts"
+SUPPORT, SCRIPTS = ROOT / "tests" / "support", ROOT / "tests" / "blender" / "scripts"
+# Puts the modules that scripts import on the path; Blender does not look beside a script.
+PATHS = f"import sys; sys.path += {[str(SUPPORT), str(SCRIPTS)]}"
 MARK = "RESULT "
 EXTENSION = "bl_ext.user_default.adaptive_terrain"
 # Kernels that the program compiles itself, as in a fresh install: of a requested effect, and in the test
@@ -54,18 +56,20 @@ class Program:
 
     def script(self, name: str, *arguments: str, blend: Path | None = None, timeout: float = 300) -> dict:
         """Run a script of tests/blender/scripts without a window; returns the JSON that it prints after RESULT."""
-        [result] = self.scripts([name], *arguments, blend=blend, timeout=timeout)
-        return result
-
-    def scripts(self, names: list[str], *arguments: str, blend: Path | None = None, timeout: float = 300) -> list[dict]:
-        """Run scripts one after the other in one program, with the same arguments; returns what each prints."""
-        command = ["-b", *([blend] if blend else []), "--python-exit-code", "1"]
-        for name in names:
-            command += ["--python", SCRIPTS / name]
-        output = self.run(*command, "--", *arguments, timeout=timeout)
+        command = ["-b", *([blend] if blend else []), "--python-exit-code", "1", "--python-expr", PATHS]
+        output = self.run(*command, "--python", SCRIPTS / name, "--", *arguments, timeout=timeout)
         results = [line for line in output.splitlines() if line.startswith(MARK)]
-        assert len(results) == len(names), output
-        return [json.loads(line[len(MARK) :]) for line in results]
+        assert len(results) == 1, output
+        return json.loads(results[0][len(MARK) :])
+
+
+def build_zip(program: Program, output: Path) -> Path:
+    """Build the zip for this platform and the program's Python; the real program validates and packs it."""
+    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", output]
+    command += ["--blender", *program.command()]
+    subprocess.run(command, check=True, cwd=ROOT, env=program.environment())
+    [path] = output.glob("*.zip")
+    return path
 
 
 def lend_kernels(cache: Path, *missing: str) -> None:
@@ -108,13 +112,7 @@ def bare_program(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def extension_zip(bare_program, tmp_path_factory):
-    """Build the zip for this platform and the program's Python; the real program validates and packs it."""
-    output = tmp_path_factory.mktemp("extension")
-    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", output]
-    command += ["--blender", *bare_program.command()]
-    subprocess.run(command, check=True, cwd=ROOT, env=bare_program.environment())
-    [path] = output.glob("*.zip")
-    return path
+    return build_zip(bare_program, tmp_path_factory.mktemp("extension"))
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,7 @@ import sys
 from pathlib import Path
 
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import parts, picture, take_steps, until  # noqa: E402
+from window_steps import parts, picture, take_steps, until
 
 EXTENSION = "bl_ext.user_default.adaptive_terrain"
 result = {}

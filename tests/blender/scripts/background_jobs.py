@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake, pack and measure beside the window: cancelled, finished, and ended by a file and by disabling: FOLDER."""
 
-import sys
 import threading
-from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.operators import jobs
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, parts, take_steps, terrain, until  # noqa: E402
+from window_steps import folder, parts, take_steps, terrain, until
 
 result = {}
 operators = bpy.ops.adaptive_terrain

@@ -4,14 +4,10 @@
 Run with a window and --enable-event-simulate. Blender's own Esc, which ends the render too, sees only real keys.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import module, run, take_steps, terrain, until  # noqa: E402
+from window_steps import module, run, take_steps, terrain, until
 
 SIDE = 32_000.0  # metres: of the island itself
 result = {"version": bpy.app.version_string, "ended": [], "said": []}

@@ -4,14 +4,9 @@
 Run with --enable-event-simulate.
 """
 
-import sys
-from pathlib import Path
-
 import bpy
 from bpy_extras import view3d_utils
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import click, module, only_open, parts, picture, run, show_tab, take_steps, until  # noqa: E402
+from window_steps import click, module, only_open, parts, picture, run, show_tab, take_steps, until
 
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_on_ground"}
 result = {"version": bpy.app.version_string}

@@ -6,15 +6,11 @@ Run with a window and --enable-event-simulate.
 
 import os
 import signal
-import sys
 import time
-from pathlib import Path
 
 import bpy
 import mathutils
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import WAIT_S, module, only_open, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
+from window_steps import WAIT_S, module, only_open, parts, picture, show_tab, take_steps, terrain, until
 
 SIDE = 32_000.0  # metres: of the island itself
 SAMPLES = 601  # along each side: 3 x 3 tiles

@@ -9,22 +9,19 @@ import math
 import sys
 import threading
 import time
-from pathlib import Path
 
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import click, folder, module, parts, picture, show_tab, take_steps, terrain, until  # noqa: E402
+from window_steps import click, folder, module, parts, picture, run, show_tab, take_steps, terrain, until
 
 # Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
 FIRST_BUTTON_BELOW_TOP = 40
 SMALL = 257  # samples a side
-[warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.run.warmup")]
-[subjects] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.subject")]
-[timed_runs] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.timed_runs")]
-[measuring] = [module for name, module in sys.modules.items() if name.endswith("operators.accuracy.measure")]
-[session] = [module for name, module in sys.modules.items() if name.endswith("operators.session.session")]
-[jobs] = [module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.jobs")]
+warmup = module("cbt_terrain.run.warmup")
+subjects = module("operators.accuracy.subject")
+timed_runs = module("cbt_terrain.accuracy.timed_runs")
+measuring = module("operators.accuracy.measure")
+session = module("operators.session.session")
+jobs = module("operators.jobs")
 settings_for = subjects.settings_for
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
 # Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.
@@ -45,8 +42,7 @@ def turns_beside(operator, module, name: str, count: int):
     """
     gate, function, turns = threading.Event(), getattr(module, name), 0
     setattr(module, name, lambda *given, **named: (gate.wait(300.0), function(*given, **named))[1])
-    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        operator("INVOKE_DEFAULT")
+    run(operator, "INVOKE_DEFAULT")
     while not operator.poll():
         turns += 1
         if turns > count:
@@ -124,8 +120,7 @@ def measure_accuracy():
     module("cbt_terrain.accuracy.rows").MAX_SPREAD = math.inf
     # too many errors to finish before the stop, even on a busy machine
     errors, measuring.PIXELS = measuring.PIXELS, tuple(16.0 * 0.999**i for i in range(4000))
-    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        operators.measure_accuracy("INVOKE_DEFAULT")
+    run(operators.measure_accuracy, "INVOKE_DEFAULT")
     yield 0.5
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         result["could_cancel_measuring"] = operators.cancel_job.poll()
@@ -161,8 +156,7 @@ def write_a_report():
     scroll_panel(10_000)
     report = folder / "reports" / terrain().name / "index.html"
     meshes = len(bpy.data.meshes)
-    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        operators.sweep_accuracy("INVOKE_DEFAULT")
+    run(operators.sweep_accuracy, "INVOKE_DEFAULT")
     yield 1.0
     yield from picture("sweeping")
     operators.cancel_job(kind="MEASURE")
@@ -229,8 +223,7 @@ def bake_with_fit():
     result["baked"] = {}
     settings.bake_error_m = 0.005
     for settings.bake_fit in (False, True):
-        with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-            bpy.ops.adaptive_terrain.bake()
+        run(bpy.ops.adaptive_terrain.bake)
         assert source.hide_get() and source.hide_render, "the mesh is in its place"
         [baked] = [item for item in bpy.data.objects if "baked" in item.name]
         result["baked"][str(settings.bake_fit)] = len(baked.data.polygons)
@@ -246,8 +239,7 @@ def show_the_error():
     settings = terrain().adaptive_terrain
     settings.live, settings.overlay = True, "ERROR"
     yield from until(lambda: "error_px" in terrain().data.attributes)
-    with bpy.context.temp_override(window=parts()[0], area=parts()[1], screen=parts()[0].screen):
-        bpy.ops.adaptive_terrain.show_overlay()
+    run(bpy.ops.adaptive_terrain.show_overlay)
     yield 1.0
     result["error_px"] = max(item.value for item in terrain().data.attributes["error_px"].data)
     yield from picture("measured")
@@ -283,8 +275,7 @@ def cancel_an_import():
     settings = terrain().adaptive_terrain
     before, settings.island_size = settings.island_size, 4097
     result["store"] = settings.store
-    with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
+    run(bpy.ops.adaptive_terrain.import_source, "INVOKE_DEFAULT")
     result["import_runs_beside"] = jobs.find(jobs.IMPORT, terrain()) is not None
     # stop it far from its end, in one turn
     yield from until(lambda: not (job := jobs.find(jobs.IMPORT, terrain())) or job.fraction > 0.0)

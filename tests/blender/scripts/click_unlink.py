@@ -4,15 +4,10 @@
 Argument: a folder for the result. The window is a Shader Editor; the terrain follows its settings by itself.
 """
 
-import sys
-from pathlib import Path
-
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from bl_ext.user_default.adaptive_terrain.operators.session import session
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import picture, take_steps, terrain, until  # noqa: E402
+from window_steps import picture, take_steps, terrain, until
 
 result = {"version": bpy.app.version_string}
 

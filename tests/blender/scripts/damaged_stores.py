@@ -11,9 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "support"))
-from mutants import mutate  # noqa: E402
+from mutants import mutate
 
 
 def arrays(mesh) -> tuple[bytes, bytes]:

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run the cases of demand in the real program, and print the failures. Argument: the folder with the cases."""
+"""Run the cases of demand in the real program, and print the failures."""
 
 import json
-import sys
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.operators.bridge.demand.demand import find_demand
-
-[support] = sys.argv[sys.argv.index("--") + 1 :]
-sys.path.insert(0, support)
-from demand_cases import CASES  # noqa: E402
+from demand_cases import CASES
 
 
 def demanded(obj, mode="RENDER"):

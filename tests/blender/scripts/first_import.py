@@ -5,12 +5,9 @@ The report has the viewport's place and view after the import, and with the clip
 """
 
 import sys
-from pathlib import Path
 
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, parts, take_steps, until, write_json  # noqa: E402
+from window_steps import folder, parts, take_steps, until, write_json
 
 file = sys.argv[-1]
 

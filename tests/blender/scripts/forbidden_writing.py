@@ -4,14 +4,10 @@
 The engine's call begins while the header is drawn, and ends after that.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import module, parts, run, take_steps, terrain, until  # noqa: E402
+from window_steps import module, parts, run, take_steps, terrain, until
 
 result = {"version": bpy.app.version_string, "writes": [], "rendered": []}
 state = {"drawing": False, "in_header": False, "rendering": False, "ended": False}

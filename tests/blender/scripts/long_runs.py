@@ -15,14 +15,12 @@ import traceback
 from pathlib import Path
 
 import bpy
+import window_steps
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
 from bl_ext.user_default.adaptive_terrain.operators import jobs
 from bl_ext.user_default.adaptive_terrain.operators.session import live, session
 from bpy.app.handlers import persistent
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-import window_steps  # noqa: E402
-from window_steps import WAIT_S, parts, terrain, write_json  # noqa: E402
+from window_steps import WAIT_S, parts, terrain, write_json
 
 counts = json.loads(sys.argv[-1])
 until = functools.partial(window_steps.until, pause_s=0.005)

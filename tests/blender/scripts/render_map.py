@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render a map by script and from the file dialog, and write a report: FOLDER."""
 
-import sys
-from pathlib import Path
-
 import bpy
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, module, run, take_steps, terrain, until  # noqa: E402
+from window_steps import folder, module, run, take_steps, terrain, until
 
 jobs = module("operators.jobs")
 result = {"version": bpy.app.version_string, "texts": []}

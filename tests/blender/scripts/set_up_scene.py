@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drop a file into the viewport of a factory scene, set up the scene, select the camera: FOLDER, with dem.png."""
 
-import sys
-from pathlib import Path
-
 import bpy
 from mathutils import Quaternion
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import folder, module, parts, picture, run, take_steps, terrain, until  # noqa: E402
+from window_steps import folder, module, parts, picture, run, take_steps, terrain, until
 
 is_default_view = module("operators.scene.defaults").is_default_view
 follows_viewport = module("operators.terrain.camera_source").follows_viewport

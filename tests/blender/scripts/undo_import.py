@@ -4,16 +4,13 @@
 Run with a window and --enable-event-simulate: Blender handles keys between the turns of a timer.
 """
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.operators import jobs
 from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
-
-sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
-from window_steps import parts, run, take_steps, terrain, until  # noqa: E402
+from window_steps import parts, run, take_steps, terrain, until
 
 result = {}
 # An import may end within one turn of the window. `held` delays its end, as kernels that are still being compiled do.

@@ -4,6 +4,7 @@
 import json
 import math
 import os
+import shutil
 import time
 from dataclasses import replace
 from functools import partial
@@ -23,10 +24,8 @@ from adaptive_terrain.cbt_terrain.run import partial_files
 
 
 @pytest.fixture
-def island(tmp_path):
-    path = tmp_path / "store"
-    run_import(ImportSettings(source="island", size=129), path)
-    return path
+def island(tiny, tmp_path):
+    return shutil.copytree(tiny, tmp_path / "store")
 
 
 @pytest.fixture(scope="module")

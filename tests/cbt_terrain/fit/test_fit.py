@@ -125,7 +125,7 @@ def test_smooth_ground_takes_little_more_than_half_the_triangles(error_m):
     assert fitted.triangles <= 0.65 * base.triangles
 
 
-@pytest.mark.parametrize("error_m", [1.0, 5.0])
+@pytest.mark.parametrize("error_m", [1.0, pytest.param(5.0, marks=pytest.mark.thorough)])
 def test_rough_ground_takes_clearly_fewer_triangles(error_m):
     field = rough(257, 257, seed=2)
     fitted, base = fit(field, error_m), plain(field, error_m)

@@ -316,13 +316,14 @@ def test_bounds_are_finite_where_no_limit_can_be_kept(kind, interpolation):
     rng = np.random.default_rng(7)
     truth = ground("rough", interpolation, rng)
     eye = sample_position(truth.field, 1, 1)
-    for up, morph, meshlet in ((0.0, 1.0, 0), (1e-3, 1.5, 1), (-30.0, 4.0, 0), (900.0, 1.0, 2)):
+    first = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC).index(kind)  # limits take turns, each with two of these views
+    for row, (up, morph, meshlet) in enumerate(((0.0, 1.0, 0), (1e-3, 1.5, 1), (-30.0, 4.0, 0), (900.0, 1.0, 2))):
         where = eye + [0.0, 0.0, up]
         view = View.look(
             where, where + [0.3, 0.2, -1.0], kind=kind, ortho_width=900.0, fov_deg=1e-5, resolution=(10**6, 9)
         )
         limits = {"max_triangles": 0, "morph": morph, "meshlet": meshlet}
-        for tiny in ("error_px", "error_m", "edge_px", "area_px"):
+        for tiny in ("error_px", "error_m", "edge_px", "area_px")[(first + row) % 2 :: 2]:
             request = {"error_px": 1.0, "error_m": 1.0, "edge_px": 8.0, "area_px": 50.0} | {tiny: 1e-30}
             scale = 1e30 if tiny.startswith("error") else 1.0
             found = Terrain(truth.field, 1).update(Criterion(**request, **limits), [view], None, scale)

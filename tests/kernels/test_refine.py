@@ -123,7 +123,8 @@ def test_level_ground_is_walked_as_measuring_does(measures_all, monkeypatch):
     absurd = from_array(np.zeros((65, 65), np.float32)), asked, [view], 0.0, 1e15
     scenes = [
         (field, replace(criterion, max_triangles=min(criterion.max_triangles, 8_000)), *rest)
-        for field, criterion, *rest in level_scenes()
+        for number, (field, criterion, *rest) in enumerate(level_scenes())
+        if number % 8 < 5  # all shapes, kinds of ground and of views
     ]
     same_as_plain([*scenes, absurd], measures_all, monkeypatch)
 

@@ -38,8 +38,13 @@ def test_rounding_of_plane_coordinates_counts_by_the_slope():
         )
 
 
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-@pytest.mark.parametrize("along_x", [True, False])
+@pytest.mark.parametrize(
+    ("along_x", "interpolation"),
+    [
+        *zip((True, False), INTERPOLATIONS, strict=True),
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in zip((False, True), INTERPOLATIONS, strict=True)),
+    ],
+)
 def test_rounding_counts_facets_steeper_than_the_surface(along_x, interpolation):
     """Ridges and valleys in turn: a triangle from one to the other rises along them, and the surface does not."""
     violated = 0

@@ -175,13 +175,14 @@ def measured(
     errors_digest = digest_of(arrays, repr((places, work.steps, *coarse_inputs)))
     heights: dict[tuple[int, int], float] = {}
 
-    def height(x: int, y: int) -> float:
-        """Return the height at a vertex, and keep it."""
+    def height(samples: np.ndarray, x: int, y: int) -> float:
+        """Return the height at a vertex, and keep it. samples: the mapped array."""
         if (x, y) not in heights:
-            heights[x, y] = work.height(x, y)
+            heights[x, y] = work.height(samples, x, y)
         return heights[x, y]
 
-    triangles = [] if grid.holds_roots else large_triangles(grid, box, height)  # fills `heights`
+    # Fills `heights`, some ten, of one mapping: to open it takes longer than to read them.
+    triangles = [] if grid.holds_roots else large_triangles(grid, box, partial(height, work.open("samples")))
     state: dict[str, Any] = {name: (before or {}).get(name) for name in STATE}
     above_digest = digest_of([], repr((errors_digest, sorted(heights.items()))))
     ranges_digest = digest_of([], repr((errors_digest, limits.scale)))

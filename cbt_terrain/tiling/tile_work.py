@@ -237,10 +237,13 @@ class TileWork:
         """Return heights, float32 metres, of stored samples."""
         return samples if self.steps is None else self.steps.heights(samples)
 
-    def height(self, x: int, y: int) -> float:
-        """Return the height at a vertex of the lattice: beyond the border that of the nearest sample."""
+    def height(self, samples: np.ndarray, x: int, y: int) -> float:
+        """Return the height at a vertex of the lattice: beyond the border that of the nearest sample.
+
+        samples: the mapped array.
+        """
         x, y = min(x, self.grid.lattice.cells_x), min(y, self.grid.lattice.cells_y)
-        return float(self.decoded(self.open("samples")[y : y + 1, x : x + 1])[0, 0])
+        return float(self.decoded(samples[y : y + 1, x : x + 1])[0, 0])
 
     def write_heights(self, x: int, y: int, heights: np.ndarray) -> list[float]:
         """Store heights, float32 [rows, columns] with NaN where missing, from sample (x, y) on.

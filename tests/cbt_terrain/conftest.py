@@ -4,15 +4,17 @@
 from pathlib import Path
 
 import pytest
-from forked_children import fork_children  # noqa: F401
+from forked_children import fork, fork_children  # noqa: F401
 
 HERE = Path(__file__).parent
 # Tests of the start of children, of their rights, of signals to them and of what they import.
 STARTED = "run", "sandbox", "importing/test_importing.py", "test_shared_terrain.py", "tiling"
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def children_are_forked(request):
-    """Fork the children of a test, unless children are its subject."""
-    if not any((HERE / name) in (request.path, *request.path.parents) for name in STARTED):
-        request.getfixturevalue("fork_children")
+    """Fork the children of a module's tests and fixtures, unless children are its subject."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not any((HERE / name) in (request.path, *request.path.parents) for name in STARTED):
+            fork(patch)
+        yield

@@ -75,12 +75,17 @@ def start(command: list[str], **how) -> subprocess.Popen:
     return (ForkedChild if forks else subprocess.Popen)(command, **how)
 
 
-@pytest.fixture
-def fork_children(monkeypatch):
-    """Fork children of the extension from one process that has imported their modules."""
+def fork(patch: pytest.MonkeyPatch) -> None:
+    """Fork children of the extension from one process that has imported their modules, until the patch is undone."""
     from adaptive_terrain.cbt_terrain.run import child
 
-    monkeypatch.setattr(child, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
+    patch.setattr(child, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
+
+
+@pytest.fixture
+def fork_children(monkeypatch):
+    """Fork children of the extension."""
+    fork(monkeypatch)
 
 
 def _serve(channel: socket.socket) -> functools.partial:

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """3D Tiles, read back by other code: rules of the format, true errors, shared borders, position on the globe."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.exporting.tileset import export_tileset
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
+from forked_programs import run_program
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 from rasterio.transform import Affine
 from rasters import hills, imported, write_raster
@@ -267,7 +265,7 @@ def test_what_a_killed_export_has_left_is_removed(tmp_path):
     module, out = "adaptive_terrain.cbt_terrain.run.partial_files", tmp_path / "out"
     out.mkdir()
     begin = f"import os, pathlib, {module} as m; file = m.written_beside(pathlib.Path({str(out / 'a.glb')!r}))"
-    subprocess.run([sys.executable, "-c", f"{begin}; file.__enter__(); os._exit(1)"], check=False)
+    run_program(f"{begin}; file.__enter__(); os._exit(1)")
     assert len(list(out.iterdir())) == 1
     export_tileset(field, out / "land.json", 1.0)
     assert sorted(path.name for path in out.iterdir()) == ["land.json", "land_0_0_0.glb"]

@@ -3,19 +3,21 @@
 
 import ast
 import os
+import re
 import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import named_file
+from forked_programs import start_program
 from time_limit import time_limit
 
 ROOT = Path(__file__).resolve().parents[3]
 READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile"}
 NAMES = {"open"} | {name.rpartition(".")[2] for name in READS}
+A_CALL = re.compile(rf"\b({'|'.join(NAMES)})\b")  # to parse every module takes seconds
 # Reads of files that no user names: of the system, of the package, or written just before; and a writer.
 OWN = {
     ("cbt_terrain/field/store_arrays.py", "np.load(file, mmap_mode='r+')"),
@@ -70,14 +72,15 @@ def test_a_file_is_read_to_its_limit_and_by_links_where_allowed(tmp_path):
 def test_the_standard_input_is_read_to_its_end():
     script = "from adaptive_terrain.cbt_terrain.run.named_file import read_named\n"
     script += "print(read_named('/dev/stdin', 'The file', 'text', 1 << 24, descriptors=True).decode())"
-    run = subprocess.run([sys.executable, "-c", script], input="a" * 3_000_000, capture_output=True, text=True)
-    assert run.stdout == "a" * 3_000_000 + "\n" and run.stderr == ""
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    out, errors = start_program(script, text=True, **pipes).communicate("a" * 3_000_000)
+    assert out == "a" * 3_000_000 + "\n" and errors == ""
 
 
 def reads_of(path: Path) -> set[str]:
     """Return the calls in a module that open a file by its name for reading."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    found, text = set(), path.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(text)) if A_CALL.search(text) else ():
         if not isinstance(node, ast.Call):
             continue
         method = getattr(node.func, "attr", "")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import child, launch, warmup
+from forked_programs import run_program
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -215,7 +216,7 @@ def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
 FORESEEN = """
 import json, sys
 import numpy as np
-import warp as wp
+from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
@@ -226,12 +227,13 @@ from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run.warmup import other_modules
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+launch._loaded.clear()  # the forked process has loaded more
 field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 9, 3.0)
 view = View.look((50, 50, 60), (0, 0, 0), resolution=(60, 40))
 surface = Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface
 wanted = plan([AttributeRequest(name, ("a test",)) for name in sys.argv[1:]])
 evaluate(field, EffectRequest(wanted, surface, [view]), FrameHistory())
-loaded = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
+loaded = {m.__name__ for m in other_modules()} & {kernel.module.name for kernel in launch._loaded}
 print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))]))
 """
 
@@ -245,7 +247,7 @@ print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))
 )
 def test_kernels_that_effects_launch_are_foreseen(names):
     """A new process loads the predicted kernels, or fewer."""
-    done = subprocess.run([sys.executable, "-c", FORESEEN, *names], capture_output=True, text=True, timeout=300)
+    done = run_program(FORESEEN, *names)
     assert done.returncode == 0, done.stderr
     loaded, foreseen = json.loads(done.stdout.splitlines()[-1])
     assert loaded and set(loaded) <= set(foreseen)

@@ -4,7 +4,6 @@
 import json
 import os
 import struct
-import subprocess
 import sys
 import tempfile
 from dataclasses import asdict
@@ -20,6 +19,7 @@ from adaptive_terrain.cbt_terrain.importing.source_info import describe_source, 
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import stall
 from adaptive_terrain.cbt_terrain.sandbox import store_job
+from forked_programs import run_program
 from rasters import hills, write_exr, write_raster
 
 # What an import launches must be loaded before: later it could not be compiled.
@@ -30,6 +30,7 @@ from adaptive_terrain.cbt_terrain.sandbox import guard
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+launch._loaded.clear()  # the forked process has loaded more
 settings = ImportSettings(source=sys.argv[1], size=33)
 guard.guard_import(settings, Path(sys.argv[2]))
 before = {kernel.module.name for kernel in launch._loaded}
@@ -41,16 +42,16 @@ print(sorted({kernel.module.name for kernel in launch._loaded} - before))
 @pytest.mark.parametrize(
     "source", ["a.npy", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("canyon", "island", "dunes"))]
 )
-def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path):
+def test_every_kernel_of_an_import_is_loaded_before(source, tmp_path, monkeypatch):
     heights = hills(70, 50)
     heights[3:5, 7] = np.nan  # to be filled; and it fits no lattice
     np.save(tmp_path / "a.npy", heights)
-    command = [sys.executable, "-c", LOADED, source, str(tmp_path / "store")]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    monkeypatch.chdir(tmp_path)
+    done = run_program(LOADED, source, tmp_path / "store")
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
 
 
-def test_versions_name_everything_and_what_is_given_up():
+def test_versions_name_everything_and_what_is_given_up(fork_children):
     said = versions()
     assert said["adaptive-terrain"] == __version__ and said["Python"] == sys.version.split()[0]
     assert said["GDAL"].startswith("3.") and said["warp-lang"] and said["numpy"] == np.__version__

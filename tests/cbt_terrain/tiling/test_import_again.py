@@ -3,8 +3,6 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -20,6 +18,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.tiling import tile_work
 from adaptive_terrain.cbt_terrain.tiling.tile_grid import TileGrid
 from adaptive_terrain.cbt_terrain.tiling.tile_records import MEASURED, READ, line_of, record_of
+from forked_programs import run_program
 from rasters import hills
 from tiled_stores import CountingCrew, assert_same, content, tiled, write_tiles  # noqa: F401
 
@@ -106,9 +105,7 @@ def test_a_killed_import_goes_on_where_it_was(tmp_path, tiled, monkeypatch, done
     heights[30:60, 50:90] = 0.0
     np.save(tmp_path / "a.npy", heights)
     settings, store = ImportSettings(str(tmp_path / "a.npy"), no_data=0.0), tmp_path / "store"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    command = [sys.executable, "-c", KILLED, settings.source, str(store), str(done)]
-    assert subprocess.run(command, env=environment).returncode == 9
+    assert run_program(KILLED, settings.source, store, done).returncode == 9
     assert len(list(store.glob("data-*"))) == 1 and not (store / "store.json").exists()
     store_folder.remove_abandoned(store)
     tiled(None)
@@ -151,9 +148,7 @@ def test_a_kill_after_the_last_tile_loses_no_tile(tmp_path, tiled, moment):  # n
     heights[30:60, 50:90] = 0.0
     np.save(tmp_path / "a.npy", heights)
     settings, store = ImportSettings(str(tmp_path / "a.npy"), no_data=0.0, holes=True), tmp_path / "store"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    command = [sys.executable, "-c", KILLED_AFTER_ALL_TILES, settings.source, str(store), *AFTER_ALL_TILES[moment]]
-    assert subprocess.run(command, env=environment).returncode == 9
+    assert run_program(KILLED_AFTER_ALL_TILES, settings.source, store, *AFTER_ALL_TILES[moment]).returncode == 9
     assert len(list(store.glob("data-*/tiles.jsonl"))) == 1 and not (store / "store.json").exists()
     store_folder.remove_abandoned(store)  # as each import begins
     tiled(None)

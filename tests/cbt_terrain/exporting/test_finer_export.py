@@ -25,7 +25,7 @@ from rasters import write_raster
 
 FOOT = 1200 / 3937  # of EPSG:2263, metres
 EAST, NORTH = 980_000.0, 200_000.0  # feet, as all lengths of the files
-CITY, TOWN = (EAST + 1500.0, NORTH - 1200.0), (EAST + 2300.0, NORTH - 1400.0)  # corners in the north-west
+CITY, TOWN = (EAST + 1244.0, NORTH - 432.0), (EAST + 2044.0, NORTH - 632.0)  # corners in the north-west
 BITS = 5
 SIZE = 1009  # samples along a side of a tile
 THOROUGH = pytest.mark.thorough
@@ -49,8 +49,8 @@ def land(tmp_path_factory):
     """Return the folder of the files and of the store of them, whose heights are feet."""
     folder = tmp_path_factory.mktemp("land")
     (folder / "files").mkdir()
-    country = ground(EAST, NORTH, 32.0, 110, 80, 1)
-    country[20:30, 10:25] = np.nan  # nothing is known there
+    country = ground(EAST, NORTH, 32.0, 100, 54, 1)
+    country[20:30, 4:19] = np.nan  # nothing is known there
     city = ground(*CITY, 2.0, 800, 500, 2)
     city[60:70, 60:75] = np.nan
     town = ground(*TOWN, 1.0, 700, 600, 3)
@@ -72,6 +72,15 @@ def finest(land):
     """Return the path of a GeoTIFF of all heights at 1 foot."""
     [file] = export_raster(land / "store", land / "finest.tif", step=FOOT)
     return file
+
+
+@pytest.fixture(scope="module")
+def finest_heights(finest):
+    """Return the pixels of that file, which tests do not change."""
+    with rasterio.open(finest) as file:
+        heights = file.read(1)
+    heights.flags.writeable = False
+    return heights
 
 
 def metres(heights):
@@ -125,20 +134,19 @@ def test_the_finest_raster_has_the_extent_of_the_coarse_one(land, finest):
 
 
 @pytest.mark.parametrize("part", [pytest.param(1, marks=THOROUGH), 4, BITS])
-def test_coarser_steps_have_the_same_samples(land, finest, part, tmp_path):
+def test_coarser_steps_have_the_same_samples(land, finest, finest_heights, part, tmp_path):
     step = FOOT * 2**part if part < BITS else 0.0  # the default is that of the raster
     [file] = export_raster(land / "store", tmp_path / "heights.tif", step=step)
     with rasterio.open(file) as found, rasterio.open(finest) as whole:
-        heights = whole.read(1)[:: 2**part, :: 2**part]
-        assert np.array_equal(found.read(1), heights, equal_nan=True)
+        assert np.array_equal(found.read(1), finest_heights[:: 2**part, :: 2**part], equal_nan=True)
         centres = found.transform * (0.5, 0.5), whole.transform * (0.5, 0.5)
         assert centres[0] == pytest.approx(centres[1], abs=1e-6)
 
 
-def test_holes_are_missing(land, finest):
+def test_holes_are_missing(land, finest, finest_heights):
     """The raster is not on the pixels of the country, so a gap of 10 x 15 pixels has up to two cells more."""
     with rasterio.open(finest) as found, rasterio.open(land / "files" / "a.tif") as country:
-        missing = np.isnan(found.read(1))
+        missing = np.isnan(finest_heights)
         rows, columns = np.nonzero(country.read(1) == -9999.0)
         x, y = country.transform * (columns + 0.5, rows + 0.5)
         column, row = (np.rint(at - 0.5).astype(int) for at in ~found.transform * (x, y))
@@ -148,14 +156,13 @@ def test_holes_are_missing(land, finest):
     assert 0 < column.min() - columns.min() < 64 and 0 < columns.max() - column.max() < 64
 
 
-def test_a_step_between_is_interpolated_by_other_code(land, finest, tmp_path):
+def test_a_step_between_is_interpolated_by_other_code(land, finest_heights, tmp_path):
     """Points of a step of 0.7 feet are on the bilinear surface of the pixels of 1 foot."""
     [file] = export_raster(land / "store", tmp_path / "heights.exr", step=40 * 0.7 * FOOT)
     import OpenEXR
 
     found = OpenEXR.File(str(file), separate_channels=True).parts[0].channels["Y"].pixels
-    with rasterio.open(finest) as whole:
-        heights = whole.read(1).astype(np.float64)
+    heights = finest_heights.astype(np.float64)
     rows, columns = (np.arange(count) * 28.0 for count in found.shape)
     assert len(rows) == (len(heights) - 1) // 28 + 1
     assert np.array_equal(
@@ -181,13 +188,12 @@ def test_a_step_between_is_interpolated_by_other_code(land, finest, tmp_path):
         pytest.param("tif", False, marks=THOROUGH),
     ],
 )
-def test_tiles_hold_the_finest_heights(land, finest, tmp_path, form, flip, monkeypatch):
+def test_tiles_hold_the_finest_heights(land, finest_heights, tmp_path, form, flip, monkeypatch):
     monkeypatch.setattr(height_tiles, "MAX_COLUMNS", 1 << 11)
     settings = HeightTiles(form, size=SIZE, step=FOOT, is_flipped=flip)
     index = export_height_tiles(open_store(land / "store"), tmp_path, settings)
     assert index == json.loads((tmp_path / "terrain.json").read_text())
-    with rasterio.open(finest) as file:
-        whole = file.read(1)[::-1] if flip else file.read(1)
+    whole = finest_heights[::-1] if flip else finest_heights
     assert index["num_samples_on_terrain"] == list(whole.shape[::-1]) and len(index["tiles"]) > 4
     coding = index["heights"]
     for tile in index["tiles"]:
@@ -208,12 +214,11 @@ def test_tiles_hold_the_finest_heights(land, finest, tmp_path, form, flip, monke
     assert coding["max_error"] <= (2e-4 if coding["scale"] == 1 else 0.51 * coding["scale"])
 
 
-def test_one_tile_without_a_step_has_the_raster_samples(land, finest, tmp_path):
+def test_one_tile_without_a_step_has_the_raster_samples(land, finest_heights, tmp_path):
     field = open_store(land / "store")
     export_height_tiles(field, tmp_path, HeightTiles("r32"))
     found = np.fromfile(tmp_path / "terrain_x0_y0.r32", "<f4").reshape(field.lattice.height, -1)
-    with rasterio.open(finest) as whole:
-        heights = whole.read(1)[:: 1 << BITS, :: 1 << BITS]
+    heights = finest_heights[:: 1 << BITS, :: 1 << BITS]
     known = ~np.isnan(heights)
     assert (found[known] == heights[known]).all()
 

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
-from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import
+from adaptive_terrain.cbt_terrain.importing import build_store, earlier_import, tile_crew
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.earlier_import import finished_import, source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, import_source
@@ -23,7 +24,16 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import child
 from rasters import hills, write_exr, write_raster
 
-LONG = ImportSettings(source="island", size=4097)  # seconds of work
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory):
+    """Return the settings of an import that soon reports progress and then has seconds of work: a file of zeros."""
+    file = tmp_path_factory.mktemp("long") / "a.tif"
+    shape = {"width": 1025, "height": 12 * 1024 + 1, "count": 1, "dtype": "float32"}
+    with rasterio.open(file, "w", driver="GTiff", SPARSE_OK=True, **shape):
+        pass
+    assert file.stat().st_size < tile_crew.MIN_BYTES, "more processes would be started"
+    return ImportSettings(str(file))
 
 
 def snapshot(path):
@@ -139,9 +149,9 @@ def test_undeclared_no_data_warns(tmp_path):
     assert run_import(ImportSettings(**settings), tmp_path / "c")["warnings"] == []
 
 
-def test_cancelling_leaves_the_previous_store(previous, fork_children):
+def test_cancelling_leaves_the_previous_store(previous, long, fork_children):
     before = snapshot(previous)
-    job = ImportJob(LONG, previous)
+    job = ImportJob(long, previous)
     wait_until_working(job)
     assert len(list(previous.glob("data-*"))) == 2
     job.cancel()
@@ -152,12 +162,12 @@ def test_cancelling_leaves_the_previous_store(previous, fork_children):
     assert job.poll() == progress
 
 
-def test_cancelling_a_first_import_leaves_no_folder(tmp_path):
+def test_cancelling_a_first_import_leaves_no_folder(tmp_path, long, fork_children):
     def cancel(_fraction: float, _message: str) -> None:
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        import_source(LONG, tmp_path / "new" / "store", cancel)
+        import_source(long, tmp_path / "new" / "store", cancel)
     assert not (tmp_path / "new").exists()
 
 
@@ -172,11 +182,9 @@ def test_a_file_that_cannot_be_read_leaves_no_folder(tmp_path, fork_children):
     ("name", "remedy"),
     [("SIGKILL", "memory"), pytest.param("SIGBUS", "make room on the disk", marks=pytest.mark.thorough)],
 )
-def test_a_killed_import_is_an_error_that_names_the_signal(previous, name, remedy, request):
-    if name == "SIGBUS":
-        request.getfixturevalue("fork_children")
+def test_a_killed_import_is_an_error_that_names_the_signal(previous, long, fork_children, name, remedy):
     before = snapshot(previous)
-    job = ImportJob(LONG, previous)
+    job = ImportJob(long, previous)
     wait_until_working(job)
     os.kill(job._process.pid, signal.Signals[name])
     while not job.poll().done:
@@ -196,12 +204,12 @@ def test_a_child_killed_after_publishing_has_done_its_work(previous):
     assert open_store(previous).samples.shape == (129, 129)
 
 
-def test_an_import_ends_with_its_parent(tmp_path):
+def test_an_import_ends_with_its_parent(tmp_path, long):
     script = (
         "import sys, time\n"
         "from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob\n"
         "from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings\n"
-        f"job = ImportJob(ImportSettings(source='island', size=4097), {str(tmp_path / 'store')!r})\n"
+        f"job = ImportJob(ImportSettings({long.source!r}), {str(tmp_path / 'store')!r})\n"
         "while job.poll().fraction == 0.0: time.sleep(0.01)\n"
         "print(job._process.pid, flush=True); time.sleep(600)"
     )
@@ -292,8 +300,6 @@ def test_a_store_keeps_the_raster_itself_and_the_steepest_slopes(tmp_path):
 
 
 def test_a_file_whose_scale_is_0_is_flat_ground(tmp_path):
-    import rasterio
-
     source = write_raster(tmp_path / "a.tif", hills(33, 33).astype(np.float32))
     with rasterio.open(source, "r+") as file:
         file.scales, file.offsets = (0.0,), (5.0,)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stores of which some tiles are loaded: their samples, bounds, marks, and the complete import after them."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +37,21 @@ PLACES = {
 @pytest.fixture
 def small_tiles(monkeypatch):
     make_small_tiles(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """Return the settings and the store of a quick import of rough hills with two loaded tiles."""
+    with pytest.MonkeyPatch.context() as patch:
+        make_small_tiles(patch)
+        return loaded_store(tmp_path_factory.mktemp("loaded"), rough(505, 401), PLACES["north up"], (0, 9))
+
+
+@pytest.fixture
+def again(loaded, small_tiles, tmp_path):
+    """Return these settings and a copy of the store."""
+    shutil.copytree(loaded[1], tmp_path / "store")
+    return loaded[0], tmp_path / "store"
 
 
 def interpolated(nodes, factor):
@@ -175,8 +191,8 @@ def test_processes_load_the_same_bytes(tmp_path, small_tiles, monkeypatch):
     assert text["provenance"]["refined_m"][1] == 2
 
 
-def test_a_complete_import_has_no_trace_of_loaded_tiles(tmp_path, small_tiles, monkeypatch):
-    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0, 9))
+def test_a_complete_import_has_no_trace_of_loaded_tiles(tmp_path, again):
+    settings, store = again
     for target in (store, tmp_path / "plain"):
         run_import(replace(settings, quick=0), target)
     (arrays, text), (wanted, wanted_text) = content(store), content(tmp_path / "plain")
@@ -202,15 +218,15 @@ def test_tiles_of_a_mosaic_are_loaded(tmp_path, small_tiles):
     assert np.array_equal(field.heights()[:64, :64], full.heights()[np.ix_(y, x)][:64, :64])
 
 
-def test_other_stores_have_no_tiles_to_load(tmp_path, small_tiles):
-    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
+def test_other_stores_have_no_tiles_to_load(tmp_path, again):
+    settings, store = again
     for folder, wrong in ((tmp_path / "none", settings), (store, replace(settings, quick=300))):
         with pytest.raises(TerrainError, match="has no first picture of"):
             run_import(replace(wrong, loaded_tiles=(1,)), folder)
 
 
-def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, small_tiles):
-    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (9,))
+def test_detail_is_that_of_the_loaded_tile_at_a_point(tmp_path, again):
+    settings, store = again
     field = open_store(store)
     west, south, east, _ = field.lattice.rectangle()
     side = 64 * field.lattice.step_x
@@ -245,8 +261,8 @@ def test_further_tiles_are_loaded_without_the_others(tmp_path, small_tiles, monk
     assert refining.loaded_tiles(open_store(store).provenance) == {9}
 
 
-def test_a_complete_store_is_not_replaced_by_tiles(tmp_path, small_tiles, monkeypatch):
-    settings, store = loaded_store(tmp_path, rough(505, 401), PLACES["north up"], (0,))
+def test_a_complete_store_is_not_replaced_by_tiles(again, monkeypatch):
+    settings, store = again
 
     def complete_first(*arguments):
         run_import(replace(settings, quick=0), store)
@@ -255,7 +271,7 @@ def test_a_complete_store_is_not_replaced_by_tiles(tmp_path, small_tiles, monkey
     finish = build_store.report_of  # the last step before the tiles are published
     monkeypatch.setattr(build_store, "report_of", lambda *given: monkeypatch.undo() or complete_first(*given))
     with pytest.raises(TerrainError, match="has no first picture of"):
-        run_import(replace(settings, loaded_tiles=(0, 9)), store)
+        run_import(replace(settings, loaded_tiles=(0, 9, 14)), store)
     assert "refined_m" not in open_store(store).provenance and open_store(store).lattice.width == 505
 
 

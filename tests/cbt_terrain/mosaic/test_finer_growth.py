@@ -18,10 +18,14 @@ COLUMNS, ROWS = 4, 3  # of coarser files; a tile of the raster and four finer ti
 CITY = EAST + 3700.0, NORTH - 2800.0  # its corner in the north-west, far from the border
 
 
+def make_tiles_small(patch):
+    make_small(patch)
+    patch.setattr(import_work, "TILE_BITS", 6)
+
+
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    make_small(monkeypatch)
-    monkeypatch.setattr(import_work, "TILE_BITS", 6)
+    make_tiles_small(monkeypatch)
 
 
 def write_coarse(folder, name, column, row, width=SIDE, height=SIDE):
@@ -59,13 +63,16 @@ class Growth:
     """Imports a mosaic, then again after a change.
 
     Attributes:
+        before: copy of the store of the first import.
         first: number of windows that the first import has read.
         windows: corners of those that the second one has read, in finer samples.
         counts: number of results that the second one has made, by kind of their records.
     """
 
     def __init__(self, tmp_path, monkeypatch):
-        self.files, self.store, self.whole = (tmp_path / name for name in ("files", "store", "whole"))
+        self.files, self.store, self.whole, self.before = (
+            tmp_path / name for name in ("files", "store", "whole", "before")
+        )
         self.windows, read, self._patch = [], finer_import._Windows._read, monkeypatch
 
         def reading(windows, *box):
@@ -75,18 +82,25 @@ class Growth:
         monkeypatch.setattr(finer_import._Windows, "_read", reading)
 
     def run(self, change, **more):
-        settings = ImportSettings(str(self.files), priority=RESOLUTION, **more)
-        run_mosaic_import(settings, self.store)
+        run_mosaic_import(settings_of(self.files, **more), self.store)
         self.first = len(self.windows)
+        shutil.copytree(self.store, self.before)
         change(self.files)
+        self.again(**more)
+        windows = list(self.windows)
+        run_mosaic_import(settings_of(self.files, **more), self.whole)
+        self.windows = windows
+        assert_same(self.store, self.whole)
+
+    def again(self, **more):
         self.windows.clear()
         with self._patch.context() as patch:
             self.counts = count_records(patch)
-            run_mosaic_import(settings, self.store)
-        windows = list(self.windows)
-        run_mosaic_import(settings, self.whole)
-        self.windows = windows
-        assert_same(self.store, self.whole)
+            run_mosaic_import(settings_of(self.files, **more), self.store)
+
+
+def settings_of(files, **more):
+    return ImportSettings(str(files), priority=RESOLUTION, **more)
 
 
 @pytest.fixture
@@ -94,10 +108,24 @@ def growth(tmp_path, monkeypatch):
     return Growth(tmp_path, monkeypatch)
 
 
-@pytest.mark.parametrize(
-    "direction", ["west", *(pytest.param(name, marks=THOROUGH) for name in ("east", "north", "south"))]
-)
-def test_finer_tiles_are_kept_when_a_mosaic_grows(growth, direction):
+@pytest.fixture(scope="module")
+def grown(tmp_path_factory):
+    """Return the growth of a mosaic in the west."""
+    with pytest.MonkeyPatch.context() as patch:
+        make_tiles_small(patch)
+        growth = Growth(tmp_path_factory.mktemp("grown"), patch)
+        write_first(growth.files)
+        growth.run(lambda files: grow(files, "west"))
+    return growth
+
+
+def test_finer_tiles_are_kept_when_a_mosaic_grows(grown):
+    assert grown.first >= 4 and grown.windows == [] and not any(grown.counts.values())
+
+
+@THOROUGH
+@pytest.mark.parametrize("direction", ["east", "north", "south"])
+def test_finer_tiles_are_kept_in_any_direction(growth, direction):
     write_first(growth.files)
     growth.run(lambda files: grow(files, direction))
     assert growth.first >= 4 and growth.windows == [] and not any(growth.counts.values())
@@ -161,22 +189,20 @@ def test_an_added_finer_file_leaves_the_others(growth):
         *(pytest.param(name, marks=THOROUGH) for name in ("finer_errors", "finer_ranges", "samples", "tiles", "work")),
     ],
 )
-def test_damaged_stores_give_the_same_bytes(growth, name, damage):
-    write_first(growth.files)
-
-    def change(files):
-        grow(files, "west")
-        [file] = store_folder.named_folder(growth.store).glob(f"{name}.*")
-        if damage == "gone":
-            file.unlink()
-        else:
-            text = bytearray(file.read_bytes())
-            text[len(text) // 2] ^= 1
-            file.write_bytes(text)
-
-    growth.run(change)
+def test_damaged_stores_give_the_same_bytes(grown, growth, name, damage):
+    growth.files = grown.files
+    shutil.copytree(grown.before, growth.store)
+    [file] = store_folder.named_folder(growth.store).glob(f"{name}.*")
     if damage == "gone":
-        assert len(growth.windows) == growth.counts[finer_heights.FILLED] == growth.first
+        file.unlink()
+    else:
+        text = bytearray(file.read_bytes())
+        text[len(text) // 2] ^= 1
+        file.write_bytes(text)
+    growth.again()
+    assert_same(growth.store, grown.whole)
+    if damage == "gone":
+        assert len(growth.windows) == growth.counts[finer_heights.FILLED] == grown.first
 
 
 @THOROUGH

@@ -152,7 +152,7 @@ def test_a_city_without_blending_has_finer_tiles_and_a_hard_edge(country, tmp_pa
 def test_an_explicit_step_makes_one_raster(country, tmp_path, monkeypatch):
     _, _, store, _ = country
     monkeypatch.setattr(finer_plan, "FEWEST", 1 << 20)
-    settings = ImportSettings(source=str(store.parent / "files"), step=8.0)
+    settings = ImportSettings(source=str(store.parent / "files"), step=16.0)
     run_mosaic_import(settings, tmp_path / "store")
     assert open_store(tmp_path / "store").raster.finer is None
 

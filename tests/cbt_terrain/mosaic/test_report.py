@@ -142,7 +142,7 @@ def test_the_time_is_measured_on_one_large_window(tmp_path, monkeypatch):
     assert sum(rows * columns for _, rows, _, columns in windows[:-1]) < 0.1 * 513**2
 
 
-@pytest.mark.parametrize(("column", "row"), [(140, 140), (20, 230)])
+@pytest.mark.parametrize(("column", "row"), [(140, 140), pytest.param(20, 230, marks=pytest.mark.thorough)])
 def test_the_time_of_a_blended_inset_counts_by_its_area(tmp_path, monkeypatch, column, row):
     """A blended sample takes ten times as long; the inset of 6 % lies in the middle, or near a corner."""
     country = sheet(UTM32, EAST, NORTH, 25.0, 25.0, 320, 320).write(tmp_path / "country.tif")

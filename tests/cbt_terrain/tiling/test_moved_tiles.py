@@ -2,9 +2,11 @@
 """Mosaics that grow: tiles of the store before are used again, and the arrays are those of a complete import."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.importing import import_work
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.tiling import tile_steps, tile_work
@@ -53,7 +55,8 @@ class Growth:
     def run(self, change, **more):
         settings = ImportSettings(str(self.files), **more)
         self._switch(BITS)
-        run_mosaic_import(settings, self.store)
+        if not self.store.exists():
+            run_mosaic_import(settings, self.store)
         change()
         self.measured.clear()
         run_mosaic_import(settings, self.store, crew=self.crew)
@@ -69,32 +72,50 @@ def growth(tmp_path, tiled, monkeypatch):  # noqa: F811
     return Growth(tmp_path, tiled, monkeypatch)
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """Return a folder with the first files and the store of their import."""
+    folder = tmp_path_factory.mktemp("first")
+    write_first(folder / "tiles")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_work, "TILE_BITS", BITS)
+        run_mosaic_import(ImportSettings(str(folder / "tiles")), folder / "store")
+    return folder
+
+
+@pytest.fixture
+def begun(growth, first):
+    """Return the growth of a mosaic whose first files are imported; a test may add files, but change none."""
+    growth.files, before = first / "tiles", {*(first / "tiles").iterdir()}
+    shutil.copytree(first / "store", growth.store)
+    yield growth
+    for file in {*growth.files.iterdir()} - before:
+        file.unlink()
+
+
 def numbers(columns, tiles):
     """Return the numbers of tiles from their columns and rows. columns: of the raster."""
     return sorted(row * columns + column for column, row in tiles)
 
 
-def test_files_in_the_east_leave_western_tiles(growth):
-    write_first(growth.files)
-    growth.run(lambda: [write_file(growth.files, f"b{row}", COLUMNS, row) for row in range(ROWS)])
+def test_files_in_the_east_leave_western_tiles(begun):
+    begun.run(lambda: [write_file(begun.files, f"b{row}", COLUMNS, row) for row in range(ROWS)])
     changed = numbers(5, [(column, row) for row in range(3) for column in (3, 4)])
-    assert (growth.crew.read, sorted(growth.measured)) == (changed, changed)
+    assert (begun.crew.read, sorted(begun.measured)) == (changed, changed)
 
 
-def test_files_in_the_north_leave_southern_tiles(growth):
-    write_first(growth.files)
-    growth.run(lambda: [write_file(growth.files, f"b{column}", column, -1) for column in range(COLUMNS)])
+def test_files_in_the_north_leave_southern_tiles(begun):
+    begun.run(lambda: [write_file(begun.files, f"b{column}", column, -1) for column in range(COLUMNS)])
     changed = numbers(4, [(column, row) for row in (2, 3) for column in range(4)])
-    assert (growth.crew.read, sorted(growth.measured)) == (changed, changed)
+    assert (begun.crew.read, sorted(begun.measured)) == (changed, changed)
 
 
 @pytest.mark.thorough
-def test_files_in_the_west_renumber_tiles(growth):
-    write_first(growth.files)
-    growth.run(lambda: [write_file(growth.files, f"b{row}", -1, row) for row in range(ROWS)])
+def test_files_in_the_west_renumber_tiles(begun):
+    begun.run(lambda: [write_file(begun.files, f"b{row}", -1, row) for row in range(ROWS)])
     # the last column is measured: its padding is different
-    assert growth.crew.read == numbers(5, [(column, row) for row in range(3) for column in (0, 1)])
-    assert sorted(growth.measured) == numbers(5, [(column, row) for row in range(3) for column in (0, 1, 4)])
+    assert begun.crew.read == numbers(5, [(column, row) for row in range(3) for column in (0, 1)])
+    assert sorted(begun.measured) == numbers(5, [(column, row) for row in range(3) for column in (0, 1, 4)])
 
 
 def test_a_single_tile_becomes_one_of_two(growth):
@@ -111,19 +132,17 @@ def test_a_single_tile_becomes_one_of_two(growth):
 INNER = (2, 2), (3, 2)
 
 
-def test_files_in_the_south_west_renumber_tiles(growth):
-    write_first(growth.files)
-    growth.run(lambda: write_file(growth.files, "b", -1, ROWS))
-    assert growth.crew.read == numbers(5, [*((column, 0) for column in range(5)), (0, 1), (0, 2), (0, 3), (1, 1)])
+def test_files_in_the_south_west_renumber_tiles(begun):
+    begun.run(lambda: write_file(begun.files, "b", -1, ROWS))
+    assert begun.crew.read == numbers(5, [*((column, 0) for column in range(5)), (0, 1), (0, 2), (0, 3), (1, 1)])
     # the padding of the last column and the last row is different
-    assert sorted(growth.measured) == numbers(5, [(c, r) for r in range(4) for c in range(5) if (c, r) not in INNER])
+    assert sorted(begun.measured) == numbers(5, [(c, r) for r in range(4) for c in range(5) if (c, r) not in INNER])
 
 
 @pytest.mark.thorough
-def test_an_inner_part_of_a_tile_in_the_west_moves_all(growth):
-    write_first(growth.files)
-    growth.run(lambda: [write_file(growth.files, f"b{row}", -0.5, row) for row in range(ROWS)])
-    assert len(growth.crew.read) == len(growth.measured) == 15
+def test_an_inner_part_of_a_tile_in_the_west_moves_all(begun):
+    begun.run(lambda: [write_file(begun.files, f"b{row}", -0.5, row) for row in range(ROWS)])
+    assert len(begun.crew.read) == len(begun.measured) == 15
 
 
 @pytest.mark.thorough
@@ -191,18 +210,16 @@ def test_a_mosaic_in_degrees_grows_north(growth):
     "name",
     ["samples.npy", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("tiles.jsonl", "error.npy"))],
 )
-def test_damaged_stores_give_no_tiles_to_a_larger_one(growth, name):
-    write_first(growth.files)
-
+def test_damaged_stores_give_no_tiles_to_a_larger_one(begun, name):
     def change():
-        [file] = growth.store.glob(f"data-*/{name}")
+        [file] = begun.store.glob(f"data-*/{name}")
         text = bytearray(file.read_bytes())
         text[len(text) // 2] ^= 1
         file.write_bytes(text)
-        write_file(growth.files, "b", COLUMNS, 0)
+        write_file(begun.files, "b", COLUMNS, 0)
 
-    growth.run(change)
-    assert len(growth.crew.read) == len(growth.measured) == 15
+    begun.run(change)
+    assert len(begun.crew.read) == len(begun.measured) == 15
 
 
 RARE = "none", [1.0], [1e300, -1e300], ["a", 0.0]
@@ -213,15 +230,13 @@ RARE = "none", [1.0], [1e300, -1e300], ["a", 0.0]
     "corner",
     [[float("nan"), 0.0], [5.0, 5.0], *(pytest.param(corner, marks=pytest.mark.thorough) for corner in RARE)],
 )
-def test_an_impossible_corner_of_a_store_is_harmless(growth, corner):
-    write_first(growth.files)
-
+def test_an_impossible_corner_of_a_store_is_harmless(begun, corner):
     def change():
-        [file] = growth.store.glob("data-*/work.json")
+        [file] = begun.store.glob("data-*/work.json")
         content = json.loads(file.read_text()) | {"corner": corner}
         del content["sum"]
         file.write_text(json.dumps(content | {"sum": tile_work._sum_of(content)}))
-        write_file(growth.files, "b", COLUMNS, 0)
+        write_file(begun.files, "b", COLUMNS, 0)
 
-    growth.run(change)
-    assert len(growth.crew.read) == len(growth.measured) == 15
+    begun.run(change)
+    assert len(begun.crew.read) == len(begun.measured) == 15

@@ -51,7 +51,7 @@ def do_at_once(store, tasks):
 def mosaic(tmp_path, tiled):  # noqa: F811
     """Return settings of a mosaic with gaps, and the store of its import in one tile."""
     (tmp_path / "tiles").mkdir()
-    write_tiles(tmp_path / "tiles")
+    write_tiles(tmp_path / "tiles", columns=3, rows=2)
     settings = ImportSettings(str(tmp_path / "tiles"), step=10.0)
     tiled(None)
     run_mosaic_import(settings, tmp_path / "whole")

@@ -35,7 +35,7 @@ def spikes():
     return heights
 
 
-MOUNTAINS = hills(300, 170)
+MOUNTAINS = hills(210, 120)
 PLANE = np.add.outer(np.arange(97.0), np.arange(131.0))
 SOURCES = {
     "a power of two": (hills(257, 257), 5, {}),

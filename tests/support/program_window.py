@@ -31,7 +31,7 @@ def window(program, arguments: list, framebuffer: Path, kernels: Path | None = N
     display = f":{os.getpid() % 40000 + 200}"
     environment = {**program.environment(), "DISPLAY": display}
     environment |= {"WARP_CACHE_PATH": str(kernels)} if kernels else {}
-    screen = ["Xvfb", display, "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
+    screen = ["Xvfb", display, "-nocursor", "-fbdir", str(framebuffer), "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24"]
     xvfb = subprocess.Popen([program.wrapper, *screen, "+extension", "GLX", "-nolisten", "tcp"], env=environment)
     blender = None
     try:

@@ -58,7 +58,7 @@ def test_a_small_import_uses_no_other_process(tmp_path):
     assert crew._processes[0].wait(60) == 0
 
 
-def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled):  # noqa: F811
+def test_an_error_in_a_process_is_one_sentence(tmp_path, tiled, fork_children):  # noqa: F811
     write_tiles(tmp_path / "tiles")
     tiled(6)
     crew = ProcessCrew(MODULES["mosaic"], 2)

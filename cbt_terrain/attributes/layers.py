@@ -57,7 +57,10 @@ def why_missing(field: HeightField, name: str) -> str:
 
 
 def _as_raster(field: HeightField, name: str) -> HeightRaster:
-    """Return a layer as a raster, from which a pyramid can be made; the field's store caches that of a large one."""
+    """Return a layer as a raster of heights, so that a pyramid of coarser levels can be made of it.
+
+    Path and digest are those of the field: its store caches the pyramids of large layers, too.
+    """
     return cached(
         field.cache.results,
         ("layer", name),

@@ -328,8 +328,8 @@ def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
 def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
     """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it.
 
-    It lacks the warnings of length_scale.py. It is also None if its place cannot be used and the settings give the
-    extent; without that TerrainError is raised.
+    The caller adds warnings about distorted lengths. The result is also None if the place cannot be used and the
+    settings give the extent; without that TerrainError is raised.
     """
     if grid.transform is None:
         return None

@@ -174,7 +174,8 @@ class FrameHistory:
         self.last.result = None
         if not reuses:
             self._hand_over_vertices()
-        # Arrays that are written or changed below get other memory where callers still read them.
+        # Arrays that are written from now on get other memory where callers still hold results that were lent to them.
+        # Without swapped vertices the last frame's arrays are only read; otherwise they change here, on a copy.
         written, last = [self.scratch, self.next.arrays], [self.last.arrays]
         if not reuses or vertices is None or not vertices.swapped:
             self._loans.reclaim(written, copied=[], read=last)

@@ -90,8 +90,9 @@ def cut(
     If all vertices are inside, the surface itself is returned. Each edge that changes sign gets one new vertex, so the
     mesh stays welded; its attributes are interpolated between the edge's ends. Elements keep their numbers, except that
     the last ones fill the gaps of removed ones. `room` allocates the larger arrays for new elements. With another
-    `room` than `copy_with_room` the given arrays are overwritten; swapping back restores the earlier vertices. The
-    bytes do not depend on the number of threads. `sides` should be few: each may double the number of listed triangles.
+    `room` than `copy_with_room` the given arrays are overwritten; swapping the returned pairs again restores the
+    vertices of `surface`. The bytes do not depend on the number of threads. `sides` should be few: each may double the
+    number of triangles near the sides.
     """
     if not sides:
         return surface, NONE_SWAPPED

@@ -70,7 +70,7 @@ def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, 
     They are those inside the lower tile. Without a known step there, samples of the whole upper tile are compared.
     lower, upper: ranks of both tiles. Results are float64 [n] and [n, 2], as in StepReport.
     """
-    tile, scale = composite.tiles[upper], abs(composite.scale)  # steps keep the sign of the values
+    tile, scale = composite.tiles[upper], abs(composite.scale)  # a negative scale would turn upper minus lower around
     right, bottom = tile.width - 1, tile.height - 1
     along, down = _spread(right), _spread(bottom)
     sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]

@@ -92,14 +92,15 @@ def count_splits(
     """Count the triangles that are split at each relaxation step from `finest` to `coarsest`.
 
     Return the first step with at most `max_splits`, and the counts from it on; `coarsest` + 1 and no counts if there is
-    no such step. The work of each part of the curve (`history.hints.marks`) is noted for the next count. finer_by:
-    number of steps by which the limits are finer.
+    no such step. Slices of the space-filling curve through all triangles are counted in parallel. `history.hints.marks`
+    becomes the places on the curve after equal shares of work, so that the next count has slices of equal work.
+    finer_by: number of steps by which the limits are finer.
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
     # Cells are square: an even number of bisections. Steps include MAX_STEP + 1, which stands for none.
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
     cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
-    slices, spacing = len(cuts) - 1, max_splits // 64 + 1  # spacing: measured diamonds between two marks
+    slices, spacing = len(cuts) - 1, max_splits // 64 + 1  # spacing: diamonds that are measured from mark to mark
     arrays = {
         "limit_factors": _limits(finer_by),
         "stack": scratch.get("count_stack", slices * CELLS, Cell),
@@ -108,7 +109,7 @@ def count_splits(
         "marks": scratch.get("count_marks", slices * MARKS, wp.uint64),
         "measured": scratch.get("count_measured", slices, wp.int64),
     }
-    # splits of each slice by the last step at which they happen
+    # [slice, step]: number of triangles that are split at this step and all finer ones, and at no coarser one
     last_steps = scratch.numpy("count_last_steps")[: slices * steps].reshape(slices, steps)
     last_steps[:] = 0
     structs = [scratch.struct(Count, slot) for slot in range(slices)]
@@ -127,6 +128,7 @@ def count_splits(
     marks_by_slice = [row[:n] for row, n in zip(marks, num_marks, strict=True)]
     history.hints.marks = np.concatenate(marks_by_slice) / 2.0**cell_bits
     first = int(scratch.numpy("count_from_step")[:slices].max())
+    # A step has the splits whose last step is this one or a coarser one: sums from the end.
     splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
     too_fine = int(np.count_nonzero(splits > max_splits))  # each slice knows only its own splits
     return first + too_fine, splits[too_fine:]

@@ -54,7 +54,7 @@ def add_errors(
     are in group `group` of `table`. corner: the window's first diamond in the raster.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
-    if holds(coarser, p):
+    if holds(coarser, p):  # the last number of a row of sides may be beyond the east end
         index = entry(coarser, p[0], p[1])
         bilinear_error = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
         distance[index] = largest_below(distance, finer, coarser, p)

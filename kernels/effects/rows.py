@@ -311,6 +311,8 @@ def sort_passes_from_bottom(
 ):
     """Sort `count` passes stably by their heights, those of the higher sample in `d.h`, the lowest first.
 
-    numbers: the passes, 4 * sample + direction - 5, sorted in place. The other arguments are as of `sort_from_top`.
+    A pass is a pair of neighbours. numbers: the passes as 4 * sample + k, sorted in place; the other sample is the next
+    one in the row (k = 0), or in the next row one column before, in the same, or one after it (k = 1, 2, 3). The other
+    arguments are those of `sort_from_top`.
     """
     ...

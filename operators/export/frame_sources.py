@@ -173,7 +173,7 @@ class SceneFrames:
         return [*self.files, *color_config(), *scene_files([frame])]
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """Yield a Piece of every terrain of the scene, which stays at `frame`. Each mesh is written before."""
+        """Yield a Piece of every terrain of the scene, which stays at `frame`. Its object has the mesh already."""
         import bpy
 
         with handlers_paused():  # an export updates each terrain once, for the render

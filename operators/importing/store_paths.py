@@ -64,9 +64,10 @@ def _restore_paths() -> None:
 
 @persistent
 def on_append(imported, _unused=None) -> None:
-    """Make the path of an appended terrain start from the folder of the file that it comes from.
+    """Let an appended terrain find its store: rewrite the relative path, which started from the file it comes from.
 
-    A file made by copying (Ctrl C) is the exception: Blender keeps it elsewhere, with paths as they were.
+    The new path starts from the open file. A path that leads nowhere stays, as in a paste (Ctrl V): Blender keeps the
+    copied objects in a file in another folder, with the paths of the open file.
     """
     for item in imported.import_items:
         if (

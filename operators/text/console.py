@@ -148,8 +148,8 @@ def why_stdout_failed(error: Exception) -> str:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.close(nowhere)
-    else:
-        if not isinstance(error, BrokenPipeError):  # a broken pipe has dropped the rest
+    else:  # stdout can be written now; after a broken pipe only because Python has dropped the rest itself
+        if not isinstance(error, BrokenPipeError):
             return ""
     return f"stdout cannot be written ({error.strerror}): make room, or keep reading from the pipe."
 

@@ -6,6 +6,7 @@ which first calls `keep_only_drivers`.
 """
 
 import dataclasses
+import math
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -125,6 +126,7 @@ def raster_of(
     TerrainError for a missing band, complex values and a place that cannot be used.
     """
     _check_band(path, dataset, settings.band)
+    _check_scale(path, dataset.scales[settings.band - 1], dataset.offsets[settings.band - 1])
     band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     stored = np.dtype(dataset.dtypes[band - 1])
     # Grid, unit and notes, corrected where GDAL's driver leaves facts out; `factor` brings values into the unit.
@@ -185,6 +187,13 @@ def _check_band(path: Path, dataset: DatasetReader, band: int) -> None:
         raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
     if dataset.dtypes[band - 1].startswith("complex"):
         raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
+
+
+def _check_scale(path: Path, scale: float, offset: float) -> None:
+    """Raise TerrainError for a scale or an offset of a file's values that is no finite number."""
+    if not (math.isfinite(scale) and math.isfinite(offset)):
+        what = f"{path} gives its values the scale {scale:g} and the offset {offset:g}"
+        raise TerrainError(what, expected="finite numbers", fix="correct its header (gdal_edit.py -scale, -offset)")
 
 
 def _stored_raster(path: Path, dataset: DatasetReader, settings: ImportSettings, driver: str, grid: FileGrid) -> Raster:

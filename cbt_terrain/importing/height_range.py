@@ -50,6 +50,9 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
             f"{settings.source} holds infinite values, so it has no lowest and highest",
             fix="give the metres in a unit of its values instead",
         )
+    if raster.scale == 0.0:  # all heights are the file's offset
+        offset = low - raster.offset
+        return dataclasses.replace(settings, height_scale=1.0, height_offset=offset, lowest=None, highest=None), []
     # values of the lowest and the highest height
     bottom, top = (min_value, max_value) if raster.scale > 0.0 else (max_value, min_value)
     scale = (high - low) / (top - bottom) if top != bottom else raster.scale

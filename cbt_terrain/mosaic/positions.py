@@ -44,11 +44,13 @@ def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
     The grid's step may be several of the lattice's.
     """
     a, b, d, e = lattice.steps
-    ratios = grid.step_x / abs(a), grid.step_y / abs(e) if e else 0.0
+    if b != 0.0 or d != 0.0:  # rows or columns are not along the grid's; a and e may be 0
+        return False
+    ratios = grid.step_x / abs(a), grid.step_y / abs(e)
     corners = np.array([grid.column, grid.column + grid.width]), np.array([grid.row, grid.row + grid.height])
     deviations = [np.abs(w - np.round(w)).max() for w in lattice.indices(*grid.positions(*corners))]
     are_whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)
-    return b == d == 0.0 and are_whole and max(deviations) < SNAPPED / 2
+    return are_whole and max(deviations) < SNAPPED / 2
 
 
 def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:

@@ -86,6 +86,7 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     step_x, step_y = map(float, tile_footprints.steps[finest])
     metres_x, metres_y = unit_lengths(crs_of(crs) if crs else None, float(low[1] + high[1]) / 2)
     if settings.step is not None:
+        _check_step(settings.step, (high - low) * (metres_x, metres_y))
         step_x, step_y = settings.step / metres_x, settings.step / metres_y
     x0, y0 = (0.0, 0.0)
     if reference is not None and (settings.step is None or _divides(reference, step_x, step_y)):
@@ -214,6 +215,16 @@ def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
     """
     ratios = step_x / abs(tile.transform[0]), step_y / abs(tile.transform[4])
     return all(ratio > 0.5 and abs(ratio - round(ratio)) < ALIGNED for ratio in ratios)
+
+
+def _check_step(step: float, extent: np.ndarray) -> None:
+    """Raise TerrainError for a step that is longer than the mosaic, whose samples would be outside of it.
+
+    extent: metres from the first to the last sample in x and y; 0 for one row or column, which has any step.
+    """
+    if (step > extent[extent > 0.0]).any():
+        what = f"A step of {step:g} m is longer than the mosaic of {extent[0]:,.6g} x {extent[1]:,.6g} m"
+        raise TerrainError(what, fix="give a shorter step (--step)")
 
 
 def _check_size(width: int, height: int, step_x: float, step_y: float) -> None:

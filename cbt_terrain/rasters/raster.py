@@ -155,7 +155,8 @@ class ImportSettings:
             what = f"The priority {shown(self.priority)!r} is not known"
             raise TerrainError(what, fix=f"choose one of {', '.join(PRIORITIES)}")
         if self.step is not None and not SMALLEST_EXTENT < self.step < LARGEST_EXTENT:
-            raise TerrainError(f"The step is {self.step:g} m", expected="a length above 0")
+            expected = f"a length between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m"
+            raise TerrainError(f"The step is {self.step:g} m", expected=expected)
 
     def check_file(self) -> None:
         """Raise TerrainError for settings that the one file of the import cannot have."""

@@ -3,12 +3,13 @@
 
 import dataclasses
 import json
+import os
 import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.import_work import count_tiles
 from ...cbt_terrain.importing.source_list import files_of
@@ -27,8 +28,11 @@ def write_import_job(settings: ImportSettings, size: Sequence[int], store: Path,
     """Write the job of an import into `folder`, and return lines about it for the user.
 
     size: columns and rows of the raster. store: folder that the job writes. chunk: tiles of one task. Raises
-    TerrainError for files that cannot be written.
+    TerrainError for files that cannot be written, and for a folder in the store, which holds no other files.
     """
+    if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(store)):
+        what = f"The job's folder {shown(folder)} is, or is inside, the store's folder"
+        raise TerrainError(what, fix="choose another folder (--job)")
     tiles = count_tiles(size)
     values = {"StoreDir": str(store.absolute()), "Tiles": range_text(range(tiles)), "ChunkSize": str(chunk)}
     make_folder(folder)

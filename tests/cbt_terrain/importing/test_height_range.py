@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights of images without a unit: from 0 to a quarter of the width, or from the lowest to the highest given."""
 
+import shutil
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from rasters import imported, write_raster
 
@@ -104,3 +107,26 @@ def test_a_flat_image_has_the_lowest_height(tmp_path, dtype):
 def test_contradicting_heights_are_refused(bad):
     with pytest.raises(TerrainError, match="height"):
         ImportSettings("a.png", **bad).check()
+
+
+def test_ends_of_a_file_without_a_scale_are_flat(tmp_path):
+    import rasterio
+
+    source = write_raster(tmp_path / "a.tif", GREYS.astype(np.uint16), **PLACED)
+    with rasterio.open(source, "r+") as file:
+        file.scales, file.offsets = (0.0,), (7.0,)
+    _, report = imported(tmp_path, source, lowest=310.0, highest=1240.0)
+    assert (report["lowest_m"], report["highest_m"]) == (310.0, 310.0)
+
+
+@pytest.mark.parametrize("scale, offset", [(np.nan, 0.0), (np.inf, 0.0), (1.0, np.nan), (1.0, -np.inf)])
+def test_a_scale_that_is_no_number_is_refused(tmp_path, scale, offset):
+    import rasterio
+
+    source = write_raster(tmp_path / "a.tif", GREYS.astype(np.uint16), **PLACED)
+    with rasterio.open(source, "r+") as file:
+        file.scales, file.offsets = (scale,), (offset,)
+    with pytest.raises(TerrainError, match="a.tif gives its values the scale"):
+        imported(tmp_path, source)
+    with pytest.raises(TerrainError, match="a.tif gives its values the scale"):  # of a mosaic of two equal files
+        open_composite(ImportSettings(str(source), more_sources=(str(shutil.copy(source, tmp_path / "b.tif")),)), None)

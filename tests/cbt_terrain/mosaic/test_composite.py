@@ -324,3 +324,29 @@ def test_a_file_whose_header_has_changed_stays_refused(three):
             with pytest.raises(TerrainError, match="as before.*import again when it is complete"):
                 composite.tile_window(0, 0, 2, 0, 2)
         assert not composite._open
+
+
+@pytest.mark.parametrize("axes", [(0, 10, -10, 0), (0, -10, 10, 0), (0, 10, 10, 0), (-10, 0, 0, -10)])
+def test_files_at_right_angles_keep_their_samples(tmp_path, axes):
+    """A file turned by 90 or 180 degrees or transposed, between samples of a straight one: samples of its array."""
+    a, b, d, e = axes
+    values = np.random.default_rng(90).integers(0, 999, (7, 12)).astype(np.float32)
+    turned = Affine(a, b, EAST + 500, d, e, NORTH - 500)
+    source = write_raster(tmp_path / "turned.tif", values, crs=UTM32, transform=turned)
+    straight = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 9, 9).write(tmp_path / "straight.tif")
+    composite = open_composite(settings_of(straight, source), None)
+    for row, column in np.ndindex(values.shape):
+        x, y = turned @ (column + 0.5, row + 0.5)
+        k, j = (round(float(number)) for number in composite.grid.indices(x, y))
+        found = composite.read(j - composite.grid.row, 1)[0][0, k - composite.grid.column]
+        assert found == values[row, column]
+
+
+def test_a_step_longer_than_the_mosaic_is_refused(tmp_path):
+    """Heights of 80 m of ground are no terrain of 700 m; a single row of samples takes a step along it."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 60, 9)
+    files = [whole.write(tmp_path / f"{k}.tif", first_column=30 * k, columns=30) for k in range(2)]
+    with pytest.raises(TerrainError, match="A step of 700 m is longer than the mosaic of 590 x 80 m"):
+        open_composite(settings_of(*files, step=700.0), None)
+    rows = [whole.write(tmp_path / f"r{k}.tif", rows=1, first_column=30 * k, columns=30) for k in range(2)]
+    assert open_composite(settings_of(*rows, step=100.0), None).grid.height == 1

@@ -108,6 +108,13 @@ def test_strange_names_have_no_job(tmp_path):
     assert not (tmp_path / "job").exists()
 
 
+def test_a_job_is_not_written_into_its_store(tmp_path, capsys):
+    np.save(tmp_path / "a.npy", hills(9, 9))
+    for folder in (tmp_path / "store", tmp_path / "store" / "job"):
+        assert run("import", tmp_path / "a.npy", "--store", tmp_path / "store", "--job", folder) == 1
+        assert "choose another folder (--job)" in capsys.readouterr().err and not (tmp_path / "store").exists()
+
+
 def test_a_small_raster_is_imported_in_parts(tmp_path, capsys):
     heights = hills(9, 1)
     np.save(tmp_path / "a.npy", heights)

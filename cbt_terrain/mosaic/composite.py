@@ -40,7 +40,7 @@ from .lattices import TileLattice, find_lattices
 from .positions import is_congruent, nodes_of
 from .seam_records import SeamRecords
 from .target_grid import Footprints, TargetGrid
-from .windows import FoundLattice, at_corners, resample_levels, source_box
+from .windows import FoundLattice, at_corners, resample_levels, source_box, turns_around
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
@@ -330,10 +330,12 @@ class Composite:
         left, top, right, bottom = box
         values = np.full((bottom - top, right - left), np.nan)
         ranks = np.full(values.shape, UNCOVERED, np.int32)
-        used, used_ranks = [], []  # rectangles and ranks of the tiles; around the globe each has three places
-        for shift in (-lattice.period, 0, lattice.period) if lattice.period else (0,):
+        used, used_ranks = [], []  # rectangles and ranks of the tiles; around the globe each has several places
+        low, high = lattice.rectangles[near, 0].min(), lattice.rectangles[near, 2].max()
+        turns = turns_around(low, high, left, right, lattice.period)
+        for turn in range(-turns, turns + 1):
             for n in near:
-                rectangle = lattice.rectangles[n] + (shift, 0, shift, 0)
+                rectangle = lattice.rectangles[n] + (turn * lattice.period, 0, turn * lattice.period, 0)
                 x0, y0 = max(rectangle[0], left), max(rectangle[1], top)
                 x1, y1 = min(rectangle[2] + 1, right), min(rectangle[3] + 1, bottom)
                 used.append(rectangle)

@@ -17,6 +17,7 @@ from .catalogue import SourceTile
 from .systems import crs_of, period_of, projected
 
 SIDE_POINTS = 33  # of each side of a tile, whose positions define the extent
+MIDDLE = -3  # number of a tile's middle among its points
 MAX_INDEX = 2.0**40  # samples from a system's origin
 MAX_RETURN = 1.0  # samples by which the way to the target system and back may miss
 ALIGNED = 1e-6  # samples
@@ -110,11 +111,11 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
 def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
     """Return the boxes and steps of tiles in a system. Raises TerrainError for a tile that has no place there.
 
-    Longitudes are within 180 degrees of the first tile's, so tiles on both sides of the date line are neighbours. crs:
-    name of the system.
+    The middles of tiles are within 180 degrees of the first one's, or of one of more than half the globe, so tiles on
+    both sides of the date line are neighbours. crs: name of the system.
     """
     boxes, steps = np.empty((len(tiles), 4)), np.empty((len(tiles), 2))
-    period, anchor = period_of(crs), None
+    period = period_of(crs)
     for name in dict.fromkeys(tile.crs for tile in tiles):
         numbers = [n for n, tile in enumerate(tiles) if tile.crs == name]
         points = np.stack([_outline(tiles[n]) for n in numbers])  # [tiles, 2, points]
@@ -124,12 +125,16 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
         back = np.stack([back_x.reshape(x.shape), back_y.reshape(x.shape)], axis=1)
         for row, n in enumerate(numbers):
             _check_return(tiles[n], crs, back[row] - points[row])
-            if period:
-                anchor = float(x[row, 0]) if anchor is None else anchor
-                x[row] -= period * np.round((x[row] - anchor) / period)
+            if period and name != crs:  # the tile's own longitudes are continuous
+                x[row] -= period * np.round((x[row] - x[row, MIDDLE]) / period)
             border_x, border_y = x[row, :-3], y[row, :-3]  # the last three points give the steps
             boxes[n] = border_x.min(), border_y.min(), border_x.max(), border_y.max()
             steps[n] = _steps(x[row, -3:], y[row, -3:])
+    if period:
+        middles, widths = (boxes[:, 0] + boxes[:, 2]) / 2, boxes[:, 2] - boxes[:, 0]
+        anchor = middles[np.argmax(widths) if widths.max() > period / 2 else 0]
+        turns = np.round((middles - anchor) / period - ALIGNED)  # tiles at 180 degrees are all in the east
+        boxes[:, [0, 2]] -= period * turns[:, None]
     return Footprints(boxes, steps)
 
 

@@ -37,12 +37,24 @@ def source_box(
         if not len(positions):
             return None
         rectangles = lattice.rectangles[near]
-        low, high = rectangles[:, first_entry].min() - period, rectangles[:, last_entry].max() + period
+        low, high = rectangles[:, first_entry].min(), rectangles[:, last_entry].max()
+        turns = turns_around(low, high, positions.min(), positions.max(), period)
+        low, high = low - turns * period, high + turns * period
         first, last = max(np.floor(positions.min()), low), min(np.ceil(positions.max()), high)
         if first > last + 1:
             return None
         box.append((int(first) - EDGE, int(last) + EDGE + 1))
     return box[0][0], box[1][0], box[0][1], box[1][1]
+
+
+def turns_around(low: float, high: float, first: float, last: float, period: int) -> int:
+    """Return how many turns of 360 degrees, 1 or more, take columns low .. high to all of first .. last around them.
+
+    A block of coarse samples may be several turns wide. period: columns in 360 degrees, 0 if there are none.
+    """
+    if not period:
+        return 0
+    return max(1, int((last - low) // period), int((high - first) // period))
 
 
 def at_corners(nodes: np.ndarray, piece: GridPiece) -> np.ndarray:

@@ -182,6 +182,25 @@ def test_case_81_the_date_line_is_no_border(tmp_path, first):
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("first", [0, 2, 5, 8])
+def test_case_81_eight_tiles_cover_the_earth_once(tmp_path, first):
+    """Eight tiles of 90 degrees, in any order and beside one of the whole Earth, leave and repeat no sample."""
+    values = np.random.default_rng(81).integers(0, 9999, (180, 360)).astype(np.float32)
+
+    def write(name, column, row, columns, rows):
+        place = from_origin(column - 180.0, 90.0 - row, 1.0, 1.0)
+        part = values[row : row + rows, column : column + columns]
+        return write_raster(tmp_path / f"{name}.tif", part, crs=DEGREES, transform=place)
+
+    files = [write(f"{x}-{y}", x, y, 90, 90) for x in range(0, 360, 90) for y in (0, 90)]
+    files.append(write("earth", 0, 0, 360, 180))
+    for sources in (files[first:] + files[:first], (files[first:] + files[:first])[1:]):
+        composite, heights = composed(*sources)
+        x, _ = sample_places(composite)
+        assert composite.grid.width == 360
+        assert np.array_equal(heights, values[:, np.floor(x[0] + 180.0).astype(int) % 360])
+
+
 def test_case_82_polar_tiles_meet_at_the_pole(tmp_path):
     """Four quarters of a polar cap in degrees become one polar raster, whole over the pole and every meridian."""
     step, files = 0.25, []

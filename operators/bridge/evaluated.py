@@ -44,7 +44,7 @@ def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
     """
     if _is_evaluated(obj, depsgraph):
         return obj.evaluated_get(depsgraph).matrix_world
-    moving = _is_animated(obj) or obj.rigid_body or any(not constraint.mute for constraint in obj.constraints)
+    moving = is_animated(obj) or obj.rigid_body or any(not constraint.mute for constraint in obj.constraints)
     if moving or (obj.parent and obj.parent_type != "OBJECT"):
         raise _hidden_error(obj, depsgraph, what, named)
     if obj.parent is None:
@@ -52,7 +52,7 @@ def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
     return _still_matrix(obj.parent, depsgraph, what, named) @ obj.matrix_parent_inverse @ obj.matrix_basis
 
 
-def _is_animated(block) -> bool:
+def is_animated(block) -> bool:
     """Return whether a data-block has an action, drivers or tracks."""
     animation = getattr(block, "animation_data", None)  # images have none
     return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
@@ -60,7 +60,7 @@ def _is_animated(block) -> bool:
 
 def _may_have_changed(data) -> bool:
     """Return whether the data of an object may differ from the stored ones: animation or shape keys."""
-    return data is not None and (_is_animated(data) or getattr(data, "shape_keys", None) is not None)
+    return data is not None and (is_animated(data) or getattr(data, "shape_keys", None) is not None)
 
 
 def _is_enabled(modifier, mode: str) -> bool:

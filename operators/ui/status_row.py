@@ -13,16 +13,18 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge import camera as cameras
+from ..bridge.evaluated import is_animated
 from ..bridge.scene_paths import NO_HEIGHTS
 from ..importing.view_tiles import loaded_here
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
 from ..terrain.camera_source import follows_viewport
+from ..terrain.properties import VIEWPORT_VIEW
 from .panel_parts import error_lines, wrap_words
 
 POPUP_LINE = 80
-NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
+NOTICE_WIDTH, SHORT_NOTICE_WIDTH = 0.7, 0.5  # of the row; one or two buttons that mend it have the rest
 UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
 NO_VIEW = UNDERGROUND, SEES_NOTHING
 LOAD_ALL = "adaptive_terrain.import_source", "Load All"
@@ -58,9 +60,13 @@ def draw_status(layout, context, obj) -> None:
         # loaded: the detail of an incomplete store here, "" for a complete one.
         if (harmless or not text) and (loaded := loaded_here(context, obj)):
             text, harmless, (operator, button) = loaded, False, LOAD_ALL
-        row = row.split(factor=NOTICE_WIDTH) if text else row
+        has_choice = text in NO_VIEW and not harmless
+        row = row.split(factor=SHORT_NOTICE_WIDTH if has_choice else NOTICE_WIDTH) if text else row
         icon = "INFO" if harmless else "ERROR" if text else "CHECKMARK"
         row.label(text=text or "In sight", icon=icon)
+        if has_choice:
+            row = row.row(align=True)
+            row.prop_enum(obj.adaptive_terrain, "camera_source", VIEWPORT_VIEW)
         if operator:
             row.operator(operator, text=button)
 
@@ -96,7 +102,8 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
     """Return a notice about the view of the terrain, the operator that fixes it, and its button's text.
 
     It is the first that applies: the viewport beside the panel cuts the terrain off; the camera is underground, far
-    from the origin, sees nothing of it or cuts it off. Three times "" if all is well or the view cannot be known.
+    from the origin, sees nothing of it or cuts it off. Three times "" if all is well or the view cannot be known; no
+    operator moves a camera that is animated or is not the scene's.
     """
     with suppress(TerrainError):  # the update reports it
         box = sight.box_of(obj)
@@ -106,12 +113,14 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
         if camera is None:
             return "", "", ""
         view = sight.view_of_camera(context.scene, camera)
+        can_move = camera == context.scene.camera and not is_animated(camera)
+        to_view = (CAMERA_TO_VIEW, "To View") if can_move else ("", "")
         if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
-            return UNDERGROUND, CAMERA_TO_VIEW, "To View"
+            return UNDERGROUND, *to_view
         if sight.is_far_out(camera.matrix_world.translation):
             return "Camera far from origin", MOVE_WORLD, "Move"
         if not sight.is_in_sight(box, view):
-            return SEES_NOTHING, CAMERA_TO_VIEW, "To View"
+            return SEES_NOTHING, *to_view
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
     return "", "", ""

@@ -51,6 +51,9 @@ class DrawnLayout:
     def prop(self, _data, name, text=None, **_options):
         self._item(f"<{name}>")
 
+    def prop_enum(self, _data, name, value, **_options):
+        self._item(f"<{name}={value}>")
+
     def prop_search(self, _data, name, *_places, **_options):
         self._item(f"<{name}>")
 

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Visibility of a terrain's box from a camera, and the necessary clip range."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from adaptive_terrain.operators.terrain import frame_terrain, sight
-from adaptive_terrain.operators.ui.status_row import sight_notice
+from adaptive_terrain.operators.ui.status_row import draw_status, sight_notice
 from blender_meshes import positions
+from drawn_panels import DrawnLayout
 
 BOX = np.array([(x, y, z) for x in (-10.0, 10.0) for y in (-10.0, 10.0) for z in (0.0, 2.0)])
 
@@ -101,6 +104,26 @@ def test_a_camera_that_sees_nothing_gives_a_notice(scene, add_terrain):
     assert sight_notice(bpy.context, terrain)[0] == "Camera underground"
     scene.camera = None
     assert sight_notice(bpy.context, terrain) == ("", "", "")
+
+
+def test_a_remedy_that_moves_no_camera_comes_first(scene, add_terrain):
+    terrain, camera = add_terrain(), scene.camera
+
+    def row() -> list[str]:
+        bpy.context.view_layer.update()
+        layout = DrawnLayout()
+        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
+        return layout.texts
+
+    camera.rotation_euler.z = 3.1
+    assert row() == ["Camera sees nothing", "<camera_source=VIEW>", "To View"]
+    camera.keyframe_insert("location")
+    assert row() == ["Camera sees nothing", "<camera_source=VIEW>"], "To View would move a keyframed camera"
+    camera.animation_data_clear()
+    terrain.adaptive_terrain.camera_source, terrain.adaptive_terrain.camera = "CHOSEN", camera.copy()
+    assert row() == ["Camera sees nothing", "<camera_source=VIEW>"], "To View would move the scene's camera"
+    terrain.adaptive_terrain.camera_source = "VIEW"
+    assert row() == ["Camera sees nothing", "To View"], "only a note"
 
 
 def test_without_a_height_map_there_is_nothing_to_frame(scene, add_terrain):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Conversion between a store's coordinate system and metres from the terrain's middle."""
 
+import functools
 import math
 import os
 from pathlib import Path
@@ -100,6 +101,7 @@ def placing_or_middle(field: HeightField) -> Placing:
     return placing._replace(x=float(field.origin[0]), y=float(field.origin[1]))
 
 
+@functools.lru_cache(maxsize=64)
 def reproject_point(x: float, y: float, source: str, target: str) -> tuple[float, float]:
     """Return a point of one coordinate system in another; x is east or the longitude. Raises TerrainError.
 

@@ -17,6 +17,7 @@ from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from .. import jobs
 from ..bridge.evaluated import anchor_of
+from ..bridge.scene_origin import origin_of
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writing import allow_writing
 from ..job_operator import JobOperator
@@ -257,13 +258,14 @@ class ImportOperator(JobOperator):
                 self.report({"INFO"}, "The scene's origin is now here, since no terrain is left at the earlier one")
             if before is not None:
                 shared_origin.adopt_system(obj, context.scene, found)
-            for note in shared_origin.place_terrain(obj, context.scene, found):
-                self.report({"WARNING"}, note)
+            notes = shared_origin.place_terrain(obj, context.scene, found)
+        else:
+            notes = shared_origin.system_notes(obj, origin_of(context.scene), found)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
         self.before = found  # for the next call of a quick import
         context.view_layer.update()
         self._show_in_viewports(context, obj, before)
-        self._report_and_update(obj, report, before)
+        self._report_and_update(obj, report, before, notes)
         if self.baked not in ("", folder):
             self.report(
                 {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
@@ -299,17 +301,18 @@ class ImportOperator(JobOperator):
         if done:
             self.report({"INFO"}, frame_terrain.to_sentence(done))
 
-    def _report_and_update(self, obj, report: dict, before: imported.Imported | None) -> None:
+    def _report_and_update(self, obj, report: dict, before: imported.Imported | None, placing: list[str]) -> None:
         """Report figures and warnings of an import, and update the mesh or let the live update do it.
 
         Warnings are last, because the status bar shows only the last message of an operator. An error of the update is
-        a warning, too. report: of the import. before: facts of the earlier raster, None without one.
+        a warning, too. report: of the import. before: facts of the earlier raster, None without one. placing: notes
+        about the terrain's place.
         """
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
         notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
-        notes += [note for note in (outdated_note(obj), scatter_note(obj, before)) if note]
+        notes += [note for note in (outdated_note(obj), scatter_note(obj, before)) if note] + placing
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         try:

@@ -5,6 +5,7 @@ from pathlib import PurePath
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING
+from ..bridge.scene_origin import origin_of
 from ..session import session
 from ..terrain.properties import FILE
 from ..text.translations import phrase
@@ -13,6 +14,7 @@ from . import import_terrain, store_paths
 from .import_terrain import has_option
 from .imported import changed_settings, imported_of, info_lines, loaded_text
 from .placement_notes import picture_note
+from .shared_origin import system_notes
 
 SHOWN_FILES = 4
 PATH_FACTOR, LONGEST_NAME = 0.5, 16  # of a row with a path: the part of the width for the name, and its characters
@@ -139,15 +141,18 @@ class ImportedPanel(TerrainSubpanel):
     def draw(self, context):
         """Draw the figures of the imported store, its path, and notes about it."""
         column = self._columns()
-        settings = session.shown_terrain(context).adaptive_terrain
-        imported = imported_of(settings)
+        terrain = session.shown_terrain(context)
+        settings, imported = terrain.adaptive_terrain, imported_of(terrain.adaptive_terrain)
         draw_figures(column, info_lines(imported), factor=0.28)
         column.separator()
         column.prop(settings, "store")
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
             draw_message(self.layout, notice, "INFO")
-        notes = (loaded_text(settings), *imported.warnings, picture_note(imported)) if imported is not None else ()
+        if imported is None:
+            return
+        placing = system_notes(terrain, origin_of(context.scene), imported)
+        notes = loaded_text(settings), *placing, *imported.warnings, picture_note(imported)
         for text in filter(None, notes):
             draw_message(column, text, "INFO")
 

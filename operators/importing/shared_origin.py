@@ -2,6 +2,7 @@
 """The place of a terrain in a scene whose origin has coordinates: rasters of one area fit together."""
 
 import math
+from contextlib import suppress
 
 import numpy as np
 from mathutils import Vector
@@ -16,13 +17,15 @@ from ..bridge.scene_origin import (
     SceneOrigin,
     claim_origin,
     is_claimed,
+    is_in_degrees,
     origin_of,
     remove_origin,
     set_origin,
     unit_lengths,
 )
+from ..session import session
 from ..terrain import move_world
-from .imported import Imported
+from .imported import Imported, imported_of
 
 SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 
@@ -39,9 +42,11 @@ def follows_coordinates(obj, scene, before: Imported | None) -> bool:
         return not any(obj.location[:2]) and _is_plain(obj)
     if origin_of(scene) is None:
         place_terrain(obj, scene, before)
-    transform = _transform_of(obj, origin_of(scene), before)
-    return transform is not None and all(
-        abs(a - b) <= SAME * (1.0 + abs(b)) for a, b in zip(obj.location[:2], transform[0], strict=True)
+    place = None
+    with suppress(TerrainError):  # a system that cannot be converted
+        place = _location_of(obj, origin_of(scene), before)
+    return place is not None and all(
+        abs(a - b) <= SAME * (1.0 + abs(b)) for a, b in zip(obj.location[:2], place, strict=True)
     )
 
 
@@ -97,22 +102,27 @@ def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
 
 
 def adopt_system(obj, scene, imported: Imported | None) -> None:
-    """Give the scene's origin the system in which its only terrain was imported again; its place on Earth stays.
+    """Give the scene's origin the system in which a terrain was imported again; its place on Earth stays.
 
-    Nothing changes if another add-on has written the origin or another object has coordinates.
+    Terrains of other systems move to their coordinates, unless the user has moved them. Nothing changes if another
+    add-on has written the origin, or another object has coordinates in the scene's system.
     """
     origin = origin_of(scene)
     if imported is None or not imported.crs or imported.place is None or not _is_straight(imported.place):
         return
     if origin is None or origin.crs == imported.crs or not is_claimed(scene):
         return
-    if any(other.get(SRID) for other in scene.objects if other != obj):
+    if any(other.get(SRID) == origin.crs for other in scene.objects if other != obj):
         return
     try:
         x, y = reproject_point(origin.x, origin.y, origin.crs, imported.crs)
     except TerrainError:
         return
+    others = [(other, imported_of(other.adaptive_terrain)) for other in session.terrains_of(scene) if other != obj]
+    others = [other for other in others if other[1] and follows_coordinates(other[0], scene, other[1])]
     _claim_new_origin(scene, SceneOrigin(imported.crs, x, y, unit_lengths(imported.place)))
+    for other, raster in others:
+        place_terrain(other, scene, raster)
 
 
 def _covers_origin(imported: Imported, origin: SceneOrigin) -> bool:
@@ -200,19 +210,52 @@ def _is_straight(place: Place) -> bool:
     return place[1] == place[3] == 0.0
 
 
+def _location_of(obj, origin: SceneOrigin | None, imported: Imported) -> list[float] | None:
+    """Return x and y of a terrain's object in a scene, metres: in another system those of its origin alone.
+
+    None if the terrain or the scene has no coordinates. Raises TerrainError if a point cannot be converted.
+    """
+    if origin is None or not imported.crs or imported.place is None:
+        return None
+    if imported.crs == origin.crs:
+        return _transform_of(obj, origin, imported)[0]
+    ((x, y),) = to_crs(imported.place, np.array([anchor_of(obj)])).tolist()
+    there = reproject_point(x, y, imported.crs, origin.crs)
+    return from_crs(origin.place, np.array([there]))[0].tolist()
+
+
 def _place_by_middle(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
     """Place a terrain of another coordinate system by the point of it that is its object's origin; return a note.
 
     It stays where it is if that point cannot be converted.
     """
-    ((x, y),) = to_crs(imported.place, np.array([anchor_of(obj)])).tolist()
-    systems = f"{shown(obj.name)} is in {shown(imported.crs, 40)} and the scene in {shown(origin.crs, 40)}"
     try:
-        there = reproject_point(x, y, imported.crs, origin.crs)
+        obj.location.x, obj.location.y = _location_of(obj, origin, imported)
     except TerrainError as error:
-        return [f"{systems}, and it stays where it is ({error.what}): import it with that system as Reproject."]
-    ((obj.location.x, obj.location.y),) = from_crs(origin.place, np.array([there])).tolist()
+        return [f"{_systems(obj, origin, imported)}, and it stays where it is ({error.what}): {_remedy(origin)}."]
+    return system_notes(obj, origin, imported)
+
+
+def system_notes(obj, origin: SceneOrigin | None, imported: Imported | None) -> list[str]:
+    """Return a note about a terrain of another coordinate system than its scene, which is true until one is changed.
+
+    [] for a terrain of the scene's system, and if one of them has no coordinates.
+    """
+    if origin is None or imported is None or not imported.crs or imported.place is None or imported.crs == origin.crs:
+        return []
     return [
-        f"{systems}, which differ in direction and scale: only the terrain's origin is in the right place. To place "
-        "all of it exactly, import it with the scene's system as Reproject."
+        f"{_systems(obj, origin, imported)}, which differ in direction and scale: only the terrain's origin is in the "
+        f"right place, or not even that if you have moved it. To place all of it exactly, {_remedy(origin)}."
     ]
+
+
+def _systems(obj, origin: SceneOrigin, imported: Imported) -> str:
+    """Return a clause about the different systems of a terrain and its scene."""
+    return f"{shown(obj.name)} is in {shown(imported.crs, 40)} and the scene in {shown(origin.crs, 40)}"
+
+
+def _remedy(origin: SceneOrigin) -> str:
+    """Return a clause about how to place a terrain in a scene with another system; no import reprojects to degrees."""
+    if is_in_degrees(origin.place):
+        return "import the terrains in degrees again with utm as Reproject, and the scene takes over their system"
+    return "import it with the scene's system as Reproject"

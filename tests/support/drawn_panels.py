@@ -90,7 +90,7 @@ def draw(panel, context=None) -> DrawnLayout:
 def draw_mocked(panel, obj=None) -> Mock:
     """Draw a panel of an object, by default the active one, and return the mock that stands for its layout."""
     layout = Mock()
-    context = bpy.context if obj is None else SimpleNamespace(object=obj)
+    context = bpy.context if obj is None else SimpleNamespace(object=obj, scene=bpy.context.scene)
     panel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), context)
     return layout
 

@@ -14,8 +14,10 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
 from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
+from adaptive_terrain.operators.importing.panel import ImportedPanel
 from adaptive_terrain.operators.importing.shared_origin import place_terrain
 from adaptive_terrain.operators.terrain import frame_terrain, move_world
+from drawn_panels import draw
 from modal_runs import RunningOperator, running, turn
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
@@ -49,6 +51,11 @@ def saved(scene, tmp_path):
     """Return the scene and its folder."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     return scene, tmp_path
+
+
+def drawn(panel) -> str:
+    """Draw a panel; return its texts as one, with wrapped lines joined."""
+    return " ".join(draw(panel).texts)
 
 
 def world_of(terrain, transform, heights):
@@ -116,7 +123,40 @@ def test_another_system_is_placed_by_its_middle(saved):
     [note] = shared_origin._place_by_middle(
         terrain, shared_origin.origin_of(scene), imported_of(terrain.adaptive_terrain)
     )
-    assert "only the terrain's origin is in the right place. To place all of it exactly, import it with" in note
+    assert "only the terrain's origin is in the right place" in note
+    assert "To place all of it exactly, import it with the scene's system as Reproject." in note
+    assert note in drawn(ImportedPanel), "as long as it is true"
+    terrain.adaptive_terrain.project = "EPSG:32632"
+    bpy.ops.adaptive_terrain.import_source()
+    middle = [terrain["crs x"] - (6e5 + 200), terrain["crs y"] - (5.2e6 - 150)]
+    assert list(terrain.location[:2]) == pytest.approx(middle, abs=1e-2)
+    assert terrain.name + " is in" not in drawn(ImportedPanel)
+
+
+def test_a_scene_in_degrees_takes_over_metres(saved):
+    """The note recommends it. The terrain in metres then moves to its exact place."""
+    scene, path = saved
+    first = add(path, "EPSG:4326", Affine(1e-4, 0, 10.0, 0, -1e-4, 46.0), "a")
+    (x,), (y,) = warp("EPSG:4326", "EPSG:32632", [10.05], [46.03])
+    corner = Affine(10, 0, x, 0, -10, y)
+    second = add(path, "EPSG:32632", corner, "b", hills(seed=4))
+    assert "import the terrains in degrees again with utm as Reproject" in drawn(ImportedPanel)
+    bpy.context.view_layer.objects.active = first
+    first.adaptive_terrain.project = "utm"
+    bpy.ops.adaptive_terrain.import_source()
+    assert scene["SRID"] == "EPSG:32632"
+    bpy.context.view_layer.update()
+    check_places(scene, second, corner, hills(seed=4))
+
+
+def test_warnings_of_a_place_are_reported_last(saved, monkeypatch):
+    _scene, path = saved
+    monkeypatch.setattr(shared_origin, "reproject_point", lambda *_: (9.0, 47.0))
+    import_at(path, 6e5, "a")
+    report = Mock()
+    import_at(path, 6e5, "b", "EPSG:32633", report)
+    level, text = report.call_args.args
+    assert level == {"WARNING"} and "only the terrain's origin" in text
 
 
 def test_a_reprojected_only_terrain_takes_the_origin_along(saved):
@@ -257,13 +297,13 @@ def test_a_raster_elsewhere_leaves_a_moved_terrain_alone(saved):
     assert list(terrain.location) == [77.0, 0.0, 0.0]
 
 
-def import_at(path, x, name, crs="EPSG:32632"):
+def import_at(path, x, name, crs="EPSG:32632", report=None):
     """Import a file of 400 x 300 m in this process, and end as the operator does for a new terrain; return it."""
     file = write_raster(path / f"{name}.tif", hills(), crs=crs, transform=Affine(10, 0, x, 0, -10, 5.2e6))
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     bpy.context.scene.collection.objects.link(obj)
     obj.adaptive_terrain.enabled, obj.adaptive_terrain.live = True, False
-    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=Mock(), before=None)
+    operator = RunningOperator(operator_class=import_terrain.ImportTerrain, report=report or Mock(), before=None)
     operator.finish(bpy.context, obj, (run_import(ImportSettings(str(file)), path / name), str(path / name)))
     return obj
 

@@ -39,6 +39,7 @@ class Imported:
     refined_m: tuple[float, int] | None = None  # step and number of tiles that an incomplete store has loaded
     warnings: tuple[str, ...] = ()
     place: Place | None = None  # affine map from metres about the middle to the CRS, None if unknown
+    filled: int = 0  # samples without data whose heights were interpolated
     is_shaped: bool = False  # a stack of land effects has made the heights
 
 
@@ -79,6 +80,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         refined_m=refined_m(content["provenance"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
+        filled=_count(report, "filled"),
         is_shaped="shaped" in content["provenance"],
     )
 
@@ -88,6 +90,19 @@ def _pair(report: dict, name: str) -> tuple | None:
     value = report.get(name)
     is_pair = isinstance(value, list) and len(value) == 2
     return tuple(value) if is_pair and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
+
+
+def _count(report: dict, name: str) -> int:
+    """Return the count `name` of an unchecked report; 0 unless it is a positive int below 2**63."""
+    value = report.get(name)
+    return value if type(value) is int and 0 < value < 2**63 else 0
+
+
+def filled_note(imported: Imported) -> str:
+    """Return the number of samples that the import has filled, and how to leave holes instead; "" without any."""
+    if not imported.filled:
+        return ""
+    return f"Filled: {imported.filled:,} samples without data. To leave holes, tick Cut Out No-Data and import again."
 
 
 def info_lines(imported: Imported | None) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_ground, draw_message, draw_switched
 from . import import_terrain, store_paths
 from .import_terrain import has_option
-from .imported import changed_settings, imported_of, info_lines, loaded_text
+from .imported import changed_settings, filled_note, imported_of, info_lines, loaded_text
 from .placement_notes import picture_note
 from .shared_origin import system_notes
 
@@ -39,11 +39,11 @@ def draw_source(column, obj) -> None:
 
 
 def _draw_more(column, settings) -> None:
-    """Draw the further files; of many the last SHOWN_FILES, below the number of the others, which is at least 2."""
+    """Draw the further files; of many the last SHOWN_FILES, below the number of all and that of the others, 2 or more."""
     count = len(settings.more_sources)
     hidden = count - SHOWN_FILES if count > SHOWN_FILES + 1 else 0  # one file takes the room of its number
     if hidden:
-        column.label(text=phrase("{} more files", hidden))
+        column.label(text=phrase("{} files, {} not listed", count + 1, hidden))
     for item in settings.more_sources[hidden:]:
         _draw_path(column, item, "path")
 
@@ -152,7 +152,7 @@ class ImportedPanel(TerrainSubpanel):
         if imported is None:
             return
         placing = system_notes(terrain, origin_of(context.scene), imported)
-        notes = loaded_text(settings), *placing, *imported.warnings, picture_note(imported)
+        notes = loaded_text(settings), *placing, *imported.warnings, filled_note(imported), picture_note(imported)
         for text in filter(None, notes):
             draw_message(column, text, "INFO")
 

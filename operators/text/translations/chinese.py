@@ -421,5 +421,5 @@ LABELS = {
     "{}, {} new": "{}, 新增 {}",
     "{}. Beyond the measured errors": "{}。超出实测范围",
     "~{} triangles, ~{} ms": "约 {} 个三角形, 约 {} ms",
-    "{} more files": "另有 {} 个文件",
+    "{} files, {} not listed": "{} 个文件，{} 个未列出",
 }

@@ -427,5 +427,5 @@ LABELS = {
     "{}, {} new": "{}, {} nouvelles",
     "{}. Beyond the measured errors": "{}. Hors des erreurs mesurées",
     "~{} triangles, ~{} ms": "~{} triangles, ~{} ms",
-    "{} more files": "{} autres fichiers",
+    "{} files, {} not listed": "{} fichiers, dont {} non affichés",
 }

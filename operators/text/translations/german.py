@@ -425,5 +425,5 @@ LABELS = {
     "{}, {} new": "{}, {} neu",
     "{}. Beyond the measured errors": "{}. Außerhalb der gemessenen Fehler",
     "~{} triangles, ~{} ms": "~{} Dreiecke, ~{} ms",
-    "{} more files": "{} weitere Dateien",
+    "{} files, {} not listed": "{} Dateien, {} nicht gezeigt",
 }

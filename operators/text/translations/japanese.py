@@ -423,5 +423,5 @@ LABELS = {
     "{}, {} new": "{}、新規 {}",
     "{}. Beyond the measured errors": "{}。計測範囲外",
     "~{} triangles, ~{} ms": "三角形 ~{}、~{} ms",
-    "{} more files": "他 {} ファイル",
+    "{} files, {} not listed": "{} ファイル、うち {} 件は非表示",
 }

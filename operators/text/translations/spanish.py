@@ -425,5 +425,5 @@ LABELS = {
     "{}, {} new": "{}, {} nuevos",
     "{}. Beyond the measured errors": "{}. Fuera de los errores medidos",
     "~{} triangles, ~{} ms": "~{} triángulos, ~{} ms",
-    "{} more files": "{} archivos más",
+    "{} files, {} not listed": "{} archivos, {} sin mostrar",
 }

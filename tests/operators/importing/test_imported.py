@@ -73,6 +73,7 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     file = Path(terrain.adaptive_terrain.store) / "store.json"
     content = json.loads(file.read_text())
     assert imported_of(terrain.adaptive_terrain).warnings == ()
+    content["report"]["filled"] = 11_277
     content["report"]["warnings"] = ["Heights are in\nfeet.", "x" * 9_000, *["more"] * 50]
     content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))
@@ -81,6 +82,8 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     column = draw_mocked(ImportedPanel, terrain)
     labels = [call.kwargs.get("text") for call in column.box().column().label.mock_calls]
     assert "Heights are in feet." in labels
+    filled = "Filled: 11,277 samples without data. To leave holes, tick Cut Out No-Data and import again."
+    assert filled in " ".join(filter(None, labels))
 
 
 def test_raw_settings_are_for_files_without_a_header(tmp_path):
@@ -166,7 +169,7 @@ def test_a_file_that_moved_is_the_same(tmp_path):
 def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
     file = Path(bpy.path.abspath(terrain.adaptive_terrain.store)) / "store.json"
     content = json.loads(file.read_text())
-    content["report"] = {"raster": pair, "extent_m": pair}
+    content["report"] = {"raster": pair, "extent_m": pair, "filled": pair}
     content["crs"] = "\ud800\x1b[2J"
     content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))

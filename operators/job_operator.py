@@ -142,6 +142,8 @@ class JobOperator:
             return {"CANCELLED"}
         if job.result is not None:
             self.finish(context, obj, job.result)
+            if job.stopped:  # a first picture or other parts that are worth keeping
+                self.report({"INFO"}, f"{self.kind.title} was cancelled; the finished part stays")
             return {"FINISHED"}
         if job.error:
             return self.fail(obj, job.error)

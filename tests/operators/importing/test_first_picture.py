@@ -89,6 +89,7 @@ def test_a_cancelled_import_keeps_the_first_picture(terrain, monkeypatch):
     assert loaded_text(terrain.adaptive_terrain) == LOADED
     report = " ".join(str(call) for call in operator.report.call_args_list)
     assert "loaded to 79.6 m of 10 m" in report
+    assert operator.report.call_args.args == ({"INFO"}, "Importing was cancelled; the finished part stays")
     layout = DrawnLayout()
     draw_source(layout, terrain)
     assert "Load All" in layout.texts

@@ -22,7 +22,7 @@ from ..session import session
 from ..terrain import request, sight
 from ..text.numbers import length_text
 from ..text.translations import phrase
-from .imported import imported_of, loaded_text
+from .imported import imported_of
 
 if TYPE_CHECKING:
     from ...cbt_terrain.importing.import_process import ImportJob
@@ -182,13 +182,16 @@ def seen_land(found: request.Request) -> "SeenLand":
 def loaded_here(context, obj) -> str:
     """Return the detail of an incomplete terrain where the viewport or the camera looks, as `Loaded to 80 m here`.
 
-    It is that of the whole terrain (`loaded_text`) if no tiles are loaded or the view cannot be read, and "" for a
-    complete one. context: of a panel, in a viewport or another editor.
+    It is that of the whole terrain, as `Loaded to 640 m`, if no tiles are loaded or the view cannot be read, and "" for
+    a complete one: more does not fit into the row. context: of a panel, in a viewport or another editor.
     """
     from ...cbt_terrain.importing.refining import loaded_at
 
-    imported, text = imported_of(obj.adaptive_terrain), loaded_text(obj.adaptive_terrain)
-    if imported is None or imported.refined_m is None:
+    imported = imported_of(obj.adaptive_terrain)
+    if imported is None or imported.loaded_m is None:
+        return ""
+    text = phrase("Loaded to {}", length_text(imported.loaded_m[0]))
+    if imported.refined_m is None:
         return text
     try:
         step = loaded_at(session.open_field(absolute_path(obj.adaptive_terrain.store)), *_target_of(context, obj))

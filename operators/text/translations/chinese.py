@@ -200,6 +200,7 @@ LABELS = {
     "Load All": "全部载入",
     "Load and Render": "载入并渲染",
     "Load All imports the rest": "“全部载入”会导入其余部分",
+    "Loaded to {}": "已载入到 {}",
     "Loaded to {} of {}": "已载入到 {}（原为 {}）",
     "Loaded to {} here": "此处已载入到 {}",
     "Loaded to {}, else {}": "已载入到 {}，其余为 {}",

@@ -201,6 +201,7 @@ LABELS = {
     "Load All": "Tout charger",
     "Load and Render": "Charger et rendre",
     "Load All imports the rest": "Tout charger importe le reste",
+    "Loaded to {}": "Chargé à {}",
     "Loaded to {} of {}": "Chargé à {} sur {}",
     "Loaded to {} here": "Chargé à {} ici",
     "Loaded to {}, else {}": "Chargé à {}, ailleurs à {}",

@@ -201,6 +201,7 @@ LABELS = {
     "Load All": "Alles laden",
     "Load and Render": "Laden und rendern",
     "Load All imports the rest": "Alles laden importiert den Rest",
+    "Loaded to {}": "Geladen bis {}",
     "Loaded to {} of {}": "Geladen bis {} von {}",
     "Loaded to {} here": "Hier geladen bis {}",
     "Loaded to {}, else {}": "Geladen bis {}, sonst {}",

@@ -199,6 +199,7 @@ LABELS = {
     "Load All": "すべて読み込む",
     "Load and Render": "読み込んでレンダリング",
     "Load All imports the rest": "「すべて読み込む」で残りを読み込みます",
+    "Loaded to {}": "{} まで読み込み済み",
     "Loaded to {} of {}": "{} まで読み込み済み（元は {}）",
     "Loaded to {} here": "ここは {} まで読み込み済み",
     "Loaded to {}, else {}": "{} まで読み込み済み、他は {}",

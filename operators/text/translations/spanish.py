@@ -201,6 +201,7 @@ LABELS = {
     "Load All": "Cargar todo",
     "Load and Render": "Cargar y renderizar",
     "Load All imports the rest": "Cargar todo importa el resto",
+    "Loaded to {}": "Cargado a {}",
     "Loaded to {} of {}": "Cargado a {} de {}",
     "Loaded to {} here": "Cargado a {} aquí",
     "Loaded to {}, else {}": "Cargado a {}, el resto a {}",

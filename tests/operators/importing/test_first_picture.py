@@ -66,7 +66,7 @@ def test_the_land_is_shown_before_it_is_complete(terrain, scene):
     first = box_of(terrain)
     layout = DrawnLayout()
     status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
-    assert LOADED in layout.texts, "beside the progress"
+    assert "Loaded to 79.6 m" in layout.texts, "beside the progress"
     bpy.ops.ed.undo_push(message="While importing")
     assert to_the_end(operator) == {"FINISHED"}
     assert terrain.adaptive_terrain.store == path and loaded_text(terrain.adaptive_terrain) == ""
@@ -99,7 +99,7 @@ def test_a_cancelled_import_keeps_the_first_picture(terrain, monkeypatch):
     )
     layout = DrawnLayout()
     status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain)
-    assert layout.texts == [LOADED, "Load All"], "not of a camera that is not placed"
+    assert layout.texts == ["Loaded to 79.6 m", "Load All"], "not of a camera that is not placed"
     again = running(import_terrain.ImportTerrain, terrain)
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""
     assert imported_of(terrain.adaptive_terrain).raster == (200, 150)

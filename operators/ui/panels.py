@@ -92,11 +92,12 @@ def _figures_of(context, obj) -> list[tuple[str, str]]:
 
 def _draw_state(box, context, obj) -> None:
     """Draw two rows: the state, and the triangles and the error of the last update."""
-    draw_status(box, context, obj)
+    state, figures = box.row(), box.row()
     (_, triangles), (_, bound), _ = _figures_of(context, obj)
     bound = phrase("error {}", bound) if bound.startswith("≤") else phrase(bound)
     mode = session.record_of(obj).status.mode  # "" before the first update
-    box.label(text=phrase("{} triangles, {}", triangles, bound) if mode else "", icon="BLANK1")
+    figures.label(text=phrase("{} triangles, {}", triangles, bound) if mode else "", icon="BLANK1")
+    draw_status(state, context, obj, below=figures)
 
 
 class LookPanel(TerrainSubpanel):

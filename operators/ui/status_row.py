@@ -24,17 +24,19 @@ from ..terrain.properties import VIEWPORT_VIEW
 from .panel_parts import error_lines, wrap_words
 
 POPUP_LINE = 80
-NOTICE_WIDTH, SHORT_NOTICE_WIDTH = 0.7, 0.5  # of the row; one or two buttons that mend it have the rest
+NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
 UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
 NO_VIEW = UNDERGROUND, SEES_NOTHING
+BUTTON_UNITS = 3.3  # width of the second button, in the interface's units
 LOAD_ALL = "adaptive_terrain.import_source", "Load All"
 FRAME, CAMERA_TO_VIEW, MOVE_WORLD = "adaptive_terrain.frame", "view3d.camera_to_view", "adaptive_terrain.move_world"
 
 
-def draw_status(layout, context, obj) -> None:
+def draw_status(layout, context, obj, below) -> None:
     """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility.
 
-    layout: of a panel. obj: the shown terrain, which need not be the active object.
+    layout: of a panel. obj: the shown terrain, which need not be the active object. below: the next row, for a second
+    button.
     """
     row = layout.row(align=True)
     status = session.record_of(obj).status
@@ -60,13 +62,13 @@ def draw_status(layout, context, obj) -> None:
         # loaded: the detail of an incomplete store here, "" for a complete one.
         if (harmless or not text) and (loaded := loaded_here(context, obj)):
             text, harmless, (operator, button) = loaded, False, LOAD_ALL
-        has_choice = text in NO_VIEW and not harmless
-        row = row.split(factor=SHORT_NOTICE_WIDTH if has_choice else NOTICE_WIDTH) if text else row
+        row = row.split(factor=NOTICE_WIDTH) if text else row
         icon = "INFO" if harmless else "ERROR" if text else "CHECKMARK"
         row.label(text=text or "In sight", icon=icon)
-        if has_choice:
-            row = row.row(align=True)
+        if text in NO_VIEW and not harmless:
             row.prop_enum(obj.adaptive_terrain, "camera_source", VIEWPORT_VIEW)
+            row = below.row()
+            row.ui_units_x = BUTTON_UNITS
         if operator:
             row.operator(operator, text=button)
 

@@ -65,7 +65,7 @@ def test_the_land_is_shown_before_it_is_complete(terrain, scene):
     assert session.record_of(terrain).field.lattice.width == 26
     first = box_of(terrain)
     layout = DrawnLayout()
-    status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
+    status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain, layout)
     assert "Loaded to 79.6 m" in layout.texts, "beside the progress"
     bpy.ops.ed.undo_push(message="While importing")
     assert to_the_end(operator) == {"FINISHED"}
@@ -98,7 +98,7 @@ def test_a_cancelled_import_keeps_the_first_picture(terrain, monkeypatch):
         status_row, "sight_notice", lambda *_: ("Camera underground", status_row.CAMERA_TO_VIEW, "To View")
     )
     layout = DrawnLayout()
-    status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain)
+    status_row.draw_status(layout, SimpleNamespace(space_data=None, scene=bpy.context.scene), terrain, layout)
     assert layout.texts == ["Loaded to 79.6 m", "Load All"], "not of a camera that is not placed"
     again = running(import_terrain.ImportTerrain, terrain)
     assert to_the_end(again) == {"FINISHED"} and loaded_text(terrain.adaptive_terrain) == ""

@@ -112,7 +112,7 @@ def test_a_remedy_that_moves_no_camera_comes_first(scene, add_terrain):
     def row() -> list[str]:
         bpy.context.view_layer.update()
         layout = DrawnLayout()
-        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
+        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain, layout)
         return layout.texts
 
     camera.rotation_euler.z = 3.1

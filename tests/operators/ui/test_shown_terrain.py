@@ -42,7 +42,7 @@ def test_the_tab_says_that_its_terrain_is_hidden(scene, add_terrain):
     for is_hidden in (False, True):
         terrain.hide_set(is_hidden)
         layout = DrawnLayout()
-        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain)
+        draw_status(layout, SimpleNamespace(space_data=None, scene=scene), terrain, layout)
         shown.append("Hidden: stays as it is" in layout.texts)
     assert shown == [False, True]
 

@@ -39,7 +39,7 @@ def draw_source(column, obj) -> None:
 
 
 def _draw_more(column, settings) -> None:
-    """Draw the further files; of many the last SHOWN_FILES, below the number of all and that of the others, 2 or more."""
+    """Draw the further files; of many the last SHOWN_FILES, below the numbers of all and of the others, at least 2."""
     count = len(settings.more_sources)
     hidden = count - SHOWN_FILES if count > SHOWN_FILES + 1 else 0  # one file takes the room of its number
     if hidden:

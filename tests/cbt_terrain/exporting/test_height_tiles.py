@@ -277,6 +277,7 @@ def test_unreal_sizes_and_counts():
         HeightTiles(size=40, pattern="{name}_x{x}"),
         HeightTiles(size=40, pattern="{name}_{z}"),
         HeightTiles(size=40, pattern="{x}{y}{0}"),
+        HeightTiles(size=40, pattern="{x:>999999999999}_{y}"),
         HeightTiles(size=40, pattern="../{name}_x{x}_y{y}"),
         HeightTiles(size=40, pattern="{name}_{x[0]}_{y}"),
         HeightTiles(size=40, pattern="{name[a]}_{x}_{y}"),

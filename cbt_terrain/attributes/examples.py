@@ -13,9 +13,9 @@ from .evaluate import on_samples
 def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters: Any) -> np.ndarray:
     """Return an attribute at the samples of a raster, without the two outermost on each side.
 
-    Those lack neighbours. The result is float32 [rows - 4, columns - 4], or [rows - 4,
-    columns - 4, width] for an attribute of several values. step: metres between samples. level: level of
-    the height pyramid, 0 for the raster's own samples. parameters: of the attribute.
+    Those lack neighbours. The result is float32 [rows - 4, columns - 4], or [rows - 4, columns - 4, width] for an
+    attribute of several values. step: metres between samples. level: level of the height pyramid, 0 for the raster's
+    own samples. parameters: of the attribute.
     """
     field = from_array(np.asarray(heights, np.float32), step)
     requests = [AttributeRequest(name, (), parameters=tuple(parameters.items()))]

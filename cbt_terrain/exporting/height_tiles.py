@@ -188,14 +188,14 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
     Raises TerrainError for a pattern that does not give them.
     """
     names = {}
-    has_long_field = re.search(r"{[^}]*\d{4}", settings.pattern)  # a width of 1000: longer than a file name
+    # A field of 1000 or more characters is longer than a file name, and may fill the memory.
+    pattern = "" if re.search(r"{[^}]*\d{4}", settings.pattern) else settings.pattern
     for k, layer in enumerate(layers):
         name = f"{settings.name}_{layer.name}" if layer.name else settings.name
         for y in range(axes[1].tiles):
             for x in range(axes[0].tiles):
                 try:
-                    text = "" if has_long_field else settings.pattern.format(name=name, x=x, y=y)
-                    names[k, x, y] = text + layer.suffix
+                    names[k, x, y] = pattern.format(name=name, x=x, y=y) + layer.suffix
                 except (LookupError, ValueError, AttributeError, TypeError):
                     names[k, x, y] = ""
     used = [*names.values(), f"{settings.name}.json"]

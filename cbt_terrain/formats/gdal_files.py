@@ -12,7 +12,7 @@ from ..rasters.band_notes import WHOLE_FILE
 from ..rasters.raster import cause
 from ..rasters.rasterio_types import DatasetReader
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file
+from ..rasters.sidecars import allow_aux_file, is_alone
 from ..rasters.source_formats import FORMATS, SourceFormat
 from ..run.named_file import open_regular
 from .header_files import check_header, check_length
@@ -70,8 +70,6 @@ def open_file(path: Path, form: SourceFormat) -> DatasetReader:
     files in another folder; and rasterio's errors for other files that GDAL cannot open. form: the format that its name
     or content gives.
     """
-    import rasterio
-
     if form.max_bytes and path.stat().st_size > form.max_bytes:
         raise TerrainError(
             f"{shown(path)} has {path.stat().st_size / 1e6:,.0f} MB of text",
@@ -81,12 +79,36 @@ def open_file(path: Path, form: SourceFormat) -> DatasetReader:
     if form.driver in DAMAGE:
         _check_damage(path, form)
     header = check_header(path) if form.has_header else None
-    dataset = rasterio.open(path, driver=form.driver, sharing=False)
+    dataset = open_dataset(path, form.driver)
     _check_files(path, dataset)
     _check_blocks(path, dataset)
     if header is not None:
         check_length(path, header, dataset)
     return dataset
+
+
+def open_dataset(path: Path, driver: str, **options: object) -> DatasetReader:
+    """Open a file with one driver and its open options. Raises rasterio's errors.
+
+    GDAL lists the folder, to find files that belong to this one (.msk, .ovr, world files), only if there may be any:
+    in a folder of 2,400 files this takes as long as opening one.
+    """
+    import rasterio
+    from rasterio.env import setenv
+
+    needs_no_list = driver == "GTiff" and is_alone(path)
+    setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR" if needs_no_list else "FALSE")
+    try:
+        return rasterio.open(path, driver=driver, sharing=False, **options)
+    finally:
+        setenv(GDAL_DISABLE_READDIR_ON_OPEN="FALSE")
+
+
+def ignore_neighbours() -> None:
+    """Let GDAL read no files beside those that it opens from now on, such as the sources of a VRT that is read."""
+    from rasterio.env import setenv
+
+    setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
 
 
 def _check_files(path: Path, dataset: DatasetReader) -> None:
@@ -143,7 +165,7 @@ def open_vrt(path: Path) -> OpenedVrt:
             ) from reason
         finally:
             setenv(GDAL_PAM_ENABLED="NO")  # no .aux.xml is read, as before `allow_aux_file`
-    setenv(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # files beside a source (.msk, .ovr) could be VRTs again
+    ignore_neighbours()  # files beside a source (.msk, .ovr) could be VRTs again
     texts = [
         rasterio.MemoryFile(text.encode(), dirname=mosaic.folder, filename=f"{number}.vrt")
         for number, text in enumerate(mosaic.texts)

@@ -25,12 +25,12 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, named_crs
+from ..rasters.sidecars import allow_aux_file, aux_file, named_crs
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
 from .format_choice import format_of
-from .gdal_files import OpenedVrt, open_file, open_vrt, start_gdal
+from .gdal_files import OpenedVrt, ignore_neighbours, open_dataset, open_file, open_vrt, start_gdal
 from .vrt_rounding import mosaic_roundings
 from .vrt_units import mosaic_notes
 
@@ -271,9 +271,6 @@ def _window_reader(
     from rasterio.windows import Window
 
     band, no_data = settings.band, settings.no_data
-    masked = no_data is None and MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
-    # a band that is 0 at missing samples and counts instead of the mask; 0 for none
-    alpha = float_alpha(dataset, band) if no_data is None else 0
 
     def read(first: int, count: int, column: int, columns: int) -> np.ndarray:
         """Return `columns` samples from `column` on of `count` rows from row `first` on; missing samples are NaN.
@@ -283,6 +280,10 @@ def _window_reader(
         """
         window = Window(column, first, columns, count)
         try:
+            # Not before samples are read: the search for a mask takes half as long as opening a file for its header.
+            masked = no_data is None and MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
+            # a band that is 0 at missing samples and counts instead of the mask; 0 for none
+            alpha = float_alpha(dataset, band) if no_data is None else 0
             rows = dataset.read(band, window=window)
             mask = dataset.read_masks(band, window=window) if masked else None
             mask = dataset.read(alpha, window=window) if alpha else mask
@@ -303,18 +304,22 @@ def _window_reader(
 def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
     """Open the coarsest overview of a GeoTIFF with one sample for 2, 4, 8 ... `max_factor` samples a side.
 
-    None if the file has no such overview, or if it is coarser or has another type of samples. The caller closes it. The
-    file was opened and checked before. width: its columns. stored: type of its samples.
+    None if the file has no such overview, if it is coarser or has another type of samples, and beside an .aux.xml. The
+    caller closes it. The file was opened and checked before. width: its columns. stored: type of its samples.
     """
-    import rasterio
+    from rasterio.errors import RasterioIOError
 
     level = max_factor.bit_length() - 2  # overviews 0, 1, 2, ... should be 2, 4, 8, ... times coarser
-    if level < 0:
+    if level < 0 or aux_file(path) is not None:  # GDAL ignores its no-data value in overviews
         return None
-    try:
-        small = rasterio.open(path, driver="GTiff", sharing=False, OVERVIEW_LEVEL=level)
-    except rasterio.errors.RasterioIOError:
-        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its position, which takes long to read, is known
+        try:
+            small = open_dataset(path, "GTiff", OVERVIEW_LEVEL=level, GEOREF_SOURCES="NONE")
+        except RasterioIOError:
+            return None
+        finally:
+            ignore_neighbours()  # the source of another tile may be a VRT
     if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
         small.close()
         return None

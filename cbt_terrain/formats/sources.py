@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import math
 import os
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -88,19 +89,22 @@ def check_named(path: Path, kind: str = "height map") -> None:
     """
     expected = f"the file of a {kind}"
     try:
-        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-        is_regular = path.is_file()
-    except (OSError, ValueError) as reason:
-        message = getattr(reason, "strerror", None) or reason
+        status = path.stat()
+        mode, size = status.st_mode, status.st_size
+        what = "is a folder" if stat.S_ISDIR(mode) else "is not a regular file"
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: the name holds a zero byte
+        mode, size, what = 0, 0, "does not exist"
+    except OSError as reason:
+        message = reason.strerror or reason
         raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
-    if not is_regular:
+    if not stat.S_ISREG(mode):
         archive = archive_of(path)
         fix = f"name the archive ({shown(archive)}), or unpack it" if archive != path else ""
         fix = "download it first, because no import uses the network" if {*path.parts} & WEB else fix
         raise TerrainError(f"{shown(path)} {what}", expected=expected, fix=fix)
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
-    if path.stat().st_size == 0:
+    if size == 0:
         raise TerrainError(f"{path} is empty", expected=expected, fix="get the file again, or leave it out")
 
 

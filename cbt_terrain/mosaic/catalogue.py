@@ -30,6 +30,7 @@ from ..formats.archives import (
     is_archive,
     is_inside,
 )
+from ..formats.gdal_files import ignore_neighbours
 from ..formats.sources import check_named, open_tile_source
 from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
 from ..rasters.coded_heights import tile_of
@@ -160,7 +161,8 @@ def build_catalogue(
     tiles = []
     for number, path in enumerate(paths):
         tile = stored.get(str(path))
-        now = tuple(_with_sidecars(path))  # a new sidecar changes the header, too
+        now = tuple(_with_sidecars(path))
+        # A new sidecar may change the header, too; the other files of a tile are sources that a VRT names.
         if tile is None or now != tile.files[: len(now)] or list(tile.files) != list(tile.files_now()):
             tile = _read_tile(path, settings, unpacked)
         tiles.append(tile)
@@ -171,17 +173,15 @@ def build_catalogue(
 def open_tile(path: Path, settings: ImportSettings) -> Raster:
     """Open one file of a mosaic; the caller closes it. Its samples are as the file stores them. Raises TerrainError.
 
-    path: the file, or the unpacked copy of one in an archive. From now on GDAL reads no .aux.xml and lists no folder.
+    path: the file, or the unpacked copy of one in an archive. From now on GDAL ignores files beside those that it
+    opens, until the next tile is opened.
     """
-    from rasterio.env import setenv
-
     # Without the settings of the mosaic as a whole.
     of_one_file = dataclasses.replace(
         settings, source=str(path), more_sources=(), priority=ORDER, step=None, blend=True, project=""
     )
     raster = open_tile_source(of_one_file)
-    # For sources that a VRT opens while it is read.
-    setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
+    ignore_neighbours()  # a VRT opens its sources later, while it is read
     return raster
 
 
@@ -197,7 +197,10 @@ def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder
 
 
 def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
-    """Return paths with `..`, which older versions wrote into a store's catalogue, by the same paths without `..`."""
+    """Return paths with `..`, which older versions wrote into a store's catalogue, by the same paths without `..`.
+
+    An import that finds such paths takes their files as those of the store, instead of reading them again.
+    """
     written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
     paths = {absolute_source(path): path for path in written if ".." in Path(path).parts}
     # The catalogue does not list tile indexes, only their files, whose paths begin with the folder of the index.

@@ -149,20 +149,21 @@ class Composite:
         return self._inputs(GridPiece(self.grid.column + column, self.grid.row + row, columns, rows), reach)
 
     def inputs_by_seams(self, row: int, rows: int, column: int, columns: int) -> str:
-        """Return a digest as `inputs_of`, but with the seams of finer files that are known, instead of near files.
+        """Return a digest of everything that determines the values of a window: its files, and the seams around it.
 
-        It changes only with files in the window, and with seams that are near enough to change the blending there.
-        Unknown seams are read.
+        A seam is the border between a finer and a coarser file, where both are blended. `inputs_of` reads no file, so
+        it takes all files near the window instead; this digest reads seams without a record, and changes less often.
         """
         piece = GridPiece(self.grid.column + column, self.grid.row + row, columns, rows)
         seams = self.insets.digest_around(piece) if self.insets is not None else ""
         return f"{self._inputs(piece, reach=0)} {seams}"
 
     def keep_seams(self, find: Callable[[int, int], dict | None], note: Callable[..., None]) -> None:
-        """Read the seams (borders between finer and coarser files) of blocks from records, and write records of others.
+        """Let the blending take seams (borders between finer and coarser files) from records of an earlier import.
 
-        find(row, column): returns the values of the record of a block of the grid, None for none. note(row, column,
-        **values): writes one. Rows and columns of blocks are counted from the grid's origin (x0, y0).
+        The seams of blocks without a valid record are found by reading files, and recorded. find(row, column): returns
+        the values of the record of a block of the grid, None for none. note(row, column, **values): writes one. Rows
+        and columns of blocks are counted from the grid's origin (x0, y0).
         """
         if self.insets is None:
             return
@@ -224,10 +225,10 @@ class Composite:
         return ((low < (piece.column + piece.columns, piece.row + piece.rows)) & (high >= first)).all(axis=1)
 
     def _parts(self, piece: GridPiece) -> Iterator[tuple[GridPiece, np.ndarray, list[FoundLattice]]]:
-        """Yield a piece, or its parts if it needs too many source samples at once, with the lattices found there.
+        """Yield a piece, or its parts if it needs too many source samples at once, with the source samples read for it.
 
-        A lattice is a grid that several tiles share. Each part comes with the levels of the tiles near it, ascending;
-        level 0 has the coarsest tiles.
+        Each part comes with the levels of the tiles near it, ascending (level 0 has the coarsest tiles), and with a
+        FoundLattice, which holds the samples, for each lattice (a grid that several tiles share) with tiles near it.
         """
         self.on_piece()
         meets, found = self._meets(piece), []
@@ -248,12 +249,16 @@ class Composite:
         yield piece, np.unique(self.levels[meets]), found
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
-        """Fill the values of a piece, all NaN, and return their largest error by an inexact position."""
+        """Fill the values of a piece, all NaN, and return their largest error by an inexact position.
+
+        Coarse tiles come first, and finer ones replace them, blended at their borders.
+        """
         if self._copy(piece, values):
             return 0.0
         largest_error = 0.0
         for part, levels, found in self._parts(piece):
             result = empty_values(part)
+            # Each step has written one more level over `result`; `below` is what stood there before.
             for level, below in resample_levels(part, levels, found, result):
                 if below is not None and self.insets is not None:
                     self.insets.blend(level, part, below, result)
@@ -313,7 +318,11 @@ class Composite:
                         yield part, level, below, result
 
     def _nodes_of(self, number: int, column: int, row: int) -> BlockNodes:
-        """Return the nodes of the block (column, row) for the lattice `number`, computed on first use."""
+        """Return the nodes of the block (column, row) for the lattice `number`, computed on first use.
+
+        Nodes are samples of the block, such as every 32nd, whose positions in the lattice are exact; those of the
+        samples between are interpolated.
+        """
         key = number, column, row
         if key not in self._nodes:
             self._nodes[key] = nodes_of(self.lattices[number], self.grid, column, row)
@@ -323,9 +332,10 @@ class Composite:
         return self._nodes[key]
 
     def _window(self, lattice: TileLattice, near: np.ndarray, box: tuple[int, int, int, int]) -> LatticeWindow:
-        """Read a box of a lattice (first column and row, ends) from some tiles, in the order of their ranks.
+        """Read a box of a lattice from some tiles, in the order of their ranks.
 
-        near: indices of these tiles in `lattice.tiles`.
+        near: indices of these tiles in `lattice.tiles`. box: first column and row, and their ends. The result lists the
+        rectangles of all these tiles, also of those outside the box, since a bridge to them may begin in it.
         """
         left, top, right, bottom = box
         values = np.full((bottom - top, right - left), np.nan)

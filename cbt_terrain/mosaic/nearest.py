@@ -61,8 +61,8 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
 def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stride: float) -> np.ndarray:
     """Return the samples of a tile at columns u and rows v, float64 [n].
 
-    A mosaic of more than MAX_UNPACKED samples takes them from an overview of about FINER samples a stride, if the file
-    has one. stride: columns of the tile between two samples. rank: number of the tile.
+    A mosaic of more than MAX_UNPACKED samples takes them from an overview, if the file has one that still has about
+    FINER samples for each one wanted. stride: columns of the tile between two wanted samples. rank: number of the tile.
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:

@@ -4,10 +4,12 @@
 This module checks an .aux.xml before GDAL parses it. GDAL may read it only if it names no other file.
 """
 
+import bisect
 import contextlib
 import functools
 import os
 import re
+import sys
 from pathlib import Path
 from xml.parsers import expat
 
@@ -21,6 +23,7 @@ SUFFIXES = (
     *(".hdr", ".stx", ".clr", ".ovr", ".msk", ".sgrd", ".ige", ".rrd", ".j2w", ".wpw", ".blw"),
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
+LAST_LETTER = chr(sys.maxunicode)  # in the order of texts, after all letters of names
 # A code or WKT. GDAL's other notations for a coordinate system may name a file.
 _SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)
 
@@ -30,23 +33,42 @@ def sidecars(path: Path) -> list[Path]:
     stem, name = path.stem.lower(), path.name.lower()
     wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
     try:
-        names = _names_in(str(path.parent), os.stat(path.parent).st_mtime_ns)
-        files = [path.with_name(other) for other in sorted(other for w in wanted for other in names.get(w, ()))]
+        files = [path.with_name(other) for other in sorted(_names_beside(path)) if other.lower() in wanted]
     except OSError:  # a folder that may be entered but not listed
         files = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
     return [file for file in files if file.is_file()]
 
 
-@functools.lru_cache(maxsize=4)
-def _names_in(folder: str, _changed_ns: int) -> dict[str, list[str]]:
-    """Return the names in a folder by their small letters, cached: a mosaic of n tiles would list its folder n times.
+def is_alone(path: Path) -> bool:
+    """Return whether no other file of the folder has a raster's name with another suffix, so that none belongs to it.
 
-    _changed_ns: time of its last change, only for the cache.
+    False for a folder that cannot be listed.
     """
-    by_small_letters: dict[str, list[str]] = {}
-    for name in os.listdir(folder):
-        by_small_letters.setdefault(name.lower(), []).append(name)
-    return by_small_letters
+    try:
+        return not _names_beside(path)
+    except OSError:
+        return False
+
+
+def _names_beside(path: Path) -> list[str]:
+    """Return the other names in a file's folder that begin with its name up to the suffix, whatever the case.
+
+    For example dem.tfw and DEM.tif.ovr for dem.tif. Raises OSError for a folder that cannot be listed.
+    """
+    names = _names_in(str(path.parent), os.stat(path.parent).st_mtime_ns)
+    start = path.stem.lower() + "."
+    first, end = (bisect.bisect_left(names, (text, "")) for text in (start, start + LAST_LETTER))
+    return [name for _, name in names[first:end] if name != path.name]
+
+
+@functools.lru_cache(maxsize=4)
+def _names_in(folder: str, _changed_ns: int) -> list[tuple[str, str]]:
+    """Return the names in a folder, each in small letters and as it is, sorted.
+
+    The result is cached, because a mosaic of n tiles would list its folder n times. _changed_ns: time of the folder's
+    last change, only for the cache.
+    """
+    return sorted((name.lower(), name) for name in os.listdir(folder))
 
 
 def aux_file(path: Path) -> Path | None:

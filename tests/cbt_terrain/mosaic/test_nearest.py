@@ -129,3 +129,37 @@ def write_overviews(path, heights):
     with rasterio.open(path, "r+") as opened:
         opened.build_overviews([2, 4, 8], Resampling.average)
     return str(path)
+
+
+AUX_NO_DATA = '<PAMDataset><PAMRasterBand band="1"><NoDataValue>7</NoDataValue></PAMRasterBand></PAMDataset>'
+
+
+@pytest.mark.parametrize("kind", [".msk", ".aux.xml", ".ovr", None])
+def test_files_beside_tiles_count_in_overviews(tmp_path, monkeypatch, kind):
+    """A mask or a no-data value of the eastern tile, or the overviews of both, are in files beside them."""
+    heights = np.full((512, 256), 7.0, np.float32)
+    heights[:, :128] = 500.0
+    for n in range(2):
+        place = {"crs": UTM32, "transform": from_origin(EAST + 2560 * n, NORTH, 10, 10)}
+        write_raster(tmp_path / f"{n}.tif", heights, tiled=True, **place)
+    with rasterio.Env(TIFF_USE_OVR=kind == ".ovr", GDAL_TIFF_INTERNAL_MASK=False):
+        for n in range(2):
+            with rasterio.open(tmp_path / f"{n}.tif", "r+") as file:
+                file.build_overviews([2, 4, 8], Resampling.nearest)
+        if kind == ".msk":
+            with rasterio.open(tmp_path / "1.tif", "r+") as file:
+                file.write_mask(np.where(heights > 7.0, 255, 0).astype(np.uint8))
+            with rasterio.open(tmp_path / "1.tif.msk", "r+") as file:
+                file.build_overviews([2, 4, 8], Resampling.nearest)
+    if kind == ".aux.xml":
+        (tmp_path / "1.tif.aux.xml").write_text(AUX_NO_DATA)
+    assert kind is None or (tmp_path / f"1.tif{kind}").exists()
+    monkeypatch.setattr(nearest, "MAX_UNPACKED", 1)
+    report = run_mosaic_import(settings_of(tmp_path / "0.tif", tmp_path / "1.tif", quick=1000), tmp_path / "store")
+    assert report["loaded_from"] == "overviews"
+    # The tile in the east has 7 m, or no sample, in its eastern half; the one in the west has 7 m there.
+    loaded = open_store(tmp_path / "store").heights()
+    rows, columns = loaded.shape
+    quarter, hides = columns // 4, kind in (".msk", ".aux.xml")
+    assert report["filled"] == (rows * quarter if hides else 0)
+    assert (loaded[:, -quarter:] == (500.0 if hides else 7.0)).all() and (loaded[:, 2 * quarter - 1] == 7.0).all()

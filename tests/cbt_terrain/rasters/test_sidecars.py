@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.rasters.sidecars import MAX_BYTES, sidecars
+from adaptive_terrain.cbt_terrain.rasters.sidecars import MAX_BYTES, is_alone, sidecars
 from rasterio.crs import CRS
 from rasters import hills, imported, write_raster
 
@@ -141,6 +141,19 @@ def test_sidecars_are_found_in_any_case_and_count(tmp_path):
     (tmp_path / "Map2.prj").write_text(WKT)
     digests.add(source_digest(settings))
     assert [path.name for path in sidecars(source)] == ["Map.PGW", "Map.PNG.aux.xml", "map.prj"] and len(digests) == 4
+
+
+def test_a_raster_is_alone_without_files_of_its_name(tmp_path):
+    for name in ("dem.tif", "dem_1.tif", "dem1.tif", "DEM.2.tif", "n46.tif"):
+        (tmp_path / name).touch()
+    assert is_alone(tmp_path / "n46.tif") and is_alone(tmp_path / "dem_1.tif")
+    assert not is_alone(tmp_path / "dem.tif"), "DEM.2.tif may belong to it"
+    for name in ("N46.TFW", "dem_1.tif.msk", "dem1.tif.xml"):
+        assert is_alone(tmp_path / f"{name.lower().split('.')[0]}.tif")
+        (tmp_path / name).touch()
+        os.utime(tmp_path, ns=(0, os.stat(tmp_path).st_mtime_ns + 1))  # two files may come within a clock tick
+        assert not is_alone(tmp_path / f"{name.lower().split('.')[0]}.tif")
+    assert not is_alone(tmp_path / "missing" / "a.tif")
 
 
 @pytest.mark.parametrize("name", ["a.tif.aux.xml", "a.tfw", "a.TFW", "a.prj"])

@@ -37,22 +37,21 @@ MIN_SEA, INLAND = 0.01, 0.05
 def default_sea(field: HeightField) -> float:
     """Return a level of the sea in metres that shows water.
 
-    It is 0 m at a coast, OVER_FLAT_SEA if most ground there is at exactly 0, as where a file stores the sea so, and
-    inland that of a lake on the lowest ground.
+    It is 0 m at a coast, and inland that of a lake on the lowest ground. If most ground at or below the level is at
+    exactly this level, as where a file stores the sea as 0 or holds a lake's surface, it is OVER_FLAT_SEA higher.
     """
     count = field.samples.size if field.valid is None else np.count_nonzero(field.valid)
-    ground, filled, below, at_zero = np.empty(count, np.float32), 0, 0, 0  # `filled`: heights so far
+    ground, filled = np.empty(count, np.float32), 0  # `filled`: heights so far
     for first in range(0, field.lattice.height, ROWS):
         heights = field.heights(slice(first, first + ROWS)).reshape(-1)
         if field.valid is not None:
             heights = heights[field.valid[first : first + ROWS].reshape(-1) != 0]
         ground[filled : filled + heights.size] = heights
         filled += heights.size
-        below += np.count_nonzero(heights <= 0.0)
-        at_zero += np.count_nonzero(heights == 0.0)
-    if below >= MIN_SEA * count:
-        return OVER_FLAT_SEA if 2 * at_zero > below else 0.0
-    return float(np.quantile(ground, INLAND, overwrite_input=True))
+    is_coast = np.count_nonzero(ground <= 0.0) >= MIN_SEA * count
+    level = 0.0 if is_coast else float(np.quantile(ground, INLAND, overwrite_input=True))
+    is_level = 2 * np.count_nonzero(ground == level) > np.count_nonzero(ground <= level)
+    return level + OVER_FLAT_SEA if is_level else level
 
 
 def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> Surface:

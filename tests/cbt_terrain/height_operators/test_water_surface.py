@@ -167,6 +167,18 @@ def test_inland_the_lowest_ground_is_under_water():
     assert default_sea(from_array(np.tile(rows - 600.0, (80, 1)), step_x=STEP_X, step_y=STEP_Y)) == 0.0
 
 
+def test_a_lowest_lake_stored_as_level_gets_water():
+    """A lake that covers a tenth of a valley, at its lowest, is dry at its own level."""
+    rows = np.maximum(np.linspace(400.0, 900.0, 101, dtype=np.float32), 450.0)
+    valley = from_array(np.tile(rows, (80, 1)), step_x=STEP_X, step_y=STEP_Y)
+    level = default_sea(valley)
+    assert 450.05 < level < 451.0
+    surface = water_of(valley, sea=level)
+    lake = surface.positions[np.abs(surface.positions[:, 2] - level) < 1e-3]
+    west, _, east, _ = valley.lattice.rectangle()
+    assert np.ptp(lake[:, 0]) == pytest.approx(0.1 * (east - west), rel=0.1)
+
+
 def test_the_default_sea_of_a_raster_with_holes_is_of_its_ground(tmp_path):
     """The samples that fill holes do not count; neither do bands of rows, nor the store's 16-bit numbers."""
     heights = np.random.default_rng(8).integers(500, 900, (700, 60)).astype(np.int16)

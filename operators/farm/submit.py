@@ -15,6 +15,7 @@ from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES, files_of, names
 from ...cbt_terrain.rasters.sidecars import sidecars
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
+from ..export.blend_files import check_distinct_names
 from ..export.exporting import make_folder
 from ..export.file_outputs import output_folders
 from ..export.preparing import is_missing, store_folder_of
@@ -86,6 +87,8 @@ def submit(
                 f"a File Output node writes to {shown(folder)}, which farms do not bring back: choose a folder "
                 "beside the file"
             )
+    if formats or any(tiles):
+        check_distinct_names(objects)  # of files and of the job's stores
     make_folder(out)
     zip_path = None if extension is None else _zip_path(extension, out)
     if zip_path is None:

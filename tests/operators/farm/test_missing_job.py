@@ -106,6 +106,15 @@ def assert_imported(name, folder, monkeypatch):
     assert all(arrays[array].tobytes() == wanted[array].tobytes() for array in wanted)
 
 
+def test_a_job_refuses_names_that_share_a_file(missing, add, capsys):
+    """Records of imports are files that are named like the terrains."""
+    bpy.data.objects["Hills"].name, bpy.data.objects["Dunes"].name = "a/b", "a_b"
+    bpy.ops.wm.save_mainfile()
+    assert run("submit", "--scene", missing / "shot.blend", "--out", missing / "job", "--frames", "1") != 0
+    assert "'a/b' and 'a_b'" in (said := capsys.readouterr().err) and "rename one of them" in said
+    assert not (missing / "job").exists()
+
+
 def test_workers_share_the_import_of_a_missing_store(missing, start, two_shares, capsys, monkeypatch):
     steps, _ = submit(missing)
     assert steps == [*SHARED, *ALONE]

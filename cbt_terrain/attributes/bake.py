@@ -89,11 +89,8 @@ def bake(
     """
     folder, tiling = Path(folder), tiling_of(field.lattice, min_level(field.raster))
     ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
-    images = [
-        _image(ground, request, tile, side, form)
-        for tile, side in enumerate(resolutions)
-        for request in sorted(requests, key=lambda request: request.name)
-    ]
+    by_name = sorted(requests, key=lambda request: request.name)
+    images = [_image(ground, request, tile, side, form) for tile, side in enumerate(resolutions) for request in by_name]
     try:
         with open_folder(folder, make=True, may_be_link=True):
             pass  # the folder now exists

@@ -58,6 +58,17 @@ def wavy(rows: int, columns: int, step: float):
     return from_array(waves(*np.meshgrid(x, y))[0].astype(np.float32), step)
 
 
+def test_requests_of_an_iterator_are_baked_for_every_tile(tmp_path, small_tiles):
+    field = wavy(60, 90, 2.0)
+    num_tiles = len(tiling_of(field.lattice))
+    done = bake(field, iter([SLOPE, NORMAL]), tmp_path, [64] * num_tiles)
+    assert num_tiles > 1
+    assert {name: len(entry["tiles"]) for name, entry in done.index["maps"].items()} == {
+        "detail_normal": num_tiles,
+        "slope": num_tiles,
+    }
+
+
 @pytest.mark.parametrize("scale", [1.0, -2.5])
 def test_normals_are_those_of_the_ground_under_each_texel(tmp_path, small_tiles, scale):
     field = wavy(150, 200, 2.0)

@@ -56,7 +56,8 @@ def make_codes(
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
         new = np.searchsorted(code_ends, group_errors / START)
         # With finer tiles `has_finer` is 1, which is also the first code: none is 0.
-        codes.translate(field.error[part], np.maximum(new, plain.has_finer), diamond_codes[part])
+        new = np.maximum(new, int(plain.has_finer))
+        codes.translate(field.error[part], new, diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:
         _restore_in_tiles(field, plain, diamond_codes, values, threads)

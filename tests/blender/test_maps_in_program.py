@@ -22,6 +22,7 @@ def test_the_program_bakes_maps_and_both_engines_show_them(show, tmp_path):
     assert shaded > 0.02 and also > 0.02, "the ground under it is not flat"
 
 
+@pytest.mark.thorough
 def test_no_line_is_seen_between_tiles(show):
     """EEVEE shows no mean colour at the borders of tiles, compared with a picture without mips."""
     report = show("tile_seams.py")

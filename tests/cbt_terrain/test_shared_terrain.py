@@ -94,8 +94,10 @@ def test_threads_share_one_scatter():
     assert found == expected * 3
 
 
-@pytest.mark.parametrize("meshlet", [0, 1])
-@pytest.mark.parametrize("holes", [False, True])
+@pytest.mark.parametrize(
+    ("meshlet", "holes"),
+    [(0, True), (1, False), *(pytest.param(*case, marks=pytest.mark.thorough) for case in ((0, False), (1, True)))],
+)
 def test_later_updates_keep_earlier_surfaces(meshlet, holes, monkeypatch):
     """Also those of which a caller has one array only, and with meshes whose points are copied from the last frame."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 64)

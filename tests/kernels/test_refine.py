@@ -122,7 +122,7 @@ def test_level_ground_is_walked_as_measuring_does(measures_all, monkeypatch):
     view, asked = View.look((0.0, 0.0, 1e15 + 4.0), (9.0, 5.0, 1e15)), Criterion(error_px=0.0, edge_px=20.0)
     absurd = from_array(np.zeros((65, 65), np.float32)), asked, [view], 0.0, 1e15
     scenes = [
-        (field, replace(criterion, max_triangles=min(criterion.max_triangles, 8_000)), *rest)
+        (field, replace(criterion, max_triangles=min(criterion.max_triangles, 4_000)), *rest)
         for number, (field, criterion, *rest) in enumerate(level_scenes())
         if number % 8 < 5  # all shapes, kinds of ground and of views
     ]

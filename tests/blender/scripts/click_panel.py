@@ -23,6 +23,7 @@ measuring = module("operators.accuracy.measure")
 session = module("operators.session.session")
 jobs = module("operators.jobs")
 settings_for = subjects.settings_for
+jobs.SHOWN_STEPS = 10  # the panel is drawn by software, and at each step of a progress bar
 result = {"version": bpy.app.version_string, "background": bpy.app.background}
 # Now, before the window is drawn for the first time: on a busy machine that takes longer than the kernels.
 result["preparing_at_start"] = warmup.preparing()

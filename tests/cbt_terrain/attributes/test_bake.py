@@ -69,7 +69,7 @@ def test_requests_of_an_iterator_are_baked_for_every_tile(tmp_path, small_tiles)
     }
 
 
-@pytest.mark.parametrize("scale", [1.0, -2.5])
+@pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.thorough), -2.5])
 def test_normals_are_those_of_the_ground_under_each_texel(tmp_path, small_tiles, scale):
     field = wavy(150, 200, 2.0)
     tiles = tiling_of(field.lattice)

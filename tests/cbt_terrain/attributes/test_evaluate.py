@@ -33,7 +33,7 @@ def bytes_of(found) -> dict[str, bytes]:
     return {name: attribute.array.tobytes() for name, attribute in found.items()}
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))])
 def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
     """Views that creep, jump and take turns, plans and families that change, an object that is turned and scaled."""
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.run.launch.SLICE_ITEMS", 50)

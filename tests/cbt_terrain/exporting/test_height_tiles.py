@@ -296,7 +296,7 @@ def test_a_folder_that_cannot_exist_is_refused(land, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit to lower")
-@pytest.mark.parametrize("form", ["r16", "png"])
+@pytest.mark.parametrize("form", ["png", pytest.param("r16", marks=pytest.mark.thorough)])
 def test_a_row_may_have_more_tiles_than_open_files(make, tmp_path, form):
     import resource
 

@@ -199,7 +199,7 @@ def test_holes_and_flat_land_have_sound_tilesets(tmp_path):
     assert {mesh.positions[:, 2].max() for _, _, mesh in tiles if mesh is not None} == {50.0}
 
 
-@pytest.mark.parametrize("shape", [(3, 1025), (1025, 3)])
+@pytest.mark.parametrize("shape", [(3, 1025), pytest.param((1025, 3), marks=pytest.mark.thorough)])
 def test_levels_of_a_narrow_terrain_follow_its_long_side(tmp_path, shape):
     heights = np.broadcast_to(np.random.default_rng(3).uniform(0, 50, (1, 1025)), (3, 1025)).astype(np.float32)
     _, report = export(tmp_path, heights if shape == heights.shape else heights.T, 0.5, 50)

@@ -30,7 +30,11 @@ IN_HILLS = np.arange(SIDE * (SMALL - KNOWN), SIDE * SMALL + 1)  # beyond the hil
 HEIGHTS[IN_HILLS[0] :, IN_HILLS[0] :] = hill_heights(IN_HILLS, IN_HILLS[:, None])
 
 
-@pytest.fixture(scope="module", params=[(1 << 22, 1 << 18), ((1 << 22) - 5, (1 << 18) - 3)], ids=["whole", "padded"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param((1 << 22, 1 << 18), marks=pytest.mark.thorough), ((1 << 22) - 5, (1 << 18) - 3)],
+    ids=["whole", "padded"],
+)
 def plain(request):
     """Return the terrain, without an anchor; its squares end at its border, or 5 and 3 cells of 256 m beyond it."""
     return corner_terrain(*request.param)

@@ -82,7 +82,7 @@ def imported_from(tmp_path, kind, shape):
     return heights[::-1], np.stack(np.meshgrid(*places), -1).reshape(-1, 2), field
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", ["padded", pytest.param("fits", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", FILES)
 def test_a_bound_holds_for_the_heights_before_rounding(tmp_path, kind, shape):
     heights, plane, field = imported_from(tmp_path, kind, shape)

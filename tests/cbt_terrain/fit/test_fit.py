@@ -180,7 +180,7 @@ def test_a_budget_is_used_well_for_errors_out_of_reach(error_m):
     assert measured(field, fitted.surface) <= fitted.bound_m < 0.9 * base.bound_m
 
 
-@pytest.mark.parametrize("shape", [(65, 150), (6, 100)])
+@pytest.mark.parametrize("shape", [pytest.param((65, 150), marks=pytest.mark.thorough), (6, 100)])
 def test_a_budget_counts_triangles_that_the_border_cut_adds(shape):
     field, error_m = rough(*shape), 1e-3
     least = plain(field, error_m, max_triangles=0).triangles

@@ -195,7 +195,7 @@ def test_a_killed_import_is_an_error_that_names_the_signal(previous, long, fork_
     assert len(list(previous.glob("data-*/work.json"))) == 1, "it can be continued"
 
 
-def test_a_child_killed_after_publishing_has_done_its_work(previous):
+def test_a_child_killed_after_publishing_has_done_its_work(previous, fork_children):
     job = ImportJob(ImportSettings(source="island", size=129), previous)
     job._process.wait()
     job._reader.join()

@@ -99,8 +99,15 @@ def test_a_relief_beyond_the_extent_warns(tmp_path):
     assert imported(tmp_path, source, height_scale=0.001)[1]["warnings"] == []
 
 
-@pytest.mark.parametrize(("mark", "kind"), [(9999, "f4"), (32767, "i2"), (65535, "u2"), (-32768, "i2"), (0, "i2")])
 @pytest.mark.parametrize("way", ["projected", "sheared"])
+@pytest.mark.parametrize(
+    ("mark", "kind"),
+    [
+        (9999, "f4"),
+        (-32768, "i2"),
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in ((32767, "i2"), (65535, "u2"), (0, "i2"))),
+    ],
+)
 def test_marks_are_sought_before_a_raster_is_resampled(tmp_path, mark, kind, way):
     values = (hills(100, 80) + 500.0).astype(kind)
     values[20:30, 30:40] = mark

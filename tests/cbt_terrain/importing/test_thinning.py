@@ -40,7 +40,7 @@ def places_of(count, cells):
 
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
-@pytest.mark.parametrize("width, height", [(129, 97), (131, 90)])
+@pytest.mark.parametrize("width, height", [(131, 90), pytest.param(129, 97, marks=pytest.mark.thorough)])
 def test_samples_are_the_raster_s_own_at_even_steps(tmp_path, place, width, height):
     heights = (10 * hills(width, height)).astype(np.int16)
     source = str(write_raster(tmp_path / "a.tif", heights, crs="EPSG:32632", transform=place, tiled=True))

@@ -68,7 +68,7 @@ def test_neighbours_share_the_edge_that_they_are_named_for(grid, depth):
         assert beside == [to_tree_id(lattice, min(other)) if other else 0 for other in others]
 
 
-@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("threads", [3, pytest.param(1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("grid", GRIDS)
 def test_many_edits_at_once_equal_the_brute_force(grid, threads, eager_threads):
     """Splits force others in neighbours that other threads split; merges take whole diamonds or nothing."""

@@ -54,8 +54,10 @@ def test_the_mesh_ends_exactly_on_the_border(size, error_m, meshlet):
     assert arrays(Terrain(field, 3).update(criterion).surface) == arrays(surface)
 
 
-@pytest.mark.parametrize("meshlet", [0, 2])
-@pytest.mark.parametrize("missing", [0, 25])
+@pytest.mark.parametrize(
+    ("missing", "meshlet"),
+    [(0, 2), (25, 0), *(pytest.param(*case, marks=pytest.mark.thorough) for case in ((0, 0), (25, 2)))],
+)
 def test_a_flight_gives_the_meshes_of_terrains_without_history(missing, meshlet):
     """Parts that are cut off one frame's arrays are restored for the next frame, which copies the common vertices."""
     field = from_array(raster(300, 150, missing), 10.0, holes=True)

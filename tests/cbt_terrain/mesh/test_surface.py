@@ -120,7 +120,8 @@ def flown(field, meshlet=0, threads=2):
 
 
 @pytest.mark.parametrize(
-    ("interpolation", "meshlet", "rows"), [("bicubic", 0, 65), ("bilinear", 1, 65), ("bilinear", 3, 129)]
+    ("interpolation", "meshlet", "rows"),
+    [("bicubic", 0, 65), ("bilinear", 1, 65), pytest.param("bilinear", 3, 129, marks=pytest.mark.thorough)],
 )
 def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, rows, eager_threads):
     """Positions that change unseen between two frames stay changed where points were taken from the last frame."""

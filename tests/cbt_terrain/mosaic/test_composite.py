@@ -41,7 +41,7 @@ def test_any_window_has_the_bits_of_the_whole(three, project):
     heights, _ = whole.read(0, whole.grid.height)
     random = np.random.default_rng(4)
     parts = open_composite(settings_of(*files, project=project), None)
-    for _ in range(40):
+    for _ in range(20):
         row, column = random.integers(0, whole.grid.height), random.integers(0, whole.grid.width)
         rows = min(random.integers(1, 200), whole.grid.height - row)
         columns = min(random.integers(1, 300), whole.grid.width - column)

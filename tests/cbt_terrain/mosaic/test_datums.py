@@ -112,7 +112,7 @@ def test_processes_convert_heights_like_one(files, tmp_path, grids, tiled):  # n
         assert_same(tmp_path / name, tmp_path / "whole")
 
 
-@pytest.mark.parametrize("change", ["another grid", "another first file"])
+@pytest.mark.parametrize("change", ["another grid", pytest.param("another first file", marks=pytest.mark.thorough)])
 def test_tiles_are_read_again_with_other_shifts(files, tmp_path, grids, tiled, change):  # noqa: F811
     grids("egm96_15.gtx", egm96)
     grids("egm08_25.gtx", egm2008)

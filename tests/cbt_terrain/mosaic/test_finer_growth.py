@@ -43,19 +43,19 @@ def write_finer(folder, name="b_city", corner=CITY, shift=3.0, gap=False):
     finer.write(folder / f"{name}.tif")
 
 
-def write_first(folder, columns=COLUMNS):
+def write_first(folder, columns=COLUMNS, rows=ROWS):
     """Write the first coarser files and a city. Finer tiles depend on borders of finer files up to 168 cells away."""
-    for row in range(ROWS):
+    for row in range(rows):
         for column in range(columns):
             write_coarse(folder, "a", column, row)
     write_finer(folder, gap=True)
 
 
-def grow(folder, direction, cells=SIDE, columns=COLUMNS):
+def grow(folder, direction, cells=SIDE, columns=COLUMNS, rows=ROWS):
     """Write coarser files beyond a border, last in the order: lattices begin at the first file."""
     for column in range(columns) if direction in ("north", "south") else ():
         write_coarse(folder, "c", column, -1 if direction == "north" else ROWS, height=cells)
-    for row in range(ROWS) if direction in ("east", "west") else ():
+    for row in range(rows) if direction in ("east", "west") else ():
         write_coarse(folder, "c", -1 if direction == "west" else columns, row, width=cells)
 
 
@@ -114,8 +114,8 @@ def grown(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         make_tiles_small(patch)
         growth = Growth(tmp_path_factory.mktemp("grown"), patch)
-        write_first(growth.files)
-        growth.run(lambda files: grow(files, "west"))
+        write_first(growth.files, columns=3, rows=2)
+        growth.run(lambda files: grow(files, "west", rows=2))
     return growth
 
 

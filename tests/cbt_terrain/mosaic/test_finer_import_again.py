@@ -82,14 +82,31 @@ def test_a_stopped_import_makes_only_what_is_missing(settings, whole, tmp_path, 
     assert_same(tmp_path / "store", whole[0])
 
 
-def test_a_complete_import_is_not_made_again(settings, whole, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def unpublished(settings, tmp_path_factory):
+    """Return a store whose import was stopped just before it was published."""
+    store = tmp_path_factory.mktemp("unpublished") / "store"
+
     def stop(*_):
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(stores, "check_version", stop)  # just before it is published
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch)
+        patch.setattr(stores, "check_version", stop)
         with pytest.raises(KeyboardInterrupt):
-            run_mosaic_import(settings, tmp_path / "store")
+            run_mosaic_import(settings, store)
+    return store
+
+
+@pytest.fixture
+def complete(unpublished, tmp_path):
+    """Return the folder of arrays of a complete import into tmp_path / "store" that was not published."""
+    shutil.copytree(unpublished, tmp_path / "store")
+    [folder] = (tmp_path / "store").glob("data-*")
+    return folder
+
+
+def test_a_complete_import_is_not_made_again(settings, whole, complete, tmp_path, monkeypatch):
     store_folder.remove_abandoned(tmp_path / "store")  # as each import begins
     counts = count_records(monkeypatch)
     run_mosaic_import(settings, tmp_path / "store")
@@ -175,8 +192,8 @@ def test_damaged_leftovers_are_made_again(settings, whole, stopped, tmp_path, mo
     assert_same(tmp_path / "store", whole[0])
 
 
-def test_links_in_leftovers_are_refused(settings, stopped, tmp_path):
-    file = stopped / "finer_heights.npy"
+def test_links_in_leftovers_are_refused(settings, complete, tmp_path):
+    file = complete / "finer_heights.npy"
     text = file.read_bytes()
     (tmp_path / "user.npy").write_bytes(text)
     file.unlink()
@@ -186,9 +203,9 @@ def test_links_in_leftovers_are_refused(settings, stopped, tmp_path):
     assert (tmp_path / "user.npy").read_bytes() == text
 
 
-def test_an_altered_raster_is_noticed(settings, whole, stopped, tmp_path, monkeypatch):
+def test_an_altered_raster_is_noticed(settings, whole, complete, tmp_path, monkeypatch):
     """Heights of the raster that were altered after they were measured are measured again, and so are finer tiles."""
-    samples = np.load(stopped / "samples.npy", mmap_mode="r+")
+    samples = np.load(complete / "samples.npy", mmap_mode="r+")
     samples[100:105] += samples.dtype.type(9)
     samples.flush()
     counts = count_records(monkeypatch)
@@ -215,7 +232,7 @@ def test_records_with_impossible_entries_count_as_none(settings, whole, stopped,
     assert_same(tmp_path / "store", whole[0])
 
 
-def test_another_import_begins_again(settings, whole, stopped, tmp_path, monkeypatch):
+def test_another_import_begins_again(settings, whole, complete, tmp_path, monkeypatch):
     counts = count_records(monkeypatch)
     run_mosaic_import(ImportSettings(settings.source, height_scale=2.0), tmp_path / "store")
     assert counts == whole[1] and len(list((tmp_path / "store").glob("data-*"))) == 1

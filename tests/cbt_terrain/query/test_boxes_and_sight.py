@@ -84,7 +84,7 @@ def with_hole():
 
 
 @pytest.mark.parametrize("name", ["plain", "holes", "from a sample"])
-@pytest.mark.parametrize(("target", "scale"), [(0.0, 1.0), (3.0, -0.7)])
+@pytest.mark.parametrize(("target", "scale"), [pytest.param(0.0, 1.0, marks=pytest.mark.thorough), (3.0, -0.7)])
 def test_an_eye_sees_the_samples_that_nothing_rises_before(name, target, scale):
     field = with_hole() if name == "holes" else SMALL
     x, y = (12.0, -7.5) if name == "plain" else (-35.0, 10.0)

@@ -66,7 +66,9 @@ ALIGNED = {
 }
 
 
-@pytest.mark.parametrize("size, samples_are", [((7, 5), "Area"), ((2, 3), "Point"), ((1, 4), "Area")])
+@pytest.mark.parametrize(
+    "size, samples_are", [((7, 5), "Area"), ((2, 3), "Point"), pytest.param((1, 4), "Area", marks=pytest.mark.thorough)]
+)
 @pytest.mark.parametrize("name", ALIGNED)
 def test_aligned_rasters_lie_where_their_coordinates_are(tmp_path, name, size, samples_are):
     import rasterio

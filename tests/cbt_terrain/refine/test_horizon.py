@@ -197,7 +197,7 @@ def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
 
     monkeypatch.setattr(refinement, "_walk", noted)
     for limit in (100, 1000, 5000):
-        for field, criterion, *rest in scenes(limit, 10):
+        for field, criterion, *rest in scenes(limit, 6):
             found = updated(
                 Terrain(field, 1), replace(criterion, meshlet=0, hidden_factor=8.0, max_triangles=limit), *rest
             )

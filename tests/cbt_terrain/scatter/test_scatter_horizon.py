@@ -127,7 +127,7 @@ def test_objects_that_reach_out_of_their_square_stay():
 
 
 def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(eager_threads):
-    for field, criterion, (first, second), *rest in scenes(175, 3, 2):
+    for field, criterion, (first, second), *rest in scenes(175, 2, 2):
         one, other = ((field, criterion, [view], *rest) for view in (first, second))
         scatterer, terrain = scattered(one, 3), Terrain(field, 3)
         for scene in (one, other, one):

@@ -104,6 +104,7 @@ def test_files_in_the_east_leave_western_tiles(begun):
     assert (begun.crew.read, sorted(begun.measured)) == (changed, changed)
 
 
+@pytest.mark.thorough
 def test_files_in_the_north_leave_southern_tiles(begun):
     begun.run(lambda: [write_file(begun.files, f"b{column}", column, -1) for column in range(COLUMNS)])
     changed = numbers(4, [(column, row) for row in (2, 3) for column in range(4)])

@@ -106,7 +106,8 @@ def test_a_flat_file_replaces_a_steep_one(tmp_path, tiled):  # noqa: F811
 
 
 @pytest.mark.parametrize(
-    "name", ["tiles.jsonl", "samples.npy", pytest.param("borders.npy", marks=pytest.mark.thorough)]
+    "name",
+    ["samples.npy", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("tiles.jsonl", "borders.npy"))],
 )
 def test_damaged_parts_of_a_store_are_not_used_again(tmp_path, tiled, name):  # noqa: F811
     write_tiles(tmp_path / "tiles", columns=2, rows=2, gap=None)

@@ -17,7 +17,7 @@ SHAPES = [(65, 65), (33, 97), (40, 57)]
 VIEWS = [View.look((x, -300.0, 120.0), (0, 0, 0), resolution=(640, 480)) for x in (0.0, 40.0)]
 
 
-@pytest.mark.parametrize("meshlet", [0, 2])
+@pytest.mark.parametrize("meshlet", [2, pytest.param(0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_a_saved_tree_is_the_same_mesh_again(shape, meshlet, monkeypatch):
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.run.launch.SLICE_ITEMS", 64)  # so that three threads share it

@@ -73,7 +73,7 @@ def parts_of(rng, depths: np.ndarray, nodes: list, max_depth: int) -> list[LeafP
     return parts
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     st.sampled_from([6, 7, 12, 13, 20, 31, 40, 48, 55, 61, 62]), st.integers(0, 2**32), st.sampled_from([1, 2, 3, 8])
 )
@@ -103,7 +103,7 @@ def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
     assert np.array_equal(flown.tree.cells(), fresh.tree.cells())
 
 
-@pytest.mark.parametrize("threads", [1, 2, 7])
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.thorough), 7])
 @pytest.mark.parametrize("shape", SQUARES.values(), ids=SQUARES)
 def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, eager_threads):
     flown = Terrain(rough(*shape, relief=20.0), threads)

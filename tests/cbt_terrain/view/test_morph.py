@@ -22,7 +22,7 @@ from invariants import arrays
 from morphs import mean_ratio, means_of_meshes, risen_points
 
 POINTS = 120
-RARE = "far", "finer meshlets", "bicubic", "areas", "metres"  # cases for runs of everything
+RARE = "error", "outside", "far", "finer meshlets", "bicubic", "areas", "metres"  # cases for runs of everything
 ROUNDS = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 20)
 SHARP = (4000, 3000)
 AHEAD = View.look((0, -350, 125), (0, 0, 0), resolution=SHARP)

@@ -4,7 +4,8 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.layers.material import LayerSources, build_group, give_terrain_material
+from adaptive_terrain.cbt_terrain.attributes.tiling import MARGIN
+from adaptive_terrain.operators.layers.material import SEAM, LayerSources, build_group, give_terrain_material
 from demand_trees import new_object
 from rendered_pictures import rendered
 
@@ -102,8 +103,11 @@ def test_a_slot_of_the_object_gets_the_material(ground):
     assert ground.material_slots[0].material == made == give_terrain_material(ground, LayerSources(LAYERS[:2]))
 
 
-def colour_of(ground, weights, **settings) -> np.ndarray:
-    """Linear colour that Cycles gives the group alone, as emission, in the middle of the square."""
+def picture_of(ground, weights, size: int = 8, height: float = 2.0, **settings) -> np.ndarray:
+    """Return linear colours that Cycles gives the group alone, as emission, in the inner quarter of the square.
+
+    size: pixels along a side. height: metres of the camera above the square.
+    """
     tree, group = ground.data.materials[0].node_tree, group_of(ground)
     for name, value in settings.items():
         group.inputs[name].default_value = value
@@ -118,11 +122,16 @@ def colour_of(ground, weights, **settings) -> np.ndarray:
         found.data.foreach_set("color" if np.size(four) == 4 else "value", np.tile(four, 4).astype(np.float32))
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, 2), "ORTHO", 1.0
+    camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, height), "ORTHO", 1.0
     scene.collection.objects.link(camera)
     scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 8
-    return rendered(bpy.app.tempdir + "terrain_colour.exr")[4, 4, :3]
+    scene.render.resolution_x = scene.render.resolution_y = size
+    return rendered(bpy.app.tempdir + "terrain_colour.exr")[..., :3]
+
+
+def colour_of(ground, weights, **settings) -> np.ndarray:
+    """Return the linear colour that Cycles gives the group alone in the middle of the square."""
+    return picture_of(ground, weights, **settings)[4, 4]
 
 
 @pytest.mark.parametrize("layer", [0, 3, 6])
@@ -147,3 +156,34 @@ def test_without_layers_there_is_one_plain_colour(ground):
     tree = bpy.data.node_groups.new("alone", "ShaderNodeTree")
     build_group(tree, LayerSources([]), 1.0)
     assert attributes_read(tree) == set() and "Variation" in tree.interface.items_tree
+
+
+@pytest.mark.parametrize("height", [2.0, 6.0])
+def test_tiled_maps_are_read_without_mipmaps_along_seams(ground, height):
+    """Only an image with cubic interpolation has no mipmaps in EEVEE; here it is white, and the other one black.
+
+    In the middle of the square four tiles of 1 m meet. `test_no_line_is_seen_between_tiles` renders with EEVEE.
+    """
+
+    def place(tree):
+        position, scaled = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeVectorMath")
+        scaled.operation, scaled.inputs["Scale"].default_value = "SCALE", 2.0
+        tree.links.new(position.outputs["UV"], scaled.inputs[0])
+        return scaled.outputs[0]
+
+    image = bpy.data.images.new("map", 4, 4, tiled=True)
+    give_terrain_material(ground, LayerSources([], maps={"color": image}, place=place, tile=1.0))
+    tree = group_of(ground).node_tree
+    images = [node for node in tree.nodes if node.type == "TEX_IMAGE"]
+    assert [node.image for node in images] == [image] * 2 and len({node.interpolation for node in images}) == 2
+    for node in images:
+        white = tree.nodes.new("ShaderNodeRGB").outputs[0]
+        white.default_value = (*[float(node.interpolation == "Cubic")] * 3, 1.0)
+        for link in list(node.outputs["Color"].links):
+            tree.links.new(white, link.to_socket)
+    size = 128
+    seen = picture_of(ground, {}, size, height, Variation=0.0)[..., 0]
+    width = size * (SEAM * height + MARGIN)  # of the ground on either side of a seam, pixels
+    from_seam = np.abs(np.arange(size) + 0.5 - size / 2)
+    from_seam = np.minimum(from_seam[:, None], from_seam)
+    assert (seen[from_seam < width - 1] == 1.0).all() and (seen[from_seam > width + 2] == 0.0).all()

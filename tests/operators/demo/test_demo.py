@@ -33,7 +33,6 @@ def made(tmp_path_factory):
     return out
 
 
-@pytest.mark.thorough
 def test_demo_makes_its_page_and_all_that_it_shows(made):
     page = (made / "index.html").read_text(encoding="utf-8")
     shown = re.findall(r'src="(?!data:)([^"]+)"', page)
